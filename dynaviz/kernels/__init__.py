@@ -1,0 +1,63 @@
+"""Numba kernels, loaded when first used: ``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py`` then.
+
+Rules for a file here: leaf functions only, no call into another file (the cache on disk does not see its changes);
+``cache=True``; the same answer on any number of threads, so threads store only equal values or integers of their own.
+Parallel kernels run on the main thread only.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_heard = False
+
+
+def __getattr__(name: str) -> ModuleType:
+    if name.startswith("_"):
+        raise AttributeError(name)
+    _tell_when_compiling()
+    return importlib.import_module(f"dynaviz.kernels.{name}")
+
+
+def frozen(array: Any, dtype: DTypeLike) -> NDArray[Any]:
+    """A read-only, C-contiguous view or copy: kernels then see one type each and are compiled once."""
+    view = np.ascontiguousarray(array, dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def set_threads(threads: int | None) -> int:
+    """Use at most this many threads in kernels (None: all); returns the number in use."""
+    import numba
+
+    numba.set_num_threads(min(threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
+    return int(numba.get_num_threads())
+
+
+def _tell_when_compiling() -> None:
+    """Say once, on the first compilation of this process, what the wait is for."""
+    global _heard
+    if _heard:
+        return
+    _heard = True
+    from numba.core import event
+
+    class Teller(event.Listener):  # type: ignore[misc]
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            if not Teller.told:
+                Teller.told = True
+                from rich.console import Console
+
+                Console(stderr=True).print("[dim]compiling kernels, first run only ...[/]")
+
+        def on_end(self, event: Any) -> None:
+            return None
+
+    event.register("numba:compile", Teller())

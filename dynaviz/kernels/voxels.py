@@ -1,0 +1,59 @@
+"""Packed voxel keys and a hash set of them."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+_REACH = 1 << 20
+
+
+@njit(cache=True, nogil=True)
+def pack(points, size):
+    """Packed keys of (N, 3) points, and whether all of them fit."""
+    keys = np.empty(len(points), np.int64)
+    inverse = 1.0 / size
+    for i in range(len(points)):
+        key = np.int64(0)
+        for axis in range(3):
+            k = math.floor(points[i, axis] * inverse)
+            if not (-_REACH <= k < _REACH):  # also false for NaN
+                return keys, False
+            key = (key << 21) | (np.int64(k) + _REACH)
+        keys[i] = key
+    return keys, True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(key, mask):
+    h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64(h >> np.uint64(20)) & mask
+
+
+@njit(cache=True, nogil=True)
+def insert(slots, keys):
+    """Put keys into a table of a power of two (-1: free); True where a key was not there before."""
+    new = np.zeros(len(keys), np.bool_)
+    mask = len(slots) - 1
+    for i in range(len(keys)):
+        s = _slot(keys[i], mask)
+        while slots[s] >= 0 and slots[s] != keys[i]:
+            s = (s + 1) & mask
+        if slots[s] < 0:
+            slots[s] = keys[i]
+            new[i] = True
+    return new
+
+
+@njit(cache=True, nogil=True)
+def rehash(slots, size):
+    """The same set in a table of another size."""
+    bigger = np.full(size, np.int64(-1))
+    mask = size - 1
+    for i in range(len(slots)):
+        if slots[i] >= 0:
+            s = _slot(slots[i], mask)
+            while bigger[s] >= 0:
+                s = (s + 1) & mask
+            bigger[s] = slots[i]
+    return bigger

@@ -1,0 +1,91 @@
+"""The contract of a method that tells moving from standing points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
+
+from dynaviz.probe import SILENT, Probe, State
+from dynaviz.scan import F32, U8, Bool, Scan
+from dynaviz.sensors import Sensor
+from dynaviz.survey import Extent
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a point got its label. A code is the position in ``MethodInfo.reasons``."""
+
+    name: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class MethodInfo:
+    """What there is to know of a method before it runs.
+
+    Attributes:
+        name: as in the command line, the tables and the recording's paths.
+        title: as a reader would write it.
+        paper: where it was published.
+        reasons: the legend of ``explain``, by code.
+        emits: the states it can show.
+        needs_map: whether it needs the raw map before the first scan (an offline method).
+    """
+
+    name: str
+    title: str
+    paper: str
+    reasons: tuple[Reason, ...]
+    emits: tuple[State, ...] = ()
+    needs_map: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What a method is told before the first scan.
+
+    Attributes:
+        extent: where points will lie: bounds and coarse cells. It may serve to lay out memory, never to decide a label.
+        sensor: facts of the sensor.
+        probe: who listens to the method's states.
+        seed: for everything random; the same seed gives the same labels.
+        raw_map: (M, 3) float32, metres, world frame: all points of all scans, where ``info.needs_map``; else None.
+    """
+
+    extent: Extent
+    sensor: Sensor = field(default_factory=Sensor)
+    probe: Probe = SILENT
+    seed: int = 0
+    raw_map: F32 | None = None
+
+
+class Method(Protocol):
+    """Learns from scans, then answers for each of their points.
+
+    ``begin`` once, ``observe`` for every scan, then ``label`` for every scan once all were observed; in online mode
+    ``label`` comes right after the scan's own ``observe``. Scans carry no ground truth, and their arrays are read-only.
+    Labels depend on nothing but the scans, the parameters and the seed: not on threads, not on who listens.
+
+    ``Params`` is a frozen dataclass of the numbers a user may tune; its fields are the paper's "number of parameters".
+    """
+
+    info: ClassVar[MethodInfo]
+    Params: ClassVar[type[Any]]
+
+    def __init__(self, params: Any) -> None: ...
+
+    def begin(self, context: Context) -> None:
+        """Prepare for a sequence; forget any earlier one."""
+        ...
+
+    def observe(self, scan: Scan) -> None:
+        """Learn from one scan."""
+        ...
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the point moved and is to be removed. The scan was observed before."""
+        ...
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8: for each point the code of the reason for its label, an index into ``info.reasons``."""
+        ...

@@ -1,0 +1,72 @@
+"""The contract of a metric: it watches labelled scans go by and adds its section to the result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.method import MethodInfo
+from dynaviz.scan import U8, Bool, Scan, outcomes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled:
+    """One scan with a method's answer.
+
+    Attributes:
+        frame: position in the run, 0, 1, ...; the recording's ``frame`` timeline.
+        scan: the scan, with its ground truth where there is any.
+        dynamic: (N,) bool, the method's answer.
+        reasons: (N,) uint8, the method's reason codes.
+        outcome: (N,) uint8, an ``Outcome`` per point.
+    """
+
+    frame: int
+    scan: Scan
+    dynamic: Bool
+    reasons: U8
+    outcome: U8
+
+    @classmethod
+    def of(cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8) -> Labelled:
+        """Cross the answer with the scan's ground truth."""
+        return cls(frame, scan, dynamic, reasons, outcomes(scan.labels, dynamic))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameHistograms:
+    """A histogram for each frame: edges (B + 1,) float64 and counts (frames, B) int64. The last bin is open."""
+
+    title: str
+    unit: str
+    edges: NDArray[np.float64]
+    counts: NDArray[np.int64]
+
+
+class Metric(Protocol):
+    """Counts what happens to the points of a run, in memory that does not grow with their number.
+
+    Constructed anew for each run with the method's info.
+    """
+
+    def __init__(self, info: MethodInfo) -> None: ...
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Take one scan into account, in the order of frames.
+
+        Returns:
+            Numbers to draw as curves over frames, by path (``"SA/frame"``); NaN where undefined.
+        """
+        ...
+
+    def finish(self) -> Mapping[str, Any]:
+        """Sections of the result, as plain JSON values (None where undefined), once all frames were seen."""
+        ...
+
+    def histograms(self) -> Mapping[str, FrameHistograms]:
+        """Histograms for each frame, by path, known only at the end; empty where the metric has none."""
+        ...

@@ -1,0 +1,1 @@
+"""Recordings and pictures: the only package that imports rerun."""
