@@ -1,0 +1,107 @@
+"""Result: everything a run answers, as plain values; saved whole or not at all, and shown as a table."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dynaviz.errors import DataError
+from dynaviz.io.atomic import write_whole
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Result:
+    """The answer of one run; the fields are those of ``result.json``.
+
+    Attributes:
+        method, sequence: what ran on what; ``sequence`` holds name, digest, frames and points.
+        parameters: the method's parameters; ``n_parameters`` counts them (paper, runtime table).
+        scoring: ``mask`` (labels by index) or ``nn`` (nearest neighbour in a cleaned map).
+        sections: what the metrics found: counts, metrics, error_distance, breakdown, reasons ...; None where undefined.
+        runtime: mean_s and std_s of the method alone per frame, prepare_s before the first, frames, threads, peak_rss_mb.
+        labels_sha256: digest of all labels in the order of the sequence.
+        recording_sha256: digest of the recording's file, or None.
+        instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
+        environment: versions and machine. ``command``: what was typed.
+    """
+
+    method: str
+    parameters: dict[str, Any]
+    sequence: dict[str, Any]
+    sections: dict[str, Any] = field(default_factory=dict)
+    runtime: dict[str, Any] = field(default_factory=dict)
+    online: bool = False
+    seed: int = 0
+    scoring: str = "mask"
+    labels_sha256: str | None = None
+    recording_sha256: str | None = None
+    instrumented: bool = False
+    environment: dict[str, Any] = field(default_factory=dict)
+    command: str = ""
+
+    @property
+    def metrics(self) -> Mapping[str, float | None]:
+        """SA, DA, AA, HA, precision and IoU in percent; None where undefined."""
+        return self.sections.get("metrics", {})
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """static_kept, static_removed, dynamic_removed, dynamic_kept, unlabelled."""
+        return self.sections.get("counts", {})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``result.json``."""
+        plain = dataclasses.asdict(self)
+        sections = plain.pop("sections")
+        return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **sections}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``result.json``, whole or not at all."""
+        write_whole(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Result:
+        """Read a ``result.json``.
+
+        Raises:
+            DataError: where the file is none, or was written by a newer dynaviz.
+        """
+        try:
+            plain = json.loads(Path(path).read_bytes())
+        except OSError as error:
+            raise DataError(path, error.strerror or "cannot be read", hint="Give the result.json of a run") from None
+        except ValueError as error:
+            raise DataError(path, f"is not JSON ({error})", hint="Give the result.json of a run") from None
+        if not isinstance(plain, dict) or "method" not in plain or "sequence" not in plain:
+            raise DataError(path, "is not the result of a run", hint="Give the result.json of a run")
+        if plain.pop("schema", 0) > SCHEMA:
+            raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        plain.pop("n_parameters", None)
+        known = {f.name for f in dataclasses.fields(cls)} - {"sections"}
+        return cls(**{k: v for k, v in plain.items() if k in known}, sections={k: v for k, v in plain.items() if k not in known})
+
+    def __rich__(self) -> RenderableType:
+        from dynaviz.tables import result_table
+
+        return result_table([self])
+
+
+def environment() -> dict[str, Any]:
+    """Versions of what decides about labels and speed, and the machine."""
+    versions = {name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")}
+    return {
+        "versions": {"python": platform.python_version(), **versions},
+        "machine": {"system": platform.system(), "arch": platform.machine(), "cores": os.cpu_count()},
+    }
