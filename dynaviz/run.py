@@ -6,19 +6,20 @@ import dataclasses
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from dynaviz import kernels
 from dynaviz.method import Context, Method
 from dynaviz.metric import FrameHistograms, Labelled, Metric
-from dynaviz.probe import SILENT, Probe, Value
+from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.result import Result, environment
-from dynaviz.scan import F32, Scan, Sequence, stream
-from dynaviz.survey import Survey, survey
+from dynaviz.bits import PackedBits
+from dynaviz.scan import Scan, Sequence, stream
+from dynaviz.survey import Extent, Survey, survey
 
 
 @dataclass(frozen=True)
@@ -46,28 +47,23 @@ class Run:
     command: str = ""
 
 
-class Listener(Protocol):
-    """Hears of every step of a run; its time is not the method's."""
+class Listener:
+    """Hears of every step of a run; its time is not the method's. Subclasses say what they care for."""
 
     def begin(self, run: Run, survey: Survey) -> None:
         """Before the first frame."""
-        ...
 
     def observing(self, frame: int, scan: Scan) -> None:
         """A scan is about to be observed; states emitted from here on are of this frame."""
-        ...
 
     def observed(self, frame: int) -> None:
         """The method returned; its states of this frame are complete."""
-        ...
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """A scan has its labels; curves hold the metrics' numbers at this frame."""
-        ...
 
     def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
         """All frames are done."""
-        ...
 
 
 @dataclass
@@ -75,7 +71,13 @@ class Clock:
     """Seconds of the method, frame by frame."""
 
     frames: list[float] = field(default_factory=list)
-    prepare: float = 0.0
+    prepared: float = 0.0
+
+    def prepare(self, call: Callable[[], None]) -> None:
+        """Call, and remember the time as spent before the first frame."""
+        start = time.perf_counter()
+        call()
+        self.prepared = time.perf_counter() - start
 
     def timed(self, frame: int, call: Callable[[Scan], Any], scan: Scan) -> Any:
         """Call, and add the time to the frame's."""
@@ -86,6 +88,16 @@ class Clock:
             self.frames.append(0.0)
         self.frames[frame] += seconds
         return answer
+
+    def summary(self) -> dict[str, float | int]:
+        """Mean and standard deviation over frames, as in the paper's runtime table."""
+        seconds = np.array(self.frames)
+        return {
+            "mean_s": float(seconds.mean()),
+            "std_s": float(seconds.std()),
+            "frames": len(seconds),
+            "prepare_s": self.prepared,
+        }
 
 
 Progress = Callable[[str, int, int], None]
@@ -102,19 +114,18 @@ def execute(
 
     Args:
         run: what to run.
-        listeners: recordings and other outputs, in this order.
+        listeners: recordings and other outputs, told in this order.
         probe: who looks at the method's states; ``SILENT`` for an honest timing.
         progress: called after each frame of each phase.
 
     Returns:
         The result; ``instrumented`` tells whether anybody looked at states.
     """
-    listeners, total, clock = tuple(listeners), len(run.sequence), Clock()
+    listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     threads = kernels.set_threads(run.threads)
     seen = survey(run.sequence, lambda done: progress("survey", done, total))
-    start = time.perf_counter()
-    run.method.begin(_context(run, seen, probe))
-    clock.prepare = time.perf_counter() - start
+    _warm_up(run, probe)
+    clock.prepare(lambda: run.method.begin(_context(run, seen, probe)))
     for listener in listeners:
         listener.begin(run, seen)
 
@@ -129,21 +140,61 @@ def execute(
     def label(frame: int, scan: Scan) -> None:
         bare = scan.without_truth()
         dynamic = clock.timed(frame, run.method.label, bare)
+        answer.append(dynamic)
         labelled = Labelled.of(frame, scan, dynamic, run.method.explain(bare))
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
             listener.labelled(labelled, curves)
         progress("label", frame + 1, total)
 
-    steps = [[observe, label]] if run.online else [[observe], [label]]
-    for phase in steps:
+    for passing in ([observe, label],) if run.online else ([observe], [label]):
         for frame, scan in enumerate(stream(run.sequence)):
-            for step in phase:
+            for step in passing:
                 step(frame, scan)
 
-    sections = {key: value for metric in run.metrics for key, value in metric.finish().items()}
-    result = _result(run, seen, sections, clock, threads, instrumented=probe is not SILENT)
+    result = Result(
+        method=run.method.info.name,
+        parameters=dataclasses.asdict(run.params),
+        sequence={"name": run.sequence.name, "digest": seen.digest, "frames": seen.frames, "points": seen.points},
+        sections={key: value for metric in run.metrics for key, value in metric.finish().items()},
+        runtime={**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()},
+        online=run.online,
+        seed=run.seed,
+        labels_sha256=answer.sha256(),
+        instrumented=probe is not SILENT,
+        environment=environment(),
+        command=run.command,
+    )
     histograms = {path: h for metric in run.metrics for path, h in metric.histograms().items()}
     for listener in listeners:
         listener.finish(result, histograms)
     return result
+
+
+def peak_rss_mb() -> float:
+    """The most memory this process ever held, in MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
+
+
+def _context(run: Run, seen: Survey, probe: Probe) -> Context:
+    raw_map = None
+    if run.method.info.needs_map:
+        raw_map = np.empty((seen.points, 3), np.float32)
+        end = 0
+        for scan in stream(run.sequence):
+            raw_map[end : end + len(scan)] = scan.points
+            end += len(scan)
+    return Context(seen.extent, run.sequence.sensor, probe, run.seed, raw_map)
+
+
+def _warm_up(run: Run, probe: Probe) -> None:
+    """Let a copy of the method see one scan, so that no frame's time holds the loading or compiling of kernels."""
+    scan = run.sequence[0].without_truth()
+    copy = type(run.method)(run.params)
+    listening = SILENT if probe is SILENT else MemoryProbe()
+    raw_map = scan.points if run.method.info.needs_map else None
+    copy.begin(Context(Extent.of(scan), run.sequence.sensor, listening, run.seed, raw_map))
+    copy.observe(scan)
+    copy.label(scan)
+    copy.explain(scan)

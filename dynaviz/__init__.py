@@ -1,0 +1,26 @@
+"""Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.
+
+    import dynaviz as dv
+    sequence = dv.open("path/to/sequence")
+    result = dv.run("octomap_gf", sequence, out="recordings/mine")
+    print(result)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dynaviz.api import open, run
+    from dynaviz.result import Result
+
+__all__ = ["Result", "open", "run"]
+
+_HOMES = {"open": "dynaviz.api", "run": "dynaviz.api", "Result": "dynaviz.result"}
+
+
+def __getattr__(name: str) -> Any:  # loaded when first used, so that `dynaviz --help` answers at once
+    if name not in _HOMES:
+        raise AttributeError(f"module 'dynaviz' has no attribute '{name}'")
+    return getattr(importlib.import_module(_HOMES[name]), name)

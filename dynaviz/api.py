@@ -1,0 +1,114 @@
+"""What scripts and the command line share: open a sequence, run a method on it, keep the files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+from dynaviz import params as layers
+from dynaviz import registry
+from dynaviz.datasets import open_sequence
+from dynaviz.errors import UsageError
+from dynaviz.outputs import LabelsFile, MapFiles, write_summary
+from dynaviz.probe import SILENT, Probe
+from dynaviz.result import Result
+from dynaviz.run import Listener, Progress, Run, execute
+from dynaviz.scan import Sequence, part
+from dynaviz.sensors import load_sensor
+
+Record = Literal["full", "errors", "scores", "none"]
+
+
+def open(
+    path: str | os.PathLike[str], *, frames: str | None = None, stride: int = 1, sensor: str | None = None
+) -> Sequence:
+    """Open a sequence of any known format.
+
+    Args:
+        path: a folder; the format is guessed, or forced with a prefix (``semantickitti:PATH``).
+        frames: ``A:B``, positions as in a Python slice.
+        stride: every how manieth frame.
+        sensor: name of the sensor, where the data do not tell or are wrong (``dynaviz list sensors``).
+
+    Raises:
+        DataError: where nothing known is at the path.
+        UsageError: for frames or a sensor that do not exist.
+    """
+    sequence = open_sequence(os.fspath(path))
+    return part(sequence, frames, stride, load_sensor(sensor) if sensor else None)
+
+
+def run(
+    method: str,
+    sequence: Sequence | str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    record: Record = "errors",
+    view: bool = False,
+    preset: str | None = None,
+    config: str | os.PathLike[str] | None = None,
+    settings: tuple[str, ...] = (),
+    online: bool | None = None,
+    seed: int | None = None,
+    threads: int | None = None,
+    command: str = "",
+    progress: Progress = lambda phase, done, total: None,
+) -> Result:
+    """Run a method on a sequence and score it.
+
+    Args:
+        method: its name (``dynaviz list methods``).
+        sequence: an open sequence, or a path.
+        out: folder for the files of the run; None writes nothing.
+        record: how much the recording ``run.rrd`` holds (``recordings/README.md``); needs ``out``.
+        view: show the run in a viewer while it goes on.
+        preset, config, settings: layers of parameters (``dynaviz.params.resolve``).
+        online: ask for each scan's labels right after it was observed, not after all.
+        seed: for everything random in the method.
+        threads: for kernels; None for all cores.
+        command: what the user typed, for the record.
+        progress: called with a phase, and how many frames of how many are done.
+
+    Returns:
+        The result; printing it shows a table.
+    """
+    if not isinstance(sequence, Sequence):
+        sequence = open(sequence)
+    kind = registry.load("methods", method)
+    resolved = layers.resolve(kind, preset, config, settings)
+    metrics = tuple(handle.load()(kind.info) for handle in registry.handles("metrics"))
+    this = Run(
+        method=kind(resolved.params),
+        sequence=sequence,
+        params=resolved.params,
+        metrics=metrics,
+        online=bool(online if online is not None else resolved.online),
+        seed=seed if seed is not None else resolved.seed or 0,
+        threads=threads,
+        command=command,
+    )
+    if out is None:
+        return execute(this, progress=progress)
+    return _run_into(Path(out), this, record, view, progress)
+
+
+def _run_into(folder: Path, this: Run, record: Record, view: bool, progress: Progress) -> Result:
+    """Run with all files written; each appears only when it is whole, ``result.json`` last."""
+    (folder / "result.json").unlink(missing_ok=True)
+    probe: Probe = SILENT
+    recorder = None
+    with contextlib.ExitStack() as stack:
+        listeners: list[Listener] = [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
+        if record != "none":
+            from dynaviz.viz.recorder import Recorder
+
+            recorder = probe = stack.enter_context(Recorder(folder / "run.rrd", record, live=view))
+            listeners.append(recorder)
+        result = execute(this, listeners, probe, progress)
+    if recorder:
+        result = replace(result, recording_sha256=recorder.sha256())
+    write_summary(folder, this, result)
+    return result

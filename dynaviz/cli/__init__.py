@@ -1,0 +1,44 @@
+"""The command line: one file per verb, thin. Nothing heavy is imported before a verb needs it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from types import FrameType
+
+import typer
+
+from dynaviz.cli import config, demo, info, list, run, shot, simulate, view
+from dynaviz.errors import DynavizError
+
+app = typer.Typer(
+    name="dynaviz",
+    help="Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.",
+    epilog="Start with: dynaviz demo",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+for verb in (demo, run, info, list, config, simulate, view, shot):
+    verb.add_to(app)
+
+
+def main() -> None:
+    """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        app(standalone_mode=True)
+    except DynavizError as error:
+        if os.environ.get("DYNAVIZ_DEBUG"):
+            raise
+        print(f"dynaviz: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("dynaviz: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """End as by an exception, so that files are closed or removed."""
+    sys.exit(128 + number)

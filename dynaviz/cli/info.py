@@ -1,0 +1,83 @@
+"""dynaviz info."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import progress, show
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("info")(info)
+
+
+def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]) -> None:
+    """Say what a sequence, a recording or a result is.
+
+    \b
+    dynaviz info path/to/sequence
+    dynaviz info recordings/demo/octomap/run.rrd
+    dynaviz info recordings/demo/octomap/result.json
+    """
+    suffix = Path(what).suffix
+    if suffix == ".json":
+        from dynaviz.result import Result
+
+        _show_result(Result.load(what))
+    elif suffix == ".rrd":
+        from dynaviz.viz.reader import Recording
+
+        recording = Recording(Path(what))
+        _show_pairs(what, recording.facts())
+        if recording.result is not None:
+            _show_result(recording.result)
+    else:
+        _show_pairs(what, _sequence_facts(what))
+
+
+def _show_result(result: object) -> None:
+    from rich.table import Table
+
+    from dynaviz.result import Result
+
+    assert isinstance(result, Result)
+    show(result)
+    for outcome, counts in result.sections.get("reasons", {}).items():
+        table = Table("reason", "points", title=outcome.replace("_", " "), title_justify="left", box=None)
+        for name, count in sorted(counts.items(), key=lambda pair: -pair[1]):
+            table.add_row(name, f"{count:,}")
+        show(table)
+
+
+def _sequence_facts(path: str) -> dict[str, str]:
+    from dynaviz import api
+    from dynaviz.survey import survey
+
+    sequence = api.open(path)
+    with progress(sequence.name) as tell:
+        seen = survey(sequence, lambda done: tell("reading", done, len(sequence)))
+    low, high = seen.extent.low, seen.extent.high
+    return {
+        "name": sequence.name,
+        "format": type(sequence).__name__,
+        "sensor": f"{sequence.sensor.name} ({sequence.sensor.title})",
+        "frames": f"{seen.frames:,}",
+        "points": f"{seen.points:,} ({seen.points // max(seen.frames, 1):,} a frame)",
+        "ground truth": "yes" if sequence.has_labels else "no",
+        "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
+        "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
+        "digest": seen.digest,
+    }
+
+
+def _show_pairs(title: str, facts: dict[str, str]) -> None:
+    from rich.table import Table
+
+    table = Table("what", "value", title=title, title_justify="left", show_header=False)
+    for name, value in facts.items():
+        table.add_row(name, value)
+    show(table)

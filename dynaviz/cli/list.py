@@ -1,0 +1,72 @@
+"""dynaviz list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import Enum
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import show
+
+
+class Kind(str, Enum):
+    """What can be listed."""
+
+    methods = "methods"
+    datasets = "datasets"
+    metrics = "metrics"
+    sensors = "sensors"
+    presets = "presets"
+    scenes = "scenes"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("list")(list_)
+
+
+def list_(what: Annotated[Kind | None, typer.Argument(help="Only these. [default: everything]")] = None) -> None:
+    """List methods, datasets, metrics, sensors, parameter presets and simulated scenes.
+
+    \b
+    dynaviz list
+    dynaviz list methods
+    """
+    from rich.table import Table
+
+    for kind in [what] if what else list(Kind):
+        table = Table("name", "what", "from", title=kind.value, title_justify="left", box=None, pad_edge=False, min_width=60)
+        for row in _rows(kind.value):
+            table.add_row(*row)
+        show(table, "")
+
+
+def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
+    from dynaviz import registry
+    from dynaviz.errors import PluginError
+
+    if kind == "sensors":
+        from dynaviz.sensors import load_sensor, sensor_names
+
+        yield from ((name, load_sensor(name).title, "dynaviz") for name in sensor_names())
+    elif kind == "presets":
+        for name, files in sorted(registry.preset_files().items()):
+            yield name, "published parameters", ", ".join(sorted({file.parent.parent.name for file in files}))
+    elif kind == "scenes":
+        from dynaviz.simulate import PRESETS
+
+        yield from ((name, preset.title, "dynaviz") for name, preset in PRESETS.items())
+    else:
+        for handle in registry.handles(kind):
+            try:
+                text = _title(handle.load())
+            except PluginError as error:
+                text = f"[red]{error}[/]"
+            yield handle.name, text, f"{handle.distribution} {handle.version}"
+
+
+def _title(plugin: object) -> str:
+    info = getattr(plugin, "info", None)
+    return f"{info.title} ({info.paper})" if info else (plugin.__doc__ or "").strip().splitlines()[0]

@@ -1,0 +1,91 @@
+"""Methods, datasets and metrics, found through entry points: ours and anyone else's, in the same way."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from dynaviz.errors import PluginError, UsageError
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A plug-in that is installed but not loaded.
+
+    Attributes:
+        kind: ``methods``, ``datasets`` or ``metrics``.
+        name: as in the command line.
+        target: ``module:Class``.
+        distribution, version: the package it came with.
+    """
+
+    kind: str
+    name: str
+    target: str
+    distribution: str
+    version: str
+
+    def load(self) -> Any:
+        """Import the class.
+
+        Raises:
+            PluginError: where its code cannot be imported; nothing else suffers.
+        """
+        module, _, attribute = self.target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except Exception as error:
+            raise PluginError(
+                f"{self.kind.removesuffix('s')} '{self.name}' of {self.distribution} {self.version} cannot be loaded: "
+                f"{type(error).__name__}: {error}. Reinstall that package or report it to its authors."
+            ) from error
+
+    @property
+    def package(self) -> str:
+        """The importable top-level package of the target."""
+        return self.target.partition(":")[0].partition(".")[0]
+
+
+def handles(kind: str) -> list[Handle]:
+    """All plug-ins of a kind, sorted by name; of two with one name, the first that is found."""
+    found: dict[str, Handle] = {}
+    for point in metadata.entry_points(group=f"dynaviz.{kind}"):
+        name, version = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
+        found.setdefault(point.name, Handle(kind, point.name, point.value, name, version))
+    return [found[name] for name in sorted(found)]
+
+
+def load(kind: str, name: str) -> Any:
+    """Load a plug-in by its name.
+
+    Raises:
+        UsageError: for a name that is not installed; the message suggests one that is.
+        PluginError: where its code cannot be imported.
+    """
+    known = {handle.name: handle for handle in handles(kind)}
+    if name not in known:
+        raise UsageError(f"no {kind.removesuffix('s')} '{name}'. {suggest(name, known)}")
+    return known[name].load()
+
+
+def suggest(name: str, known: Any) -> str:
+    """What somebody who typed ``name`` may have meant."""
+    near = difflib.get_close_matches(name, list(known), 1)
+    return f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(sorted(known)) or 'none'}."
+
+
+def preset_files() -> dict[str, list[Path]]:
+    """Presets by name: the ``presets/*.toml`` files in the packages of all methods."""
+    presets: dict[str, list[Path]] = {}
+    for package in dict.fromkeys(handle.package for handle in handles("methods")):
+        try:
+            roots = list(importlib.import_module(package).__path__)
+        except Exception:  # a broken plug-in breaks nobody else; loading it tells what is wrong
+            continue
+        for file in sorted(Path(roots[0]).glob("presets/*.toml")):
+            presets.setdefault(file.stem, []).append(file)
+    return presets
