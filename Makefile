@@ -1,0 +1,42 @@
+# make demo: install into .venv and run the whole thing on a simulated street.   make test: the tests.   make check: all that CI runs.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
+
+.PHONY: demo test lint types boundscheck check clean
+.DELETE_ON_ERROR:
+
+demo: .venv/.user
+	$(BIN)/dynaviz demo
+
+test: .venv/.dev
+	$(BIN)/pytest
+
+lint: .venv/.dev
+	$(BIN)/ruff check
+
+types: .venv/.dev
+	$(BIN)/mypy
+
+boundscheck: .venv/.dev  # kernels again, with every index checked
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q tests/kernels tests/methods tests/eval
+
+check: lint types test boundscheck
+
+.venv/.venv:
+	@$(PYTHON) -c 'import sys; sys.exit("dynaviz needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'
+	@$(PYTHON) -m venv .venv
+	@touch $@
+
+.venv/.user: .venv/.venv pyproject.toml
+	@echo "installing dynaviz into .venv, about 1.5 GB ..."
+	@$(PIP) --editable .
+	@touch $@
+
+.venv/.dev: .venv/.user
+	@echo "installing the tools for tests ..."
+	@$(PIP) --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv build dist
