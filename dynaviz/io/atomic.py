@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from dynaviz.errors import DataError
+
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}  # only writing fails so, and write() names no file
 
 
 @contextlib.contextmanager
@@ -15,7 +18,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a path beside ``path`` to write to; rename it on success, remove it on failure.
 
     Raises:
-        DataError: where the folder cannot be written, or the disk is full.
+        DataError: where the folder cannot be written, or the disk is full. Other errors come out as they are.
     """
     path = Path(path)
     beside = path.with_name(f".{path.name}.part")
@@ -24,7 +27,10 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield beside
         os.replace(beside, path)
     except OSError as error:
-        raise DataError(path, f"cannot be written ({error.strerror})", hint="Free space or choose another folder with -o") from error
+        if error.errno not in _DISK and error.filename not in _places(path, beside):
+            raise
+        problem = f"cannot be written ({error.strerror})"
+        raise DataError(path, problem, hint="Free space or choose another folder with -o") from error
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()
@@ -34,3 +40,8 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes, whole or not at all."""
     with whole_file(path) as beside:
         beside.write_bytes(content)
+
+
+def _places(path: Path, beside: Path) -> set[str]:
+    """What an OSError of making, writing or renaming the file gives as its file name."""
+    return {os.fspath(place) for place in (path, beside, *path.parents)}
