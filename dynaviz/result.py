@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
 import platform
@@ -16,7 +17,7 @@ from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_whole
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, RenderableType
 
 SCHEMA = 1
 
@@ -96,6 +97,19 @@ class Result:
         from dynaviz.tables import result_table
 
         return result_table([self])
+
+    def __str__(self) -> str:
+        return self._rendered().export_text()
+
+    def _repr_html_(self) -> str:
+        return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+
+    def _rendered(self) -> Console:
+        from rich.console import Console
+
+        console = Console(file=io.StringIO(), record=True, width=160)
+        console.print(self)
+        return console
 
 
 def environment() -> dict[str, Any]:

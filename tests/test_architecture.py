@@ -1,0 +1,78 @@
+"""The arrows between packages, and what a quick command may import."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {"dynaviz": ROOT / "dynaviz", "dynaviz_methods": ROOT / "methods/dynaviz_methods", "dynaviz_eval": ROOT / "eval/dynaviz_eval"}
+
+
+def imports(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def files(package: str) -> list[Path]:
+    return sorted(PACKAGES[package].rglob("*.py"))
+
+
+def within(name: str, *modules: str) -> bool:
+    return any(name == module or name.startswith(module + ".") for module in modules)
+
+
+@pytest.mark.parametrize("path", files("dynaviz"), ids=lambda p: str(p.relative_to(ROOT)))
+def test_the_core_names_no_method_and_no_metric(path: Path) -> None:
+    assert not [name for name in imports(path) if within(name, "dynaviz_methods", "dynaviz_eval")]
+
+
+def test_only_viz_imports_rerun() -> None:
+    guilty = {p for package in PACKAGES for p in files(package) if any(within(n, "rerun") for n in imports(p))}
+    assert guilty
+    assert all(path.is_relative_to(ROOT / "dynaviz/viz") for path in guilty)
+
+
+METHODS_MAY = ("scan", "method", "probe", "grid", "blocks", "kernels", "geometry", "params", "survey", "sensors")
+EVAL_MAY = ("scan", "metric", "method", "result", "grid", "kernels", "errors", "io")
+
+
+@pytest.mark.parametrize(("package", "allowed"), [("dynaviz_methods", METHODS_MAY), ("dynaviz_eval", EVAL_MAY)])
+def test_plug_ins_use_only_the_contracts(package: str, allowed: tuple[str, ...]) -> None:
+    for path in files(package):
+        for name in imports(path):
+            if within(name, "dynaviz") and name != "dynaviz":
+                assert within(name, *(f"dynaviz.{module}" for module in allowed)), f"{path}: {name}"
+
+
+def test_no_generic_name_is_ever_installed() -> None:
+    assert not [folder for folder in ("methods", "eval", "recordings") if (ROOT / folder / "__init__.py").exists()]
+
+
+@pytest.mark.parametrize("command", [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["config", "octomap_gf"]])
+def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
+    code = (
+        "import sys\n"
+        f"sys.argv = ['dynaviz', *{command!r}]\n"
+        "from dynaviz.cli import main\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert not end.code, end.code\n"
+        "heavy = {'open3d', 'cv2', 'rerun', 'numba', 'scipy', 'pyarrow'} & set(sys.modules)\n"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_file_has_grown_too_long() -> None:
+    lines = {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for package in PACKAGES for p in files(package)}
+    assert {name: count for name, count in lines.items() if count > 420} == {}

@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+from importlib import metadata
+
+import pytest
+
+from dynaviz import registry
+from dynaviz.errors import PluginError, UsageError
+
+
+def test_built_in_plug_ins_load_and_carry_their_name() -> None:
+    for handle in registry.handles("methods"):
+        assert handle.load().info.name == handle.name
+    for kind in ("datasets", "metrics"):
+        assert [handle.load() for handle in registry.handles(kind)]
+
+
+def test_unknown_name_suggests_the_nearest() -> None:
+    with pytest.raises(UsageError, match="Did you mean 'octomap'"):
+        registry.load("methods", "octomapp")
+    with pytest.raises(UsageError, match="Known: "):
+        registry.load("methods", "zzz")
+
+
+def test_a_broken_plug_in_is_listed_and_breaks_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = metadata.EntryPoint("broken", "no_such_module:Thing", "dynaviz.methods")
+    whole = metadata.entry_points(group="dynaviz.methods")
+    monkeypatch.setattr(registry.metadata, "entry_points", lambda group: [broken, *whole])
+    assert {"broken", "octomap"} <= {handle.name for handle in registry.handles("methods")}
+    assert registry.load("methods", "octomap")
+    with pytest.raises(PluginError, match="'broken'.*No module named 'no_such_module'"):
+        registry.load("methods", "broken")
+    assert registry.preset_files()
