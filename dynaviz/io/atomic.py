@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written beside, then renamed."""
+"""Opening files with errors that a user understands, and writing them whole or not at all."""
 
 from __future__ import annotations
 
@@ -7,10 +7,29 @@ import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from dynaviz.errors import DataError
 
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}  # only writing fails so, and write() names no file
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
+    """Open a file for reading.
+
+    Args:
+        path: the file.
+        hint: what to do where it cannot be read.
+
+    Raises:
+        DataError: where it cannot be opened or read.
+    """
+    try:
+        with open(path, "rb") as file:
+            yield file
+    except OSError as error:
+        raise DataError(path, f"cannot be read ({error.strerror or error})", hint=hint) from error
 
 
 @contextlib.contextmanager
