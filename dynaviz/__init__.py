@@ -1,9 +1,9 @@
 """Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.
 
-    import dynaviz as dv
-    sequence = dv.open("path/to/sequence")
-    result = dv.run("octomap_gf", sequence, out="recordings/mine")
-    print(result)
+import dynaviz as dv
+sequence = dv.open("path/to/sequence")
+result = dv.run("octomap_gf", sequence, out="recordings/mine")
+print(result)
 """
 
 from __future__ import annotations

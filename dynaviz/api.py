@@ -6,12 +6,11 @@ import contextlib
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from dynaviz import params as layers
 from dynaviz import registry
 from dynaviz.datasets import open_sequence
-from dynaviz.errors import UsageError
 from dynaviz.outputs import LabelsFile, MapFiles, write_summary
 from dynaviz.probe import SILENT, Probe
 from dynaviz.result import Result
@@ -36,6 +35,7 @@ def open(
     Raises:
         DataError: where nothing known is at the path.
         UsageError: for frames or a sensor that do not exist.
+
     """
     sequence = open_sequence(os.fspath(path))
     return part(sequence, frames, stride, load_sensor(sensor) if sensor else None)
@@ -74,6 +74,7 @@ def run(
 
     Returns:
         The result; printing it shows a table.
+
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)

@@ -1,4 +1,4 @@
-"""What a user can cause. Each message names the place and says what to do next; the command line shows it as one line."""
+"""What a user can cause: each message names the place and says what to do next, in one line."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ class DataError(DynavizError):
         problem: what is wrong with it, without a full stop.
         at: the place in the file, for example ``byte 312`` or ``line 4``.
         hint: what to do next, a sentence without a full stop.
+
     """
 
     def __init__(self, path: str | os.PathLike[str], problem: str, *, at: str | None = None, hint: str | None = None):

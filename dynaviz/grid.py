@@ -27,10 +27,13 @@ def pack(points: F32 | F64, size: float) -> NDArray[np.int64]:
 
     Raises:
         ValueError: for points that are not finite, or farther than ``REACH`` voxels from the origin.
+
     """
     keys, ok = kernels.voxels.pack(kernels.frozen(points, np.float32), float(size))
     if not ok:
-        raise ValueError(f"points must be finite and within {REACH * size:.0f} m of the world's origin for {size} m voxels")
+        raise ValueError(
+            f"points must be finite and within {REACH * size:.0f} m of the world's origin for {size} m voxels"
+        )
     return keys  # type: ignore[no-any-return]
 
 
@@ -74,6 +77,7 @@ def thin(points: F32, size: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Returns:
         chosen: (M,) the first point of each voxel, in the order of the points.
         counts: (M,) how many points it stands for.
+
     """
     _, first, counts = np.unique(pack(points, size), return_index=True, return_counts=True)
     order = np.argsort(first)

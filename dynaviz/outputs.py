@@ -36,7 +36,9 @@ class LabelsFile(Listener):
         self._frames: list[int] = []
 
     def __enter__(self) -> LabelsFile:
-        self._zip = zipfile.ZipFile(self._stack.enter_context(whole_file(self._path)), "w", zipfile.ZIP_DEFLATED, compresslevel=1)
+        self._zip = zipfile.ZipFile(
+            self._stack.enter_context(whole_file(self._path)), "w", zipfile.ZIP_DEFLATED, compresslevel=1
+        )
         self._stack.enter_context(self._zip)
         return self
 
@@ -76,8 +78,8 @@ class MapFiles(Listener):
 
     def __init__(self, folder: Path):
         kinds = dict.fromkeys("xyz", np.float32)
-        self._kept = PcdWriter(folder / "static_map.pcd", kinds)
-        self._removed = PcdWriter(folder / "dynamic_points.pcd", kinds)
+        self._kept = PcdWriter(folder / "static_map.pcd", kinds, np.eye(4))
+        self._removed = PcdWriter(folder / "dynamic_points.pcd", kinds, np.eye(4))
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> MapFiles:
@@ -91,7 +93,7 @@ class MapFiles(Listener):
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Append a frame's points to the one or the other."""
         for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
-            writer.append(dict(zip("xyz", labelled.scan.points[chosen].T, strict=True)))
+            writer.append(**dict(zip("xyz", labelled.scan.points[chosen].T, strict=True)))
 
 
 def write_summary(folder: Path, run: Run, result: Result) -> None:

@@ -40,14 +40,17 @@ class Mask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeImage:
-    """A picture seen from the sensor: (rows, columns) float32, metres, first row at the top; NaN where there is no return."""
+    """A picture seen from the sensor: (rows, columns) float32, metres, first row at the top; NaN without return."""
 
     ranges: F32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolarGrid:
-    """Bins around the sensor: (rings, sectors) float32, NaN where empty; sector 0 starts at azimuth 0, ring 0 at the sensor."""
+    """Bins around the sensor: (rings, sectors) float32, NaN where empty.
+
+    Sector 0 starts at azimuth 0, ring 0 at the sensor; max_range: metres.
+    """
 
     values: F32
     max_range: float
@@ -102,6 +105,7 @@ class State:
         meaning: one sentence for the reader of a recording.
         legend: names of the classes of a ``PointClasses``, by index.
         value_range: the values' range on the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
+
     """
 
     name: str

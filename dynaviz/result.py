@@ -31,11 +31,12 @@ class Result:
         parameters: the method's parameters; ``n_parameters`` counts them (paper, runtime table).
         scoring: ``mask`` (labels by index) or ``nn`` (nearest neighbour in a cleaned map).
         sections: what the metrics found: counts, metrics, error_distance, breakdown, reasons ...; None where undefined.
-        runtime: mean_s and std_s of the method alone per frame, prepare_s before the first, frames, threads, peak_rss_mb.
+        runtime: mean_s and std_s per frame of the method alone, prepare_s before it, frames, threads, peak_rss_mb.
         labels_sha256: digest of all labels in the order of the sequence.
         recording_sha256: digest of the recording's file, or None.
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
         environment: versions and machine. ``command``: what was typed.
+
     """
 
     method: str
@@ -78,6 +79,7 @@ class Result:
 
         Raises:
             DataError: where the file is none, or was written by a newer dynaviz.
+
         """
         try:
             plain = json.loads(Path(path).read_bytes())
@@ -91,7 +93,10 @@ class Result:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
         plain.pop("n_parameters", None)
         known = {f.name for f in dataclasses.fields(cls)} - {"sections"}
-        return cls(**{k: v for k, v in plain.items() if k in known}, sections={k: v for k, v in plain.items() if k not in known})
+        return cls(
+            **{k: v for k, v in plain.items() if k in known},
+            sections={k: v for k, v in plain.items() if k not in known},
+        )
 
     def __rich__(self) -> RenderableType:
         from dynaviz.tables import result_table

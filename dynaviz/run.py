@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
+from dynaviz.bits import PackedBits
 from dynaviz.method import Context, Method
 from dynaviz.metric import FrameHistograms, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.result import Result, environment
-from dynaviz.bits import PackedBits
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.survey import Extent, Survey, survey
 
@@ -35,6 +35,7 @@ class Run:
         seed: for everything random in the method.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
+
     """
 
     method: Method
@@ -120,6 +121,7 @@ def execute(
 
     Returns:
         The result; ``instrumented`` tells whether anybody looked at states.
+
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     threads = kernels.set_threads(run.threads)

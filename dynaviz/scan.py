@@ -57,6 +57,7 @@ class Scan:
 
     Raises:
         ValueError: where shapes do not fit together.
+
     """
 
     index: int
@@ -112,6 +113,7 @@ def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
 
     Returns:
         (N,) uint8, an ``Outcome`` per point.
+
     """
     if labels is None:
         return np.where(dynamic, Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT).astype(np.uint8)
@@ -184,6 +186,7 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
 
     Raises:
         UsageError: for a range that is none, or holds no frame.
+
     """
     if frames is None and stride == 1 and sensor is None:
         return sequence
@@ -191,9 +194,13 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
         first, last = (int(x) if x.strip() else None for x in (frames or ":").split(":"))
         positions = range(len(sequence))[slice(first, last, stride)]
     except ValueError:
-        raise UsageError(f"--frames {frames} --stride {stride}: give frames as A:B and a stride of at least 1") from None
+        raise UsageError(
+            f"--frames {frames} --stride {stride}: give frames as A:B and a stride of at least 1"
+        ) from None
     if not positions or stride < 1:
-        raise UsageError(f"--frames {frames} --stride {stride}: no frame left of the {len(sequence)} in {sequence.name}")
+        raise UsageError(
+            f"--frames {frames} --stride {stride}: no frame left of the {len(sequence)} in {sequence.name}"
+        )
     return Part(sequence, positions, sensor or sequence.sensor)
 
 

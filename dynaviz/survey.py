@@ -22,6 +22,7 @@ class Extent:
     Attributes:
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
         cells: (C, 3) int32: the cubes of ``CELL`` metres that hold at least one point; cube k spans [k, k + 1) * CELL.
+
     """
 
     low: F64
@@ -74,12 +75,13 @@ def survey(sequence: Sequence, progress: Callable[[int], None] = lambda done: No
     Args:
         sequence: read frame by frame, never all in memory.
         progress: called with the number of frames done.
+
     """
     walker, digest, points = _Walker(), hashlib.sha256(), 0
     for done, scan in enumerate(stream(sequence), 1):
         walker.visit(scan)
         for array in (scan.points, scan.T_world_sensor, scan.origins, scan.labels):
-            digest.update(b"-" if array is None else array.tobytes() if array.size < 64 else memoryview(array).cast("B"))
+            digest.update(b"-" if array is None else array.tobytes())
         points += len(scan)
         progress(done)
     return Survey(walker.extent(), len(sequence), points, digest.hexdigest())

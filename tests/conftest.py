@@ -39,7 +39,7 @@ def pose(x: float, y: float = 0.0, z: float = 1.0) -> NDArray[np.float64]:
 
 
 def room(frames: int = 6, rays: int = 3000, seed: int = 0, labelled: bool = True) -> InMemory:
-    """Rays from a moving sensor to the nearest of a 16 x 12 x 4 m room's surfaces and a 1 m box that moves 1.2 m a frame."""
+    """Rays from a moving sensor to the surfaces of a 16 x 12 x 4 m room and to a 1 m box that moves 1.2 m a frame."""
     random = np.random.default_rng(seed)
     low, high = np.array([-6.0, -6.0, 0.0]), np.array([10.0, 6.0, 4.0])
     scans = []

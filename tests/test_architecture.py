@@ -11,7 +11,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = {"dynaviz": ROOT / "dynaviz", "dynaviz_methods": ROOT / "methods/dynaviz_methods", "dynaviz_eval": ROOT / "eval/dynaviz_eval"}
+PACKAGES = {
+    "dynaviz": ROOT / "dynaviz",
+    "dynaviz_methods": ROOT / "methods/dynaviz_methods",
+    "dynaviz_eval": ROOT / "eval/dynaviz_eval",
+}
 
 
 def imports(path: Path) -> Iterator[str]:
@@ -58,7 +62,9 @@ def test_no_generic_name_is_ever_installed() -> None:
     assert not [folder for folder in ("methods", "eval", "recordings") if (ROOT / folder / "__init__.py").exists()]
 
 
-@pytest.mark.parametrize("command", [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["config", "octomap_gf"]])
+@pytest.mark.parametrize(
+    "command", [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["config", "octomap_gf"]]
+)
 def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
     code = (
         "import sys\n"

@@ -83,7 +83,9 @@ def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: str) -> None:
     bands=st.lists(st.floats(allow_nan=False, allow_infinity=False)),
     seed=st.integers(0, 9),
 )
-def test_config_file_round_trip(tmp_path_factory: pytest.TempPathFactory, resolution, rounds, strict, bands, seed) -> None:
+def test_config_file_round_trip(
+    tmp_path_factory: pytest.TempPathFactory, resolution, rounds, strict, bands, seed
+) -> None:
     before = Params(resolution, rounds, strict, tuple(bands))
     file = tmp_path_factory.mktemp("config") / "config.toml"
     file.write_bytes(params.to_toml("toy", before, {"seed": seed, "online": True}))

@@ -28,6 +28,6 @@ def test_a_broken_plug_in_is_listed_and_breaks_nobody_else(monkeypatch: pytest.M
     monkeypatch.setattr(registry.metadata, "entry_points", lambda group: [broken, *whole])
     assert {"broken", "octomap"} <= {handle.name for handle in registry.handles("methods")}
     assert registry.load("methods", "octomap")
-    with pytest.raises(PluginError, match="'broken'.*No module named 'no_such_module'"):
+    with pytest.raises(PluginError, match=r"'broken'.*No module named 'no_such_module'"):
         registry.load("methods", "broken")
     assert registry.preset_files()

@@ -38,8 +38,12 @@ def test_a_result_shows_itself_as_a_table() -> None:
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [("{", "is not JSON"), ("[]", "not the result of a run"), ('{"a": 1}', "not the result of a run"),
-     ('{"schema": 99, "method": "x", "parameters": {}, "sequence": {}}', "newer dynaviz")],
+    [
+        ("{", "is not JSON"),
+        ("[]", "not the result of a run"),
+        ('{"a": 1}', "not the result of a run"),
+        ('{"schema": 99, "method": "x", "parameters": {}, "sequence": {}}', "newer dynaviz"),
+    ],
 )
 def test_a_bad_file_is_named(tmp_path: Path, content: str, says: str) -> None:
     path = tmp_path / "result.json"

@@ -32,8 +32,13 @@ class AboveParams:
 class Above:
     """Removes what is higher than a height, and remembers how it was called."""
 
-    info = MethodInfo("above", "Above", "none", (Reason("low", "is low"), Reason("high", "is high")),
-                      (State("observed", Scalar, "number of scans so far"),))
+    info = MethodInfo(
+        "above",
+        "Above",
+        "none",
+        (Reason("low", "is low"), Reason("high", "is high")),
+        (State("observed", Scalar, "number of scans so far"),),
+    )
     Params = AboveParams
 
     def __init__(self, params: AboveParams):

@@ -20,7 +20,9 @@ def config(
     method: Annotated[str, typer.Argument(help="A method's name (dynaviz list methods).")],
     preset: Annotated[str | None, typer.Option(help="Published parameters (dynaviz list presets).")] = None,
     file: Annotated[Path | None, typer.Option("--config", help="TOML file with parameters.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")
+    ] = None,
     sensor: Annotated[str | None, typer.Option(help="Also show the facts of a sensor (dynaviz list sensors).")] = None,
 ) -> None:
     """Show every parameter of a method, its value, and which layer set it.

@@ -18,8 +18,13 @@ def add_to(app: typer.Typer) -> None:
 
 
 def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the sequence and the recordings.")] = Path("recordings/demo"),
-    view: Annotated[bool | None, typer.Option("--view/--no-view", help="Open the best run in a viewer. [default: where there is a screen]")] = None,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the sequence and the recordings.")] = Path(
+        "recordings/demo"
+    ),
+    view: Annotated[
+        bool | None,
+        typer.Option("--view/--no-view", help="Open the best run in a viewer. [default: where there is a screen]"),
+    ] = None,
 ) -> None:
     """Simulate a street, clean it with every method, score and record each run.
 
@@ -36,10 +41,16 @@ def demo(
     results = []
     for handle in registry.handles("methods"):
         with progress(handle.name) as tell:
-            results.append(api.run(handle.name, api.open(folder), out=out / handle.name, command="dynaviz demo", progress=tell))
+            results.append(
+                api.run(handle.name, api.open(folder), out=out / handle.name, command="dynaviz demo", progress=tell)
+            )
     best = max(results, key=lambda result: result.metrics.get("AA") or 0.0)
     recording = out / best.method / "run.rrd"
-    show(result_table(results), f"A recording of each run is in {out}/METHOD/run.rrd.", f"See where a method fails: dynaviz view {recording}")
+    show(
+        result_table(results),
+        f"A recording of each run is in {out}/METHOD/run.rrd.",
+        f"See where a method fails: dynaviz view {recording}",
+    )
     if view or (view is None and has_screen()):
         from dynaviz.viz.view import view as open_viewer
 
@@ -48,5 +59,7 @@ def demo(
 
 def has_screen() -> bool:
     """Whether a window can open and a person sits before it."""
-    graphical = sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    graphical = sys.platform in ("darwin", "win32") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
     return graphical and sys.stdout.isatty() and "CI" not in os.environ

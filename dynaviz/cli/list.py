@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from enum import Enum
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -11,7 +11,7 @@ import typer
 from dynaviz.cli.console import show
 
 
-class Kind(str, Enum):
+class Kind(StrEnum):
     """What can be listed."""
 
     methods = "methods"
@@ -37,13 +37,17 @@ def list_(what: Annotated[Kind | None, typer.Argument(help="Only these. [default
     from rich.table import Table
 
     for kind in [what] if what else list(Kind):
-        table = Table("name", "what", "from", title=kind.value, title_justify="left", box=None, pad_edge=False, min_width=60)
+        table = Table(
+            "name", "what", "from", title=kind.value, title_justify="left", box=None, pad_edge=False, min_width=60
+        )
         for row in _rows(kind.value):
             table.add_row(*row)
         show(table, "")
 
 
 def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
+    from rich.markup import escape
+
     from dynaviz import registry
     from dynaviz.errors import PluginError
 
@@ -63,7 +67,7 @@ def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
             try:
                 text = _title(handle.load())
             except PluginError as error:
-                text = f"[red]{error}[/]"
+                text = f"[red]{escape(str(error))}[/]"
             yield handle.name, text, f"{handle.distribution} {handle.version}"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +12,7 @@ import typer
 from dynaviz.cli.console import progress, show
 
 
-class Record(str, Enum):
+class Record(StrEnum):
     """How much a recording holds."""
 
     full = "full"
@@ -29,14 +29,24 @@ def add_to(app: typer.Typer) -> None:
 def run(
     method: Annotated[str, typer.Argument(help="A method's name (dynaviz list methods).")],
     sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder; FORMAT:PATH forces its format.")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/METHOD]")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/METHOD]"),
+    ] = None,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
     stride: Annotated[int, typer.Option(help="Only every K-th frame.")] = 1,
-    online: Annotated[bool | None, typer.Option("--online/--offline", help="Label each scan right after it was seen, or after all were.")] = None,
+    online: Annotated[
+        bool | None,
+        typer.Option("--online/--offline", help="Label each scan right after it was seen, or after all were."),
+    ] = None,
     preset: Annotated[str | None, typer.Option(help="Published parameters (dynaviz list presets).")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file with parameters, as config.toml of a run.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")] = None,
-    sensor: Annotated[str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")
+    ] = None,
+    sensor: Annotated[
+        str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
+    ] = None,
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
     view: Annotated[bool, typer.Option("--view", help="Show the run in a viewer while it goes on.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
@@ -55,8 +65,21 @@ def run(
     folder = out or Path("recordings") / opened.name / method
     with progress(f"{method} on {opened.name}") as tell:
         result = api.run(
-            method, opened, out=folder, record=record.value, view=view, preset=preset, config=config,
-            settings=tuple(settings or ()), online=online, seed=seed, threads=threads,
-            command=" ".join(["dynaviz", *sys.argv[1:]]), progress=tell,
+            method,
+            opened,
+            out=folder,
+            record=record.value,
+            view=view,
+            preset=preset,
+            config=config,
+            settings=tuple(settings or ()),
+            online=online,
+            seed=seed,
+            threads=threads,
+            command=" ".join(["dynaviz", *sys.argv[1:]]),
+            progress=tell,
         )
-    show(result, f"Written to {folder}." + ("" if record is Record.none else f" Look at it: dynaviz view {folder / 'run.rrd'}"))
+    show(
+        result,
+        f"Written to {folder}." + ("" if record is Record.none else f" Look at it: dynaviz view {folder / 'run.rrd'}"),
+    )

@@ -17,8 +17,12 @@ def add_to(app: typer.Typer) -> None:
 
 def shot(
     recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="The picture; with several frames, the number is put before .png.")],
-    frames: Annotated[list[int] | None, typer.Option("--frame", metavar="N", help="A frame; may be repeated. [default: the last]")] = None,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="The picture; with several frames, the number is put before .png.")
+    ],
+    frames: Annotated[
+        list[int] | None, typer.Option("--frame", metavar="N", help="A frame; may be repeated. [default: the last]")
+    ] = None,
     view_name: Annotated[str | None, typer.Option(help="Only this view. [default: the whole window]")] = None,
 ) -> None:
     """Render pictures of a recording without a screen.

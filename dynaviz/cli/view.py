@@ -15,7 +15,9 @@ def add_to(app: typer.Typer) -> None:
 
 def view(
     recordings: Annotated[list[Path], typer.Argument(metavar="RUN.rrd...", help="One or more recordings.")],
-    web: Annotated[bool, typer.Option("--web", help="Serve to a browser on this machine instead of opening a window.")] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve to a browser on this machine instead of opening a window.")
+    ] = False,
 ) -> None:
     """Open recordings in the viewer.
 
