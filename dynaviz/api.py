@@ -35,7 +35,6 @@ def open(
     Raises:
         DataError: where nothing known is at the path.
         UsageError: for frames or a sensor that do not exist.
-
     """
     sequence = open_sequence(os.fspath(path))
     return part(sequence, frames, stride, load_sensor(sensor) if sensor else None)
@@ -74,7 +73,6 @@ def run(
 
     Returns:
         The result; printing it shows a table.
-
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)

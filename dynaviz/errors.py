@@ -23,7 +23,6 @@ class DataError(DynavizError):
         problem: what is wrong with it, without a full stop.
         at: the place in the file, for example ``byte 312`` or ``line 4``.
         hint: what to do next, a sentence without a full stop.
-
     """
 
     def __init__(self, path: str | os.PathLike[str], problem: str, *, at: str | None = None, hint: str | None = None):

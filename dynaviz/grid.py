@@ -27,7 +27,6 @@ def pack(points: F32 | F64, size: float) -> NDArray[np.int64]:
 
     Raises:
         ValueError: for points that are not finite, or farther than ``REACH`` voxels from the origin.
-
     """
     keys, ok = kernels.voxels.pack(kernels.frozen(points, np.float32), float(size))
     if not ok:
@@ -77,7 +76,6 @@ def thin(points: F32, size: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     Returns:
         chosen: (M,) the first point of each voxel, in the order of the points.
         counts: (M,) how many points it stands for.
-
     """
     _, first, counts = np.unique(pack(points, size), return_index=True, return_counts=True)
     order = np.argsort(first)

@@ -30,7 +30,6 @@ class MethodInfo:
         reasons: the legend of ``explain``, by code.
         emits: the states it can show.
         needs_map: whether it needs the raw map before the first scan (an offline method).
-
     """
 
     name: str
@@ -51,7 +50,6 @@ class Context:
         probe: who listens to the method's states.
         seed: for everything random; the same seed gives the same labels.
         raw_map: (M, 3) float32, metres, world frame: all points of all scans, where ``info.needs_map``; else None.
-
     """
 
     extent: Extent

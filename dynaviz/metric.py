@@ -23,7 +23,6 @@ class Labelled:
         dynamic: (N,) bool, the method's answer.
         reasons: (N,) uint8, the method's reason codes.
         outcome: (N,) uint8, an ``Outcome`` per point.
-
     """
 
     frame: int
@@ -61,7 +60,6 @@ class Metric(Protocol):
 
         Returns:
             Numbers to draw as curves over frames, by path (``"SA/frame"``); NaN where undefined.
-
         """
         ...
 

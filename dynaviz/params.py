@@ -22,7 +22,6 @@ class Resolved:
         params: an instance of the method's ``Params``.
         source: by field: ``default``, ``preset NAME``, a file's path, or ``--set``.
         online, seed: the run's own settings where a layer holds them under ``[run]``.
-
     """
 
     params: Any
@@ -48,7 +47,6 @@ def resolve(
     Raises:
         UsageError: for an unknown preset, parameter or value, telling which layer holds it.
         DataError: for a file that cannot be read.
-
     """
     name = method.info.name
     values: dict[str, Any] = {}
@@ -85,7 +83,6 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises:
         DataError: where it cannot be read or is not TOML; the message has the line.
-
     """
     try:
         with path.open("rb") as file:

@@ -105,7 +105,6 @@ class State:
         meaning: one sentence for the reader of a recording.
         legend: names of the classes of a ``PointClasses``, by index.
         value_range: the values' range on the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
-
     """
 
     name: str

@@ -21,7 +21,6 @@ class Handle:
         name: as in the command line.
         target: ``module:Class``.
         distribution, version: the package it came with.
-
     """
 
     kind: str
@@ -35,7 +34,6 @@ class Handle:
 
         Raises:
             PluginError: where its code cannot be imported; nothing else suffers.
-
         """
         module, _, attribute = self.target.partition(":")
         try:
@@ -67,7 +65,6 @@ def load(kind: str, name: str) -> Any:
     Raises:
         UsageError: for a name that is not installed; the message suggests one that is.
         PluginError: where its code cannot be imported.
-
     """
     known = {handle.name: handle for handle in handles(kind)}
     if name not in known:

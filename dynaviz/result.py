@@ -36,7 +36,6 @@ class Result:
         recording_sha256: digest of the recording's file, or None.
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
         environment: versions and machine. ``command``: what was typed.
-
     """
 
     method: str
@@ -79,7 +78,6 @@ class Result:
 
         Raises:
             DataError: where the file is none, or was written by a newer dynaviz.
-
         """
         try:
             plain = json.loads(Path(path).read_bytes())

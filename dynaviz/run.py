@@ -35,7 +35,6 @@ class Run:
         seed: for everything random in the method.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
-
     """
 
     method: Method
@@ -121,7 +120,6 @@ def execute(
 
     Returns:
         The result; ``instrumented`` tells whether anybody looked at states.
-
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     threads = kernels.set_threads(run.threads)

@@ -57,7 +57,6 @@ class Scan:
 
     Raises:
         ValueError: where shapes do not fit together.
-
     """
 
     index: int
@@ -113,7 +112,6 @@ def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
 
     Returns:
         (N,) uint8, an ``Outcome`` per point.
-
     """
     if labels is None:
         return np.where(dynamic, Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT).astype(np.uint8)
@@ -186,7 +184,6 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
 
     Raises:
         UsageError: for a range that is none, or holds no frame.
-
     """
     if frames is None and stride == 1 and sensor is None:
         return sequence

@@ -22,7 +22,6 @@ class Extent:
     Attributes:
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
         cells: (C, 3) int32: the cubes of ``CELL`` metres that hold at least one point; cube k spans [k, k + 1) * CELL.
-
     """
 
     low: F64
@@ -75,7 +74,6 @@ def survey(sequence: Sequence, progress: Callable[[int], None] = lambda done: No
     Args:
         sequence: read frame by frame, never all in memory.
         progress: called with the number of frames done.
-
     """
     walker, digest, points = _Walker(), hashlib.sha256(), 0
     for done, scan in enumerate(stream(sequence), 1):

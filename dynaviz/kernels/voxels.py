@@ -4,12 +4,15 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Keys = NDArray[np.int64]
 
 _REACH = 1 << 20
 
 
 @njit(cache=True, nogil=True)
-def pack(points, size):
+def pack(points: NDArray[np.float32], size: float) -> tuple[Keys, bool]:
     """Packed keys of (N, 3) points, and whether all of them fit."""
     keys = np.empty(len(points), np.int64)
     inverse = 1.0 / size
@@ -25,13 +28,13 @@ def pack(points, size):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _slot(key, mask):
+def _slot(key: np.int64, mask: int) -> np.int64:
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     return np.int64(h >> np.uint64(20)) & mask
 
 
 @njit(cache=True, nogil=True)
-def insert(slots, keys):
+def insert(slots: Keys, keys: Keys) -> NDArray[np.bool_]:
     """Put keys into a table of a power of two (-1: free); True where a key was not there before."""
     new = np.zeros(len(keys), np.bool_)
     mask = len(slots) - 1
@@ -46,7 +49,7 @@ def insert(slots, keys):
 
 
 @njit(cache=True, nogil=True)
-def rehash(slots, size):
+def rehash(slots: Keys, size: int) -> Keys:
     """The same set in a table of another size."""
     bigger = np.full(size, np.int64(-1))
     mask = size - 1

@@ -29,7 +29,6 @@ class Sensor:
         points_per_sweep: for patterns that are not rings.
         mounts: (x, y, z, roll, pitch, yaw) in metres and degrees of each lidar in the sensor frame (T_sensor_lidar),
             where several were merged into one scan.
-
     """
 
     name: str = "unknown"
@@ -60,7 +59,6 @@ def load_sensor(name: str) -> Sensor:
 
     Raises:
         UsageError: for a name that is not known; the message lists those that are.
-
     """
     if name not in sensor_names():
         raise UsageError(f"no sensor '{name}'. Known: {', '.join(sensor_names())}")

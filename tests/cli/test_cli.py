@@ -1,0 +1,155 @@
+"""Commands as a user types them: what they print, which files appear, and how they answer mistakes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import room
+
+from dynaviz.cli import main
+from dynaviz.io.pcd import write_pcd
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def dynaviz(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The little room in the public benchmark's layout."""
+    path = tmp_path_factory.mktemp("data") / "room"
+    scans = room(frames=5).scans
+    for scan in scans:
+        fields = {**dict(zip("xyz", scan.points.T, strict=True)), "intensity": np.zeros(len(scan), np.float32)}
+        write_pcd(path / f"pcd/{scan.index:06d}.pcd", fields, scan.T_world_sensor)
+    points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
+    write_pcd(
+        path / "gt_cloud.pcd", {**dict(zip("xyz", points.T, strict=True)), "intensity": labels.astype(np.float32)}
+    )
+    return path
+
+
+def one_line(err: str) -> str:
+    assert err.count("\n") == 1, err
+    return err
+
+
+def test_run_writes_all_files_and_shows_the_scores(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    code, out, err = dynaviz("run", "octomap", folder, "-o", tmp_path, "--threads", 1)
+    assert code == 0, err
+    assert "octomap" in out
+    assert "label 5/5" in err
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["counts"]["dynamic_removed"] > 0
+    assert result["sequence"]["name"] == "room"
+    assert result["instrumented"]
+    assert result["recording_sha256"]
+    assert result["n_parameters"] == 5
+    assert result["runtime"]["threads"] == 1
+
+
+def test_feeding_back_the_configuration_gives_the_same_labels(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    assert dynaviz("run", "octomap_g", folder, "-o", tmp_path / "a", "--record", "none", "--set", "resolution=0.3",
+                   "--seed", 4, "--online")[0] == 0  # fmt: skip
+    assert dynaviz("run", "octomap_g", folder, "-o", tmp_path / "b", "--record", "scores", "--config",
+                   tmp_path / "a/config.toml")[0] == 0  # fmt: skip
+    a, b = (json.loads((tmp_path / name / "result.json").read_text()) for name in "ab")
+    assert a["labels_sha256"] == b["labels_sha256"]
+    assert (b["seed"], b["online"], b["parameters"]["resolution"]) == (4, True, 0.3)
+    assert (a["instrumented"], a["recording_sha256"]) == (False, None)
+
+
+def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    assert (
+        dynaviz("run", "octomap", folder, "-o", tmp_path, "--record", "none", "--frames", "1:5", "--stride", 2)[0] == 0
+    )
+    with np.load(tmp_path / "labels.npz") as z:
+        assert z["frames"].tolist() == [11, 13]
+
+
+@pytest.mark.parametrize("words", [["run", "octomap", "{}", "--frames", "9:"], ["run", "octomap", "{}", "--frames", "a:b"],
+                                   ["run", "octomap", "{}", "--stride", "0"], ["run", "octomapp", "{}"],
+                                   ["run", "octomap", "{}", "--set", "resolution"],
+                                   ["run", "octomap", "{}", "--set", "resolution=-1"],
+                                   ["run", "octomap", "{}", "--preset", "nowhere"],
+                                   ["run", "octomap", "{}", "--sensor", "eye"],
+                                   ["config", "octomap", "--set", "foo=1"],
+                                   ["simulate", "moon", "somewhere"], ["info", "absent.rrd"], ["info", "absent.json"],
+                                   ["shot", "absent.rrd", "-o", "x.png"], ["view", "absent.rrd"]])  # fmt: skip
+def test_a_mistake_is_answered_in_one_line(dynaviz: Command, folder: Path, tmp_path: Path, words: list[str]) -> None:
+    code, _, err = dynaviz(*(word.format(folder) for word in words))
+    assert code == 2, err
+    assert len(one_line(err)) > 30
+
+
+def test_unusable_data_is_answered_in_one_line(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    whole = (folder / "pcd/000010.pcd").read_bytes()
+    for name, content in {
+        "truncated": whole[:-100],
+        "blind": whole.replace(b"VIEWPOINT", b"# VIEWPOINT"),
+        "garbage": b"\x00\x01" * 50,
+    }.items():
+        (tmp_path / name / "pcd").mkdir(parents=True)
+        (tmp_path / name / "pcd/000000.pcd").write_bytes(content)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "texts").mkdir()
+    (tmp_path / "texts/notes.txt").write_text("hello")
+    says = {
+        "truncated": "000000.pcd",
+        "blind": "VIEWPOINT",
+        "garbage": "000000.pcd",
+        "empty": "empty",
+        "texts": "texts",
+        "absent": "absent",
+    }
+    for name, word in says.items():
+        code, _, err = dynaviz("run", "octomap", tmp_path / name, "-o", tmp_path / "out")
+        assert (code, word in one_line(err)) == (2, True), err
+        assert not list((tmp_path / "out").rglob("*.*")), "nothing half-written is left"
+
+
+def test_list_config_and_info(dynaviz: Command, folder: Path) -> None:
+    code, out, _ = dynaviz("list")
+    assert code == 0
+    assert all(name in out for name in ("octomap_gf", "semantickitti", "hdl64e", "av2", "demo", "breakdown"))
+    code, out, _ = dynaviz("config", "octomap", "--preset", "av2", "--set", "prob_hit=0.6", "--sensor", "vlp16")
+    assert code == 0
+    assert all(text in out for text in ("preset av2", "--set", "default", "0.6", "Velodyne"))
+    code, out, _ = dynaviz("info", folder)
+    assert code == 0
+    assert "ground truth" in out
+    assert "15,000" in out
+
+
+def test_info_of_a_run(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    assert dynaviz("run", "octomap", folder, "-o", tmp_path)[0] == 0
+    for name in ("run.rrd", "result.json"):
+        code, out, err = dynaviz("info", tmp_path / name)
+        assert code == 0, err
+        assert "octomap" in out
+
+
+def test_help_begins_with_examples(dynaviz: Command) -> None:
+    for verb in ("demo", "run", "info", "list", "config", "simulate", "view", "shot"):
+        code, out, _ = dynaviz(verb, "--help")
+        assert code == 0
+        assert out.index(f"  dynaviz {verb}") < out.index("Options:")
