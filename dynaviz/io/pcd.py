@@ -233,7 +233,7 @@ def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> ND
     try:
         rows: NDArray[Any] = np.loadtxt(lines(), _flat(header.fields), comments=None, ndmin=1)
     except (ValueError, OverflowError) as error:
-        problem = f"has a point that cannot be read ({str(error)[:80]})"
+        problem = f"has a point that cannot be read ({str(error).partition(';')[0][:80]})"
         raise DataError(path, problem, at=f"line {line}", hint=_AGAIN) from None
     if rows.size < header.points:
         problem = f"has {rows.size} points, where its header says {header.points}"
