@@ -1,0 +1,142 @@
+"""A grid of voxels with state only near points, and the marks that rays leave in it: the numpy face of its kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.scan import F32, Bool, Scan
+from dynaviz.survey import CELL, Extent
+
+I64 = NDArray[np.int64]
+
+BLOCK = 8  # voxels along the edge of a block
+VOXELS = BLOCK**3  # in a block
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """What the rays of one scan met, in the blocks of a grid.
+
+    Attributes:
+        blocks: (B,) int32, numbers of the touched blocks, each once, in no particular order.
+        bits: (B, 16) int64: for each block 512 bits of crossed voxels, then 512 of hit ones; bit v of word w is voxel
+            64 w + v of the block.
+    """
+
+    blocks: NDArray[np.int32]
+    bits: I64
+
+
+class BlockGrid:
+    """Voxels of a given edge, in blocks of 8^3 that exist where an extent says that points lie.
+
+    Voxel k spans [k, k + 1) * resolution per axis. It is known by one number: block * 512 + place in the block. State
+    is kept by the caller, as arrays of ``len(grid)`` rows; memory so grows with the mapped area. Blocks are found through a
+    directory of super-blocks of 16^3 blocks, dense over the bounds, so that maps of kilometres fit.
+
+    Like OctoMap's keys of 16 bit, the grid reaches 32768 voxels to each side of the world's origin. Points beyond, points that
+    are not finite and points outside the extent have no voxel.
+
+    Args:
+        extent: where points and ray origins will lie.
+        resolution: the voxel's edge, metres.
+
+    Raises:
+        ValueError: for a resolution that is not positive.
+    """
+
+    def __init__(self, extent: Extent, resolution: float) -> None:
+        if not resolution > 0:
+            raise ValueError(f"resolution must be positive, not {resolution}")
+        self.resolution = resolution
+        self._per_metre = 1.0 / resolution
+        self._blocks = _covering(extent.cells, self._per_metre)
+        reach = kernels.blocks.REACH // 128
+        bounds = np.array([extent.low, extent.high]) * self._per_metre / 128
+        bounds = np.clip(np.floor(np.nan_to_num(bounds, posinf=0, neginf=0)), -reach, reach - 1).astype(np.int64)
+        self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
+        inside = (self._blocks >> 4 >= bounds[0]).all(1) & (self._blocks >> 4 <= bounds[1]).all(1)
+        self._blocks = self._blocks[inside]
+        self._directory = kernels.blocks.directory(self._blocks, self._base, self._shape)
+        lanes, rows = kernels.raycast.lanes(), len(self._blocks) + 1
+        # Rows are written from the first on, so what a scan does not need is never backed by memory.
+        self._slots = np.zeros((lanes, rows), np.int32)
+        self._owners = np.empty((lanes, rows), np.int32)
+        self._masks = np.empty((lanes, rows, 16), np.int64)
+        self._used = np.zeros(lanes, np.int64)
+
+    def __len__(self) -> int:
+        """Number of blocks."""
+        return len(self._blocks)
+
+    def locate(self, points: F32) -> I64:
+        """The voxel of each point.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+
+        Returns:
+            (N,) int64, voxel numbers; -1 for a point without a voxel.
+        """
+        found: I64 = kernels.blocks.locate(
+            kernels.frozen(points, np.float32), self._per_metre, self._base, self._shape, *self._directory
+        )
+        return found
+
+    def keys(self, voxels: I64) -> NDArray[np.int32]:
+        """(N, 3) int32 indices, from the world's origin, of voxels given by number."""
+        inner = np.stack([voxels >> 6 & 7, voxels >> 3 & 7, voxels & 7], 1)
+        keys: NDArray[np.int32] = (self._blocks[voxels >> 9] * BLOCK + inner).astype(np.int32)
+        return keys
+
+    def mark(self, scan: Scan, casts: Bool, hits: Bool) -> Marks:
+        """Walk the rays of a scan.
+
+        Args:
+            scan: where rays start and end.
+            casts: (N,) bool: points whose ray marks every voxel from the origin's to the last before the point's as crossed.
+            hits: (N,) bool: points that mark their own voxel as hit.
+
+        Returns:
+            The marks; a voxel may be both crossed and hit. Rays from outside the grid's reach mark nothing.
+        """
+        kernels.raycast.mark(
+            kernels.frozen(scan.points, np.float32),
+            kernels.frozen(scan.origins, np.float64),
+            kernels.frozen(casts, np.bool_),
+            kernels.frozen(hits, np.bool_),
+            *(self._per_metre, self._base, self._shape, *self._directory),
+            *(self._slots, self._owners, self._masks, self._used),
+        )
+        return Marks(*kernels.raycast.collect(self._slots, self._owners, self._masks, self._used))
+
+
+def voxels_of(blocks: NDArray[np.int32], bits: I64) -> I64:
+    """Numbers of the voxels whose bit is set; blocks (B,), bits (B, 8) of those blocks."""
+    flat = np.flatnonzero(np.unpackbits(np.ascontiguousarray(bits, "<i8").view(np.uint8), bitorder="little"))
+    return blocks[flat // VOXELS].astype(np.int64) * VOXELS + flat % VOXELS
+
+
+def _covering(cells: NDArray[np.int32], per_metre: float) -> I64:
+    """(B, 3) int64: all blocks that a float32 point in one of the extent's cells can lie in."""
+    low = _lowest(cells.astype(np.int64))
+    high = np.nextafter(_lowest(cells.astype(np.int64) + 1), np.float32(-np.inf))
+    # The products are formed as for points: as these grow, so do they, and no rounding can lead out of the range.
+    first, last = (np.floor(p.astype(np.float64) * per_metre).astype(np.int64) >> 3 for p in (low, high))
+    spans = [range(s + 1) for s in (last - first).max(0, initial=0)]
+    shifted = [np.minimum(first + np.array(s, np.int64), last) for s in product(*spans)]
+    return np.unique(np.concatenate(shifted), axis=0)
+
+
+def _lowest(cells: I64) -> F32:
+    """The lowest float32 whose cell is the given one."""
+    guess = (cells * CELL).astype(np.float32)
+    below = np.floor(guess.astype(np.float64) * (1.0 / CELL)) < cells
+    guess = np.where(below, np.nextafter(guess, np.float32(np.inf)), guess)
+    lower = np.nextafter(guess, np.float32(-np.inf))
+    return np.where(np.floor(lower.astype(np.float64) * (1.0 / CELL)) >= cells, lower, guess).astype(np.float32)

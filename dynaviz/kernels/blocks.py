@@ -1,0 +1,52 @@
+"""The directory of a block grid: super-blocks of 16^3 blocks of 8^3 voxels, present only where points lie.
+
+``top`` is dense over the bounds, one int32 a super-block: 0 where empty, else the row of ``children``. A row of
+``children`` holds for each of its 4096 blocks 0, or the block's number plus one. Zeros cost no memory until written.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+REACH = 1 << 15  # voxels to each side of the world's origin, as in OctoMap's keys of 16 bit
+
+
+@njit(cache=True, nogil=True)
+def directory(blocks, base, shape):
+    """Number the blocks (B, 3), indices from the world's origin, in their order; base: first super-block."""
+    top = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
+    rows = 1
+    for n in range(len(blocks)):
+        x, y, z = blocks[n, 0] - (base[0] << 4), blocks[n, 1] - (base[1] << 4), blocks[n, 2] - (base[2] << 4)
+        j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
+        if top[j] == 0:
+            top[j] = rows
+            rows += 1
+    children = np.zeros((rows, 4096), np.int32)
+    for n in range(len(blocks)):
+        x, y, z = blocks[n, 0] - (base[0] << 4), blocks[n, 1] - (base[1] << 4), blocks[n, 2] - (base[2] << 4)
+        j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
+        children[top[j], (x & 15) << 8 | (y & 15) << 4 | (z & 15)] = n + 1
+    return top, children
+
+
+@njit(cache=True, nogil=True)
+def locate(points, per_metre, base, shape, top, children):
+    """Voxel of each point: block number * 512 + place in the block; -1 where the grid has no block."""
+    found = np.full(len(points), np.int64(-1))
+    for i in range(len(points)):
+        fx, fy, fz = points[i, 0] * per_metre, points[i, 1] * per_metre, points[i, 2] * per_metre
+        if not (abs(fx) < REACH and abs(fy) < REACH and abs(fz) < REACH):  # also where not finite
+            continue
+        x = np.int64(math.floor(fx)) - (base[0] << 7)
+        y = np.int64(math.floor(fy)) - (base[1] << 7)
+        z = np.int64(math.floor(fz)) - (base[2] << 7)
+        jx, jy, jz = x >> 7, y >> 7, z >> 7
+        if not (0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]):
+            continue
+        row = top[(jx * shape[1] + jy) * shape[2] + jz]
+        block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]  # row 0 is empty
+        if block:
+            found[i] = np.int64(block - 1) << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7)
+    return found
