@@ -1,0 +1,109 @@
+"""Nearest neighbours: points in Morton order, a binary tree of bounding boxes over them, and the search in it.
+
+Everything is float32 in one fixed order of operations. Rounding is monotone, so a box never seems farther than a point
+inside it, and the answer equals the minimum over all pairs, bit by bit.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+LEAF = 8  # points under a leaf of the tree
+_BLOCK = 1024  # queries that a thread takes at once
+
+
+@njit(cache=True, nogil=True)
+def morton(points, low, inverse, axis_bits, index_bits):
+    """(N,) uint64: the Morton code of each point above its own index, so that sorting them gives the order too."""
+    keys = np.empty(len(points), np.uint64)
+    top = np.float64((1 << axis_bits) - 1)
+    for i in range(len(points)):
+        code = np.uint64(0)
+        for axis in range(3):
+            cell = (np.float64(points[i, axis]) - low[axis]) * inverse
+            k = np.uint64(min(max(cell, 0.0), top))
+            k = (k | (k << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
+            k = (k | (k << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
+            k = (k | (k << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
+            k = (k | (k << np.uint64(4))) & np.uint64(0x10C30C30C30C30C3)
+            k = (k | (k << np.uint64(2))) & np.uint64(0x1249249249249249)
+            code |= k << np.uint64(axis)
+        keys[i] = (code << np.uint64(index_bits)) | np.uint64(i)
+    return keys
+
+
+@njit(cache=True, nogil=True)
+def boxes(points):
+    """(2 L, 6) float32, low and high corners: children of node k: 2 k and 2 k + 1; a leaf holds LEAF points."""
+    leaves = 1
+    while leaves * LEAF < len(points):
+        leaves *= 2
+    tree = np.empty((2 * leaves, 6), np.float32)
+    tree[:, :3] = np.inf  # an empty box is infinitely far from everywhere
+    tree[:, 3:] = -np.inf
+    for i in range(len(points)):
+        node = leaves + i // LEAF
+        for axis in range(3):
+            tree[node, axis] = min(tree[node, axis], points[i, axis])
+            tree[node, 3 + axis] = max(tree[node, 3 + axis], points[i, axis])
+    for node in range(leaves - 1, 0, -1):
+        for axis in range(3):
+            tree[node, axis] = min(tree[2 * node, axis], tree[2 * node + 1, axis])
+            tree[node, 3 + axis] = max(tree[2 * node, 3 + axis], tree[2 * node + 1, 3 + axis])
+    return tree
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_box(tree, node, x, y, z):
+    """Squared distance to a box; 0 inside."""
+    zero = np.float32(0)
+    dx = max(max(tree[node, 0] - x, x - tree[node, 3]), zero)
+    dy = max(max(tree[node, 1] - y, y - tree[node, 4]), zero)
+    dz = max(max(tree[node, 2] - z, z - tree[node, 5]), zero)
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def search(points, tree, queries, reach):
+    """(N,) float32: squared distance to the nearest point, ``reach`` (squared as well) where none is nearer.
+
+    Queries close to each other should follow each other: each begins with the neighbour of the one before.
+    """
+    out = np.empty(len(queries), np.float32)
+    leaves = len(tree) // 2
+    for block in prange((len(queries) + _BLOCK - 1) // _BLOCK):
+        nodes = np.empty(64, np.int64)
+        bounds = np.empty(64, np.float32)
+        nearest = -1
+        for q in range(block * _BLOCK, min((block + 1) * _BLOCK, len(queries))):
+            x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+            best = reach
+            if nearest >= 0:
+                dx, dy, dz = points[nearest, 0] - x, points[nearest, 1] - y, points[nearest, 2] - z
+                best = min(best, dx * dx + dy * dy + dz * dz)
+            nodes[0], bounds[0] = 1, np.float32(0)
+            depth = 1
+            while depth > 0:
+                depth -= 1
+                node = nodes[depth]
+                if bounds[depth] >= best:
+                    continue
+                while node < leaves:  # down into the nearer child; the other waits if it may matter
+                    left, right = _to_box(tree, 2 * node, x, y, z), _to_box(tree, 2 * node + 1, x, y, z)
+                    node = 2 * node
+                    if right < left:
+                        node += 1
+                        left, right = right, left
+                    if right < best:
+                        nodes[depth], bounds[depth] = node ^ 1, right
+                        depth += 1
+                    if left >= best:
+                        break
+                else:
+                    first = (node - leaves) * LEAF
+                    for i in range(first, min(first + LEAF, len(points))):
+                        dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+                        d = dx * dx + dy * dy + dz * dz
+                        if d < best:
+                            best, nearest = d, i
+            out[q] = best
+    return out

@@ -1,0 +1,135 @@
+"""The same four counts, apart by range, by height above the ground, by frame and by object."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.method import MethodInfo
+from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.scan import F32, U8, Label, Outcome, Scan
+from dynaviz_eval.confusion import Counts
+
+I64 = NDArray[np.int64]
+
+RANGES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)
+HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
+GROUND_CELL = 1.0  # metres
+
+
+class Breakdown:
+    """Section ``breakdown`` with lists ``range``, ``height``, ``frame`` and ``object``, counts beside each percentage.
+
+    Range and height bins include their lower edge, ``from``; a missing edge (None) is an open end. Points without
+    finite coordinates count in the last bin.
+    """
+
+    def __init__(self, info: MethodInfo) -> None:
+        self._range = np.zeros((len(RANGES) - 1, len(Outcome)), np.int64)
+        self._height = np.zeros((len(HEIGHTS) - 1, len(Outcome)), np.int64)
+        self._frames: list[dict[str, Any]] = []
+        self._objects = _Objects()
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the points of one scan."""
+        scan, outcome = labelled.scan, labelled.outcome
+        self._range += _cross(_ranges(scan), RANGES, outcome)
+        self._height += _cross(heights_above_ground(scan.points), HEIGHTS, outcome)
+        self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
+        self._objects.add(labelled)
+        return {}
+
+    def finish(self) -> Mapping[str, Any]:
+        """The section."""
+        return {
+            "breakdown": {
+                "range": _rows(RANGES, self._range),
+                "height": _rows(HEIGHTS, self._height),
+                "frame": self._frames,
+                "object": self._objects.rows(),
+            }
+        }
+
+    def histograms(self) -> Mapping[str, FrameHistograms]:
+        """None."""
+        return {}
+
+
+class _Objects:
+    """Counts by class and instance; an object that stops and gets another class by that begins another row."""
+
+    def __init__(self) -> None:
+        self._by_outcome: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(Outcome), np.int64))
+        self._frames: dict[tuple[int, int], tuple[int, int]] = {}
+
+    def add(self, labelled: Labelled) -> None:
+        scan = labelled.scan
+        if scan.labels is None or (scan.instances is None and scan.classes is None):
+            return
+        part_of_object = scan.labels == Label.DYNAMIC
+        if scan.instances is not None:
+            part_of_object |= scan.instances != 0
+        chosen = np.flatnonzero(part_of_object)
+        classes, instances = (
+            np.int64(0) if ids is None else ids[chosen].astype(np.int64) for ids in (scan.classes, scan.instances)
+        )
+        keys, which = np.unique(classes << 32 | instances, return_inverse=True)
+        crossed = np.bincount(which * len(Outcome) + labelled.outcome[chosen], minlength=len(keys) * len(Outcome))
+        for packed, counts in zip(keys.tolist(), crossed.reshape(-1, len(Outcome)), strict=True):
+            key = divmod(packed, 1 << 32)
+            self._by_outcome[key] += counts
+            self._frames[key] = self._frames.get(key, (labelled.frame, 0))[0], labelled.frame
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Objects with any dynamic point, the one with the most missed points first."""
+        rows = []
+        for (of_class, instance), by_outcome in self._by_outcome.items():
+            counts, (first, last) = Counts.of_histogram(by_outcome), self._frames[of_class, instance]
+            if counts.dynamic_removed + counts.dynamic_kept:
+                place = {"class": of_class, "instance": instance, "first_frame": first, "last_frame": last}
+                rows.append({**place, "points": int(by_outcome.sum()), **counts.row()})
+        return sorted(rows, key=lambda row: (-row["dynamic_kept"], row["class"], row["instance"]))
+
+
+def heights_above_ground(points: F32) -> F32:
+    """Height of each point above the local ground, as the scan itself shows it; no ground truth is used.
+
+    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile where these
+    hold fewer than 20 points, so that a few reflections below the ground do not matter. Where a scan sees no ground
+    within that window (a roof, a wall behind a fence), heights are above the lowest thing that it sees.
+
+    Args:
+        points: (N, 3) float32, metres, world frame, z up.
+
+    Returns:
+        (N,) float32, metres; NaN for points without finite coordinates.
+    """
+    heights: F32 = kernels.heights.above_ground(kernels.frozen(points, np.float32), GROUND_CELL)
+    return heights
+
+
+def _ranges(scan: Scan) -> F32:
+    """(N,) float32, metres: distance of each point from where its ray started."""
+    offset = scan.points - scan.origins.astype(np.float32)
+    ranges: F32 = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    return ranges
+
+
+def _cross(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
+    """(bins, outcomes) numbers of points."""
+    bins = np.searchsorted(np.array(edges[1:-1], np.float32), values, side="right")
+    crossed = np.bincount(bins * len(Outcome) + outcome, minlength=(len(edges) - 1) * len(Outcome))
+    return crossed.reshape(-1, len(Outcome))
+
+
+def _rows(edges: tuple[float, ...], by_outcome: I64) -> list[dict[str, Any]]:
+    ends = [None if np.isinf(edge) else edge for edge in edges]
+    return [
+        {"from": low, "to": high, **Counts.of_histogram(counts).row()}
+        for low, high, counts in zip(ends[:-1], ends[1:], by_outcome, strict=True)
+    ]

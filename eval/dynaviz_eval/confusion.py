@@ -1,0 +1,116 @@
+"""The headline: four counts, and every percentage derived from them (paper, "Metric"; eval/README.md)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynaviz.method import MethodInfo
+from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.scan import U8, Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Numbers of points by ground truth and answer; those of frames or sequences combine by adding them.
+
+    Percentages are NaN where undefined: without dynamic ground truth there is no DA, and so no AA and no HA.
+    """
+
+    static_kept: int = 0
+    static_removed: int = 0
+    dynamic_removed: int = 0
+    dynamic_kept: int = 0
+    unlabelled: int = 0
+
+    @classmethod
+    def of(cls, outcome: U8) -> Counts:
+        """Count (N,) uint8 outcomes."""
+        return cls.of_histogram(np.bincount(outcome, minlength=len(Outcome)))
+
+    @classmethod
+    def of_histogram(cls, by_outcome: Any) -> Counts:
+        """From the numbers of points by ``Outcome``, (6,) integers."""
+        n = [int(count) for count in by_outcome]
+        return cls(
+            static_kept=n[Outcome.STATIC_KEPT],
+            static_removed=n[Outcome.FALSE_POSITIVE],
+            dynamic_removed=n[Outcome.DYNAMIC_REMOVED],
+            dynamic_kept=n[Outcome.FALSE_NEGATIVE],
+            unlabelled=n[Outcome.UNLABELLED_KEPT] + n[Outcome.UNLABELLED_REMOVED],
+        )
+
+    def __add__(self, other: Counts) -> Counts:
+        return Counts(*(a + b for a, b in zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)))
+
+    @property
+    def SA(self) -> float:
+        """Static accuracy, percent: how much of the static ground truth was kept."""
+        return _percent(self.static_kept, self.static_kept + self.static_removed)
+
+    @property
+    def DA(self) -> float:
+        """Dynamic accuracy, percent: how much of the dynamic ground truth was removed."""
+        return _percent(self.dynamic_removed, self.dynamic_removed + self.dynamic_kept)
+
+    @property
+    def AA(self) -> float:
+        """Associated accuracy, percent: geometric mean of SA and DA (paper, equation 2)."""
+        return math.sqrt(self.SA * self.DA)
+
+    @property
+    def HA(self) -> float:
+        """Harmonic accuracy, percent: harmonic mean of SA and DA; 0 where both are 0, its limit."""
+        total = self.SA + self.DA
+        return 0.0 if total == 0 else 2 * self.SA * self.DA / total
+
+    @property
+    def precision(self) -> float:
+        """How much of what was removed is dynamic, percent."""
+        return _percent(self.dynamic_removed, self.dynamic_removed + self.static_removed)
+
+    @property
+    def IoU(self) -> float:
+        """Intersection over union of the dynamic class, percent."""
+        return _percent(self.dynamic_removed, self.dynamic_removed + self.static_removed + self.dynamic_kept)
+
+    def metrics(self) -> dict[str, float | None]:
+        """All percentages as plain JSON values, None where undefined."""
+        values = {name: getattr(self, name) for name in ("SA", "DA", "AA", "HA", "precision", "IoU")}
+        return {name: None if math.isnan(value) else value for name, value in values.items()}
+
+    def row(self) -> dict[str, float | None]:
+        """Counts and the headline beside each other, as in the rows of a breakdown."""
+        metrics = self.metrics()
+        return {**dataclasses.asdict(self), **{name: metrics[name] for name in ("SA", "DA", "AA", "HA")}}
+
+
+def _percent(part: int, whole: int) -> float:
+    return 100.0 * part / whole if whole else math.nan
+
+
+class Confusion:
+    """Sections ``counts`` and ``metrics``; curves of SA, DA, AA and HA of each frame and up to it."""
+
+    def __init__(self, info: MethodInfo) -> None:
+        self._total = Counts()
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the points of one scan."""
+        frame = Counts.of(labelled.outcome)
+        self._total += frame
+        counts = {"frame": frame, "so_far": self._total}
+        return {f"{name}/{when}": getattr(c, name) for name in ("SA", "DA", "AA", "HA") for when, c in counts.items()}
+
+    def finish(self) -> Mapping[str, Any]:
+        """The sections."""
+        return {"counts": dataclasses.asdict(self._total), "metrics": self._total.metrics()}
+
+    def histograms(self) -> Mapping[str, FrameHistograms]:
+        """None."""
+        return {}

@@ -1,0 +1,73 @@
+"""Why points were kept or removed, crossed with whether that was right: what each kind of failure costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dynaviz.method import MethodInfo
+from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.scan import Outcome
+from dynaviz_eval.confusion import Counts
+
+_CODES = 256
+_KINDS = {
+    "false_negative": Outcome.FALSE_NEGATIVE,
+    "false_positive": Outcome.FALSE_POSITIVE,
+    "dynamic_removed": Outcome.DYNAMIC_REMOVED,
+    "static_kept": Outcome.STATIC_KEPT,
+}
+
+
+class Reasons:
+    """Section ``reasons``: for each outcome how many points each reason led to it, what that costs, and the legend.
+
+    ``cost`` tells how many percentage points of SA and DA a reason's wrong points take away; the costs of all reasons
+    add up to 100 - SA and 100 - DA.
+    """
+
+    def __init__(self, info: MethodInfo) -> None:
+        self._legend = info.reasons
+        self._crossed = np.zeros((len(Outcome), _CODES), np.int64)
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the points of one scan; the curves count the wrong points of this frame by reason."""
+        flat = labelled.outcome * np.int32(_CODES) + labelled.reasons
+        crossed = np.bincount(flat, minlength=self._crossed.size).reshape(self._crossed.shape)
+        self._crossed += crossed
+        return {
+            f"reasons/{kind}/{reason.name}": float(crossed[_KINDS[kind], code])
+            for kind in ("false_negative", "false_positive")
+            for code, reason in enumerate(self._legend)
+        }
+
+    def finish(self) -> Mapping[str, Any]:
+        """The section; most frequent reasons first."""
+        counts = Counts.of_histogram(self._crossed.sum(1))
+        static, dynamic = counts.static_kept + counts.static_removed, counts.dynamic_kept + counts.dynamic_removed
+        wrong = self._crossed[Outcome.FALSE_POSITIVE], self._crossed[Outcome.FALSE_NEGATIVE]
+        cost = {
+            self._name(code): {
+                "SA": 100.0 * int(wrong[0][code]) / static if static else None,
+                "DA": 100.0 * int(wrong[1][code]) / dynamic if dynamic else None,
+            }
+            for code in np.flatnonzero(wrong[0] + wrong[1]).tolist()
+        }
+        by_kind = {kind: self._by_name(outcome) for kind, outcome in _KINDS.items()}
+        legend = {reason.name: reason.meaning for reason in self._legend}
+        return {"reasons": {**by_kind, "cost": cost, "legend": legend}}
+
+    def histograms(self) -> Mapping[str, FrameHistograms]:
+        """None."""
+        return {}
+
+    def _by_name(self, outcome: Outcome) -> dict[str, int]:
+        counts = self._crossed[outcome]
+        order = np.argsort(-counts, kind="stable")
+        return {self._name(code): int(counts[code]) for code in order.tolist() if counts[code]}
+
+    def _name(self, code: int) -> str:
+        """The reason's name; a code beyond the legend is a method's fault and shows as such."""
+        return self._legend[code].name if code < len(self._legend) else f"code {code}"

@@ -1,0 +1,96 @@
+"""Points kept on disk while a run goes on, so that memory does not grow with its length."""
+
+from __future__ import annotations
+
+import tempfile
+import weakref
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.errors import DynavizError
+from dynaviz.scan import F32, F64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Extent:
+    """Where the points of one frame lie: in the file, and in the world."""
+
+    frame: int
+    start: int
+    count: int
+    low: F32
+    high: F32
+
+
+class Spill:
+    """(N, 3) float32 points, metres, world frame, frame by frame in a temporary file.
+
+    The file has no name where the system allows that, and in any case goes with this object.
+
+    Raises:
+        DynavizError: where the disk is full.
+    """
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed with this object
+        self.close = weakref.finalize(self, self._file.close)
+        self._extents: list[_Extent] = []
+        self._end = 0
+        self.points = 0
+
+    def append(self, frame: int, points: F32) -> None:
+        """Add the finite points of a frame."""
+        if not np.isfinite(points).all():
+            points = points[np.isfinite(points).all(1)]
+        if len(points) == 0:
+            return
+        rest = memoryview(np.ascontiguousarray(points, np.float32)).cast("B")
+        self._extents.append(_Extent(frame, self._end, len(points), points.min(0), points.max(0)))
+        self._end += len(rest)
+        self.points += len(points)
+        try:
+            while len(rest):
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            where, size = tempfile.gettempdir(), self._end / 1e6
+            raise DynavizError(
+                f"{where}: cannot hold {size:.0f} MB of temporary points ({error.strerror}). "
+                "Make room there, or set TMPDIR to a folder on a larger disk."
+            ) from None
+
+    def bounds(self) -> tuple[F64, F64]:
+        """Low and high corner, (3,) float64 each, of at least one point."""
+        low = np.min([e.low for e in self._extents], axis=0).astype(np.float64)
+        high = np.max([e.high for e in self._extents], axis=0).astype(np.float64)
+        return low, high
+
+    def sample(self, axis: int, step: int) -> F32:
+        """One coordinate of every ``step``-th point of each frame, at least one a frame."""
+        return np.concatenate([self._read(extent)[::step, axis] for extent in self._extents])
+
+    def blocks(self, axis: int, low: float, high: float, size: int) -> Iterator[tuple[F32, NDArray[np.int64]]]:
+        """Points with low <= p[axis] < high and their frames, about ``size`` of them at a time."""
+        points: list[F32] = []
+        frames: list[NDArray[np.int64]] = []
+        held = 0
+        for extent in self._extents:
+            if extent.high[axis] < low or extent.low[axis] >= high:
+                continue
+            chosen = self._read(extent)
+            along = chosen[:, axis]
+            chosen = chosen[(along >= low) & (along < high)]
+            points.append(chosen)
+            frames.append(np.full(len(chosen), extent.frame))
+            held += len(chosen)
+            if held >= size:
+                yield np.concatenate(points), np.concatenate(frames)
+                points, frames, held = [], [], 0
+        if held:
+            yield np.concatenate(points), np.concatenate(frames)
+
+    def _read(self, extent: _Extent) -> F32:
+        self._file.seek(extent.start)
+        return np.fromfile(self._file, np.float32, 3 * extent.count).reshape(-1, 3)
