@@ -86,17 +86,27 @@ def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path
         assert z["frames"].tolist() == [11, 13]
 
 
-@pytest.mark.parametrize("words", [["run", "octomap", "{}", "--frames", "9:"], ["run", "octomap", "{}", "--frames", "a:b"],
-                                   ["run", "octomap", "{}", "--stride", "0"], ["run", "octomapp", "{}"],
-                                   ["run", "octomap", "{}", "--set", "resolution"],
-                                   ["run", "octomap", "{}", "--set", "resolution=-1"],
-                                   ["run", "octomap", "{}", "--preset", "nowhere"],
-                                   ["run", "octomap", "{}", "--sensor", "eye"],
-                                   ["config", "octomap", "--set", "foo=1"],
-                                   ["simulate", "moon", "somewhere"], ["info", "absent.rrd"], ["info", "absent.json"],
-                                   ["shot", "absent.rrd", "-o", "x.png"], ["view", "absent.rrd"]])  # fmt: skip
-def test_a_mistake_is_answered_in_one_line(dynaviz: Command, folder: Path, tmp_path: Path, words: list[str]) -> None:
-    code, _, err = dynaviz(*(word.format(folder) for word in words))
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "run octomap {} --frames 9:",
+        "run octomap {} --frames a:b",
+        "run octomap {} --stride 0",
+        "run octomapp {}",
+        "run octomap {} --set resolution",
+        "run octomap {} --set resolution=-1",
+        "run octomap {} --preset nowhere",
+        "run octomap {} --sensor eye",
+        "config octomap --set foo=1",
+        "simulate moon somewhere",
+        "info absent.rrd",
+        "info absent.json",
+        "shot absent.rrd -o x.png",
+        "view absent.rrd",
+    ],
+)
+def test_a_mistake_is_answered_in_one_line(dynaviz: Command, folder: Path, typed: str) -> None:
+    code, _, err = dynaviz(*(word.format(folder) for word in typed.split()))
     assert code == 2, err
     assert len(one_line(err)) > 30
 
