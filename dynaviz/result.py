@@ -55,12 +55,14 @@ class Result:
     @property
     def metrics(self) -> Mapping[str, float | None]:
         """SA, DA, AA, HA, precision and IoU in percent; None where undefined."""
-        return self.sections.get("metrics", {})
+        metrics: dict[str, float | None] = self.sections.get("metrics", {})
+        return metrics
 
     @property
     def counts(self) -> Mapping[str, int]:
         """static_kept, static_removed, dynamic_removed, dynamic_kept, unlabelled."""
-        return self.sections.get("counts", {})
+        counts: dict[str, int] = self.sections.get("counts", {})
+        return counts
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""
@@ -85,8 +87,18 @@ class Result:
             raise DataError(path, error.strerror or "cannot be read", hint="Give the result.json of a run") from None
         except ValueError as error:
             raise DataError(path, f"is not JSON ({error})", hint="Give the result.json of a run") from None
+        return cls.from_dict(plain, path)
+
+    @classmethod
+    def from_dict(cls, plain: Any, path: str | os.PathLike[str]) -> Result:
+        """The inverse of ``to_dict``; ``path`` is where the values come from.
+
+        Raises:
+            DataError: as ``load``.
+        """
         if not isinstance(plain, dict) or "method" not in plain or "sequence" not in plain:
             raise DataError(path, "is not the result of a run", hint="Give the result.json of a run")
+        plain = dict(plain)
         if plain.pop("schema", 0) > SCHEMA:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
         plain.pop("n_parameters", None)

@@ -35,7 +35,15 @@ def set_threads(threads: int | None) -> int:
     """Use at most this many threads in kernels (None: all); returns the number in use."""
     import numba
 
-    numba.set_num_threads(min(threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # set when numba starts
+    numba.set_num_threads(min(threads or most, most))
+    return threads_in_use()
+
+
+def threads_in_use() -> int:
+    """How many threads kernels use: as many lanes of scratch memory serve them all."""
+    import numba
+
     return int(numba.get_num_threads())
 
 
@@ -47,7 +55,7 @@ def _tell_when_compiling() -> None:
     _heard = True
     from numba.core import event
 
-    class Teller(event.Listener):  # type: ignore[misc]
+    class Teller(event.Listener):
         told = False
 
         def on_start(self, event: Any) -> None:
