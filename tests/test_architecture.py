@@ -46,7 +46,19 @@ def test_only_viz_imports_rerun() -> None:
     assert all(path.is_relative_to(ROOT / "dynaviz/viz") for path in guilty)
 
 
-METHODS_MAY = ("scan", "method", "probe", "grid", "blocks", "kernels", "geometry", "params", "survey", "sensors")
+METHODS_MAY = (
+    "scan",
+    "method",
+    "probe",
+    "grid",
+    "blocks",
+    "kernels",
+    "geometry",
+    "params",
+    "survey",
+    "sensors",
+    "errors",
+)
 EVAL_MAY = ("scan", "metric", "method", "result", "grid", "kernels", "errors", "io")
 
 
