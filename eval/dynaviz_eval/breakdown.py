@@ -115,14 +115,16 @@ def heights_above_ground(points: F32) -> F32:
 
 def _ranges(scan: Scan) -> F32:
     """(N,) float32, metres: distance of each point from where its ray started."""
-    offset = scan.points - scan.origins.astype(np.float32)
-    ranges: F32 = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    x, y, z = (scan.points[:, axis] - scan.origins[:, axis].astype(np.float32) for axis in range(3))
+    ranges: F32 = np.sqrt(x * x + y * y + z * z)
     return ranges
 
 
 def _cross(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
     """(bins, outcomes) numbers of points."""
-    bins = np.searchsorted(np.array(edges[1:-1], np.float32), values, side="right")
+    bins = np.zeros(len(values), np.uint8)
+    for edge in edges[1:-1]:
+        bins += ~(values < edge)  # so NaN goes to the last bin
     crossed = np.bincount(bins * len(Outcome) + outcome, minlength=(len(edges) - 1) * len(Outcome))
     return crossed.reshape(-1, len(Outcome))
 

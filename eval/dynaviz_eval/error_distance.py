@@ -48,7 +48,7 @@ class ErrorDistance:
         """Put the points of one scan aside; those without finite coordinates have no distance."""
         self._frames = labelled.frame + 1
         for outcome, spill in self._spills.items():
-            spill.append(labelled.frame, labelled.scan.points[labelled.outcome == outcome])
+            spill.append(labelled.frame, np.compress(labelled.outcome == outcome, labelled.scan.points, 0))
         return {}
 
     def finish(self) -> Mapping[str, Any]:

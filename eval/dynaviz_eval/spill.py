@@ -21,8 +21,8 @@ class _Extent:
     frame: int
     start: int
     count: int
-    low: F32
-    high: F32
+    low: tuple[float, ...]
+    high: tuple[float, ...]
 
 
 class Spill:
@@ -47,8 +47,9 @@ class Spill:
             points = points[np.isfinite(points).all(1)]
         if len(points) == 0:
             return
-        rest = memoryview(np.ascontiguousarray(points, np.float32)).cast("B")
-        self._extents.append(_Extent(frame, self._end, len(points), points.min(0), points.max(0)))
+        low, high = (tuple(float(f(points[:, axis])) for axis in range(3)) for f in (np.min, np.max))
+        rest = memoryview(np.ascontiguousarray(points, np.float32).view(np.uint8).ravel())  # type: ignore[arg-type]
+        self._extents.append(_Extent(frame, self._end, len(points), low, high))
         self._end += len(rest)
         self.points += len(points)
         try:
@@ -63,9 +64,7 @@ class Spill:
 
     def bounds(self) -> tuple[F64, F64]:
         """Low and high corner, (3,) float64 each, of at least one point."""
-        low = np.min([e.low for e in self._extents], axis=0).astype(np.float64)
-        high = np.max([e.high for e in self._extents], axis=0).astype(np.float64)
-        return low, high
+        return np.min([e.low for e in self._extents], axis=0), np.max([e.high for e in self._extents], axis=0)
 
     def sample(self, axis: int, step: int) -> F32:
         """One coordinate of every ``step``-th point of each frame, at least one a frame."""
