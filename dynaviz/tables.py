@@ -1,0 +1,80 @@
+"""Results as a table for a terminal or a notebook."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from dynaviz.result import Result
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def result_table(results: Sequence[Result], title: str | None = None) -> Table:
+    """One row a result; the best AA of each sequence and scoring is bold.
+
+    Percentages have two decimals as in the papers, ``n/a`` where they are undefined. Scores of different scorings
+    (``mask``, ``nn``) do not compare, so the scoring has its own column.
+    """
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=title, caption="AA = √(SA · DA), HA = 2 · SA · DA / (SA + DA); kept and removed in points")
+    table.add_column("sequence")
+    table.add_column("method", no_wrap=True)
+    for name in ("SA [%] ↑", "DA [%] ↑", "AA [%] ↑", "HA [%] ↑", "static kept", "dynamic removed", "s/frame"):
+        table.add_column(name, justify="right")
+    table.add_column("scoring")
+    best: dict[tuple[object, str], float] = {}
+    for result in results:
+        best[_group(result)] = max(best.get(_group(result), -math.inf), _aa(result))
+    for result in results:
+        aa = _percent(result, "AA")
+        champion = len(results) > 1 and _aa(result) == best[_group(result)] >= 0
+        table.add_row(
+            escape(str(result.sequence.get("name", ""))),
+            escape(result.method) + (" (online)" if result.online else ""),
+            _percent(result, "SA"),
+            _percent(result, "DA"),
+            f"[bold]{aa}[/bold]" if champion else aa,
+            _percent(result, "HA"),
+            _share(result, "static_kept", "static_removed"),
+            _share(result, "dynamic_removed", "dynamic_kept"),
+            _runtime(result),
+            result.scoring,
+        )
+    return table
+
+
+def _group(result: Result) -> tuple[object, str]:
+    """Only these results compare: the same points, scored the same way."""
+    return result.sequence.get("digest"), result.scoring
+
+
+def _aa(result: Result) -> float:
+    """AA for finding the best; below all others where undefined."""
+    value = result.metrics.get("AA")
+    return -math.inf if value is None else value
+
+
+def _percent(result: Result, name: str) -> str:
+    value = result.metrics.get(name)
+    return "n/a" if value is None else f"{value:.2f}"
+
+
+def _share(result: Result, part: str, rest: str) -> str:
+    """A count of a total, as ``1 234 / 5 678``."""
+    if part not in result.counts:
+        return "n/a"
+    count, total = result.counts[part], result.counts[part] + result.counts[rest]
+    return f"{count:,} / {total:,}".replace(",", " ")
+
+
+def _runtime(result: Result) -> str:
+    """Seconds a frame, and a mark where recording the method's states slowed it down."""
+    mean, std = result.runtime.get("mean_s"), result.runtime.get("std_s")
+    if mean is None:
+        return "n/a"
+    return f"{mean:.3f}" + ("" if std is None else f" ± {std:.3f}") + (" (recorded)" if result.instrumented else "")
