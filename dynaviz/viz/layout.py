@@ -1,0 +1,138 @@
+"""The viewer's layout, made from what a method can show; it lies in the recording and opens without a click."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from dynaviz.method import MethodInfo
+from dynaviz.probe import Mask, Plane, Scalar, State
+from dynaviz.scan import F64
+from dynaviz.survey import CELL, Extent
+from dynaviz.viz import paths
+
+SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in paths.SERIES]
+
+
+def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
+    """The layout of a run's recording.
+
+    Left, the world: the map of the whole run with its wrong points, below it the frame's points and the method's states.
+    Right, the numbers: scores, wrong points per frame, how far errors lie from right answers, and the report.
+
+    Args:
+        info: whose run it is; its ``emits`` each get a view.
+        extent: where the map's points lie, so that the eye starts well.
+        geometry: whether the recording holds any.
+    """
+    numbers = _numbers(info)
+    body = rrb.Horizontal(_world(info, extent), numbers, column_shares=[5, 3]) if geometry else numbers
+    return rrb.Blueprint(
+        body,
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=paths.FRAME, fps=10.0, play_state="paused"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _world(info: MethodInfo, extent: Extent) -> Any:
+    common = [paths.SENSOR, paths.TRAJECTORY]
+    everything = _solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent))
+    frame = _solid("frame", [paths.SCAN, paths.MAP, *common], _follow())
+    states = [_state(info.name, state) for state in info.emits if issubclass(state.kind, (*paths.SOLID, *paths.FLAT))]
+    below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
+    return rrb.Vertical(everything, below, row_shares=[3, 2])
+
+
+def _numbers(info: MethodInfo) -> Any:
+    others = [f"- {path}" for path in (*SO_FAR, f"{paths.WRONG}/**", paths.WORST)]
+    scores = rrb.Tabs(
+        _curves("scores so far [%]", SO_FAR),
+        _curves("all scores", [f"{paths.SCORES}/**", *others]),
+        _curves("reasons", [f"{paths.REASONS}/**"]),
+        *[
+            _curves(state.name, [paths.state(info.name, state)])
+            for state in info.emits
+            if issubclass(state.kind, Scalar)
+        ],
+    )
+    distance = rrb.Tabs(
+        rrb.BarChartView(name="false negatives: distance [m]", contents=_run_histogram("false_negative")),
+        rrb.BarChartView(name="false positives", contents=_run_histogram("false_positive")),
+        rrb.BarChartView(name="this frame", contents=[f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS]),
+    )
+    words = rrb.Tabs(
+        rrb.TextDocumentView(name="report", origin=paths.REPORT),
+        rrb.TextLogView(name="log", origin=paths.LOG),
+    )
+    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST])
+    return rrb.Vertical(scores, wrong, distance, words, row_shares=[4, 4, 4, 7])
+
+
+_KINDS = ("false_negative", "false_positive")
+
+
+def _run_histogram(kind: str) -> list[str]:
+    return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
+
+
+def _curves(name: str, contents: list[str]) -> Any:
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=rrb.Corner2D.LeftBottom)
+
+
+def _solid(name: str, contents: list[str], eye: rrb.EyeControls3D) -> Any:
+    return rrb.Spatial3DView(
+        name=name,
+        origin=paths.WORLD,
+        contents=contents,
+        background=[*paths.BACKGROUND, 255],
+        line_grid=False,
+        eye_controls=eye,
+    )
+
+
+def _state(method: str, state: State) -> Any:
+    path = paths.state(method, state)
+    if issubclass(state.kind, paths.FLAT):
+        return rrb.Spatial2DView(name=state.name, origin=path, background=[*paths.BACKGROUND, 255])
+    around = [paths.SENSOR, paths.TRAJECTORY, *([paths.SCAN, paths.MAP] if issubclass(state.kind, (Plane, Mask)) else [])]
+    return _solid(state.name, [path, *around], _follow())
+
+
+def _follow() -> rrb.EyeControls3D:
+    """Behind and above the sensor, and along with it."""
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        tracking_entity=f"/{paths.SENSOR}",
+        position=[-22.0, -16.0, 22.0],
+        look_target=[0.0, 0.0, 0.0],
+        eye_up=[0.0, 0.0, 1.0],
+    )
+
+
+def _eye(extent: Extent) -> rrb.EyeControls3D:
+    """An oblique look from above on the bulk of the map, its long side across the picture."""
+    centre, along, length = _bulk(extent)
+    side = np.array([along[1], -along[0], 0.0])
+    position = centre + 0.75 * length * (0.75 * side + np.array([0.0, 0.0, 0.85]))
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
+    )
+
+
+def _bulk(extent: Extent) -> tuple[F64, F64, float]:
+    """Middle, horizontal long axis (unit) and length along it, in metres, of where nine tenths of the map's cells lie."""
+    if not len(extent.cells):
+        return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0
+    cells = (extent.cells + 0.5) * CELL
+    centre = np.median(cells, axis=0)
+    flat = cells[:, :2] - centre[:2]
+    along = np.linalg.eigh(flat.T @ flat)[1][:, -1]
+    low, high = np.quantile(flat @ along, [0.05, 0.95])
+    centre[:2] += along * (low + high) / 2
+    return centre, np.array([*along, 0.0]), max(float(high - low), 10.0)

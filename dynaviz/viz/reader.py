@@ -1,0 +1,195 @@
+"""Read a recording back: what ran, every point's answer, curves, and the points that were drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+
+from dynaviz.errors import DataError
+from dynaviz.method import Reason
+from dynaviz.result import Result
+from dynaviz.scan import F32, U8
+from dynaviz.viz import paths
+from dynaviz.viz.answers import ARCHETYPE, Answers
+
+MAGIC = (b"RRF2", b"RRF0", b"RRF1")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """The points of a frame that were drawn.
+
+    Attributes:
+        frame: position in the run.
+        xyz: (M, 3) float32, metres, world frame.
+        outcome: (M,) uint8, an ``Outcome`` per point.
+        point: (M,) their positions in the scan.
+        stands_for: (M,) how many points each stands for.
+    """
+
+    frame: int
+    xyz: F32
+    outcome: U8
+    point: NDArray[np.int64]
+    stands_for: NDArray[np.int64]
+
+
+class Recording:
+    """A finished recording of a run.
+
+    Args:
+        path: the file.
+
+    Raises:
+        DataError: where the file is no recording of dynaviz, was cut off, or was written by a newer dynaviz.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = Path(path)
+        self._store = _opened(self.path)
+        self.properties = self._read_properties()
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run was finished."""
+        return bool(self.properties["complete"])
+
+    @property
+    def result(self) -> Result | None:
+        """The run's result; None where it was not finished."""
+        return Result.from_dict(json.loads(self.properties["result_json"]), self.path) if self.complete else None
+
+    @property
+    def reasons(self) -> tuple[Reason, ...]:
+        """The legend of the reason codes."""
+        return tuple(Reason(**reason) for reason in json.loads(self.properties["reasons_json"]))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The method's parameters."""
+        parameters: dict[str, Any] = json.loads(self.properties["params_json"])
+        return parameters
+
+    def facts(self) -> dict[str, str]:
+        """What this recording is, for a reader."""
+        p = self.properties
+        return {
+            "method": f"{p['method']} ({p['title']})",
+            "sequence": p["sequence"],
+            "digest": p["digest"],
+            "frames": f"{p['frames']:,}",
+            "points": f"{p['points']:,}",
+            "ground truth": "yes" if p["has_labels"] else "no",
+            "mode": f"{p['mode']}, {'online' if p['online'] else 'two passes'}, seed {p['seed']}",
+            "parameters": ", ".join(f"{name}={json.dumps(value)}" for name, value in self.parameters.items()),
+            "finished": "yes" if self.complete else "no, the run ended early",
+            "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
+            "command": p.get("command", ""),
+        }
+
+    def answers(self) -> Iterator[Answers]:
+        """Every point's answer, truth and reason, frame by frame in the order of the run.
+
+        Raises:
+            DataError: for a frame whose answers are damaged.
+        """
+        for frame, components in self._frames(paths.ANSWERS):
+            values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
+            try:
+                yield Answers.unpacked(frame, values)
+            except Exception as error:
+                raise DataError(
+                    self.path, f"damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
+                ) from error
+
+    def drawn(self) -> Iterator[Drawn]:
+        """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
+        for frame, components in self._frames(paths.SCAN):
+            xyz = components["Points3D:positions"]
+            every = np.arange(len(xyz))
+            yield Drawn(
+                frame,
+                xyz,
+                components["Points3D:class_ids"].astype(np.uint8),
+                components.get("dynaviz.Scan:point", every).astype(np.int64),
+                components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
+            )
+
+    def curve(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
+        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self._frames(path)]
+        return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
+
+    def entities(self) -> list[str]:
+        """All entity paths, sorted, without the leading slash."""
+        return sorted(str(path).removeprefix("/") for path in self._store.schema().entity_paths())
+
+    def static(self, path: str) -> dict[str, Any]:
+        """Components of an entity that were logged once; the last row counts where there are several."""
+        found: dict[str, Any] = {}
+        for chunk in self._store.stream().filter(content=f"/{path}", is_static=True):
+            batch = chunk.to_record_batch()
+            for row in range(batch.num_rows):
+                found |= _row(batch, row, chunk.timeline_names)
+        return found
+
+    def _frames(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Rows of an entity by frame; parts of a row may lie in several chunks, in any order."""
+        places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
+        for chunk in self._store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
+            batch = chunk.to_record_batch()
+            for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
+                places[frame].append((chunk, row))
+        for frame in sorted(places):
+            merged: dict[str, Any] = {}
+            for chunk, row in places.pop(frame):
+                merged |= _row(chunk.to_record_batch(), row, chunk.timeline_names)
+            yield frame, merged
+
+    def _read_properties(self) -> dict[str, Any]:
+        properties = {name: value[0] for name, value in self.static(f"__properties/{paths.PROPERTIES}").items()}
+        if "schema" not in properties:
+            raise DataError(self.path, "is a recording, but not of dynaviz", hint="Give the run.rrd of a run")
+        if properties["schema"] > paths.SCHEMA:
+            raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        return properties
+
+
+def _opened(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            magic = file.read(4)
+    except OSError as error:
+        raise DataError(path, error.strerror or "cannot be read", hint="Give the run.rrd of a run") from None
+    if magic not in MAGIC:
+        raise DataError(path, "is not a recording", at="byte 0", hint="Give the run.rrd of a run")
+    try:
+        return RrdReader(path).store()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise DataError(
+            path, "was cut off, its writer did not finish it", hint=f"Salvage its frames with: dynaviz repair {path}"
+        ) from error
+
+
+def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
+    """One row's components as arrays, fixed-size lists as columns."""
+    values = {}
+    for name in batch.schema.names:
+        if name.startswith("rerun") or name in timelines or not batch[name][row].is_valid:
+            continue
+        array = batch[name][row].values
+        width = array.type.list_size if pa.types.is_fixed_size_list(array.type) else None
+        flat = (array.flatten() if width else array).to_numpy(zero_copy_only=False)
+        values[name] = flat.reshape(-1, width) if width else flat
+    return values

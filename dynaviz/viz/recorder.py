@@ -1,0 +1,236 @@
+"""Recorder: listens to a run and to its method, and writes the recording frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import rerun as rr
+
+from dynaviz.errors import UsageError
+from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.probe import State, Text, Value
+from dynaviz.result import Result, environment
+from dynaviz.run import Listener, Run
+from dynaviz.scan import Outcome, Scan
+from dynaviz.survey import Survey
+from dynaviz.viz import answers, paths, sink, states
+from dynaviz.viz.layout import layout
+from dynaviz.viz.report import Tally, before, report
+from dynaviz.viz.scene import Scene
+
+Mode = Literal["full", "errors", "scores"]
+STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that are drawn in the world
+
+
+class Recorder(Listener):
+    """Writes the recording of a run; both a listener and the method's probe.
+
+    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when the
+    run is done. Whatever ends the run earlier leaves ``.run.rrd.part`` beside it, with every frame so far.
+
+    Args:
+        path: the recording.
+        mode: ``errors`` draws what is wrong, ``full`` every point, ``scores`` none. Answers, truth and reasons of all
+            points are in each.
+        live: open a viewer that follows the run.
+
+    Raises:
+        UsageError: for a mode that does not exist.
+        DataError: where the folder cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], mode: Mode = "errors", live: bool = False):
+        if mode not in get_args(Mode):
+            raise UsageError(f"--record {mode}: choose from {', '.join(get_args(Mode))}")
+        self.path, self.mode, self._live = Path(path), mode, live
+        self._sink: sink.Sink | None = None
+        self._states: dict[str, State] = {}
+        self._queue: list[tuple[State, Value]] = []
+        self._tally, self._styled = Tally(), set[str]()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        if self._sink is not None:
+            self._sink.abort()
+
+    def sha256(self) -> str:
+        """Digest of the finished recording."""
+        return sink.sha256(self.path)
+
+    def wants(self, name: str) -> bool:
+        """States are drawn wherever the recording holds geometry."""
+        return self.mode != "scores" and (self._sink is None or name in self._states)
+
+    def emit(self, name: str, value: Value) -> None:
+        """Keep a reference until the method returns; it is drawn then, outside of the method's time."""
+        if name in self._states:
+            self._queue.append((self._states[name], value))
+
+    def begin(self, run: Run, survey: Survey) -> None:
+        """Open the file and write what is known of the run."""
+        info = run.method.info
+        self._info, drawn = info, self.mode != "scores"
+        self._states = {state.name: state for state in info.emits} if drawn else {}
+        solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
+        self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
+        name = run.sequence.name
+        blueprint = layout(info, survey.extent, geometry=drawn)
+        self._sink = sink.Sink(
+            self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._live
+        )
+        self._scene = Scene(self._sink, survey.extent, self.mode == "full") if drawn else None
+        params = dataclasses.asdict(run.params)
+        self._sink.properties(**self._facts(run, survey, params), complete=False)
+        self._write_legends()
+        self._report(before(info, name, params, self.mode))
+        self._sink.at(0, None)
+        self._say(f"{info.title} on {name}: {survey.frames} frames, {survey.points:,} points")
+        self._sink.flush()
+
+    def observing(self, frame: int, scan: Scan) -> None:
+        """Remember whose states are to come."""
+        self._scan = scan
+
+    def observed(self, frame: int) -> None:
+        """Draw the states that the method showed while it observed."""
+        if self._queue:
+            self._open.at(frame, self._scan.stamp_ns)
+            self._draw_states(self._scan)
+            self._open.flush()
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Write a frame: its points by outcome, all answers without loss, and the curves."""
+        scan = labelled.scan
+        self._open.at(labelled.frame, scan.stamp_ns)
+        self._draw_states(scan)
+        if self._scene is not None:
+            self._scene.pose(scan)
+            self._scene.frame(labelled)
+        packed = answers.Answers.of(labelled).packed()
+        self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
+        wrong = self._tally.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
+        for kind, count in zip(("false_negatives", "false_positives"), wrong, strict=True):
+            self._curve(f"{paths.WRONG}/{kind}", count)
+        for name, value in curves.items():
+            self._curve(paths.curve(name), value)
+        self._open.flush()
+
+    def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
+        """Write what is known only at the end, close the file, and give it its name."""
+        if self._scene is not None:
+            self._scene.finish()
+        for name, histogram in histograms.items():
+            self._histogram(paths.histogram(name), histogram)
+        self._mark_worst()
+        self._report(report(self._info, result, self._tally, self.mode))
+        self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
+        self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
+        self._open.finish()
+        self._sink = None
+
+    @property
+    def _open(self) -> sink.Sink:
+        if self._sink is None:
+            raise RuntimeError("a recorder listens from begin to finish, once")
+        return self._sink
+
+    def _facts(self, run: Run, survey: Survey, params: dict[str, Any]) -> dict[str, Any]:
+        info = run.method.info
+        return {
+            "schema": paths.SCHEMA,
+            "mode": self.mode,
+            "method": info.name,
+            "title": info.title,
+            "reasons_json": json.dumps([dataclasses.asdict(reason) for reason in info.reasons]),
+            "sequence": run.sequence.name,
+            "digest": survey.digest,
+            "has_labels": run.sequence.has_labels,
+            "frames": survey.frames,
+            "points": survey.points,
+            "params_json": json.dumps(params),
+            "seed": run.seed,
+            "online": run.online,
+            "command": run.command,
+            "environment_json": json.dumps(environment()),
+        }
+
+    def _write_legends(self) -> None:
+        legend = [(int(o), paths.NAMES[o], paths.COLOURS[o]) for o in Outcome]
+        self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
+        for state in self._states.values():
+            if (context := states.legend(state)) is not None:
+                self._open.log(paths.state(self._info.name, state), context, static=True)
+
+    def _draw_states(self, scan: Scan) -> None:
+        for state, value in self._queue:
+            if isinstance(value, Text):
+                self._say(f"{state.name}: {value.text}")
+            elif (drawn := states.draw(value, state, scan, self._most)) is not None:
+                self._open.log(paths.state(self._info.name, state), drawn)
+        self._queue.clear()
+
+    def _curve(self, path: str, value: float) -> None:
+        if path not in self._styled:
+            self._styled.add(path)
+            self._open.log(path, _style(path), static=True)
+        self._open.log(path, rr.Scalars(float(value)))
+
+    def _histogram(self, path: str, histogram: FrameHistograms) -> None:
+        """The run's histogram and its 10 % line as one picture, the frames' own to scrub through."""
+        edges, total = histogram.edges.copy(), histogram.counts.sum(0)
+        if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the one before
+            edges[-1] = 2 * edges[-2] - edges[-3]
+        self._open.log(f"{path}/run", _bars(total, edges, histogram), static=True)
+        if total.sum():
+            width = 0.003 * (edges[-1] - edges[0])
+            line = rr.BarChart([float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=_MARK)
+            self._open.log(f"{path}/p10", line, static=True)
+        for (frame, *_), counts in zip(self._tally.frames, histogram.counts, strict=True):
+            self._open.at(frame, None)
+            self._open.log(path, _bars(counts, edges, histogram))
+
+    def _mark_worst(self) -> None:
+        worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._tally.worst())
+        style = rr.SeriesPoints(colors=[240, 240, 240], markers="diamond", marker_sizes=4, names="worst frames")
+        self._open.log(paths.WORST, style, static=True)
+        if worst:
+            frames, wrong = zip(*worst, strict=True)
+            self._open.columns(paths.WORST, frames, rr.Scalars.columns(scalars=wrong))
+
+    def _report(self, text: str) -> None:
+        self._open.log(paths.REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+    def _say(self, text: str) -> None:
+        self._open.log(paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO))
+
+
+_MARK = paths.COLOURS[Outcome.FALSE_NEGATIVE]
+_WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.FALSE_POSITIVE}
+
+
+def _style(path: str) -> rr.SeriesLines:
+    """Name and colour of a curve, from its path."""
+    words = path.split("/")[1:]
+    if words[-1] in _WRONG:
+        return rr.SeriesLines(names=words[-1].replace("_", " "), colors=paths.COLOURS[_WRONG[words[-1]]], widths=1.5)
+    name = words[0] if words[1:] == ["so_far"] else " ".join(words).replace("_", " ")
+    return rr.SeriesLines(names=name, colors=paths.SERIES.get(words[0]) if words else None, widths=1.5)
+
+
+def _bars(counts: Any, edges: Any, histogram: FrameHistograms) -> rr.BarChart:
+    middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=paths.COLOURS[Outcome.DYNAMIC_REMOVED])
+
+
+def _tenth(counts: Any, edges: Any) -> float:
+    """Where a tenth of the counts lies below, within a bin by its share."""
+    below = np.concatenate([[0], np.cumsum(counts)])
+    return float(np.interp(0.1 * below[-1], below, edges))

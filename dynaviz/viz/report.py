@@ -1,0 +1,156 @@
+"""The report inside a recording, in Markdown: scores, what the colours mean, where to look first."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.method import MethodInfo
+from dynaviz.result import Result
+from dynaviz.scan import Outcome
+from dynaviz.viz import paths
+
+WORST = 5  # frames named in the report and marked on the curve
+
+
+class Tally:
+    """What the report counts: points by outcome and reason in the run, and wrong points by frame."""
+
+    def __init__(self) -> None:
+        self.crossed = np.zeros((len(Outcome), 256), np.int64)
+        self.frames: list[tuple[int, int, int, int]] = []  # frame, index, false negatives, false positives
+
+    def add(self, frame: int, index: int, outcome: NDArray[np.uint8], reasons: NDArray[np.uint8]) -> tuple[int, int]:
+        """Count a frame; returns its false negatives and false positives."""
+        flat = outcome.astype(np.intp) * 256 + reasons
+        here = np.bincount(flat, minlength=self.crossed.size).reshape(self.crossed.shape)
+        self.crossed += here
+        missed, removed = (int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE))
+        self.frames.append((frame, index, missed, removed))
+        return missed, removed
+
+    def worst(self) -> list[tuple[int, int, int, int]]:
+        """The frames with the most wrong points, the worst first; none without any."""
+        wrong = [entry for entry in self.frames if entry[2] + entry[3]]
+        return sorted(wrong, key=lambda entry: (-entry[2] - entry[3], entry[0]))[:WORST]
+
+
+def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str) -> str:
+    """The report of a run that is not finished."""
+    return "\n\n".join([_title(info, sequence), "**This run was not finished.**", _parameters(params), _how_to_read(mode)])
+
+
+def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
+    """The report of a finished run.
+
+    Args:
+        info: the method's.
+        result: of the run.
+        tally: of its points.
+        mode: of the recording.
+    """
+    parts = [
+        _title(info, result.sequence["name"]),
+        _scores(result),
+        _worst(tally),
+        _reasons(info, tally),
+        _how_to_read(mode),
+        _states(info) if mode != "scores" else "",
+        _run(result),
+        _parameters(result.parameters),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _title(info: MethodInfo, sequence: str) -> str:
+    return f"# {info.title} on {sequence}\n\n{info.paper}"
+
+
+def _scores(result: Result) -> str:
+    scores = _table([tuple(result.metrics), tuple(_percent(value) for value in result.metrics.values())])
+    counts = [(name.replace("_", " "), f"{count:,}") for name, count in result.counts.items()]
+    return "\n\n".join([scores, _table([("points", "count"), *counts])]) if result.metrics else ""
+
+
+def _percent(value: float | None) -> str:
+    return "n/a" if value is None else f"{value:.2f} %"
+
+
+def _worst(tally: Tally) -> str:
+    rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in tally.worst()]
+    if not rows:
+        return "No wrong point in any frame." if tally.frames else ""
+    return "## Look here first\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
+
+
+def _reasons(info: MethodInfo, tally: Tally) -> str:
+    outcomes = [o for o in Outcome if tally.crossed[o].any()]
+    rows = []
+    for code, reason in enumerate(info.reasons):
+        if tally.crossed[:, code].any():
+            rows.append((reason.name, *(f"{tally.crossed[o, code]:,}" for o in outcomes), reason.meaning))
+    head = ("reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
+    return "## Why points got their labels\n\n" + _table([head, *rows]) if rows else ""
+
+
+_COLOUR_WORDS = {
+    Outcome.STATIC_KEPT: "grey",
+    Outcome.DYNAMIC_REMOVED: "blue",
+    Outcome.FALSE_POSITIVE: "yellow",
+    Outcome.FALSE_NEGATIVE: "orange",
+    Outcome.UNLABELLED_KEPT: "dark grey",
+    Outcome.UNLABELLED_REMOVED: "pink",
+}
+
+
+def _how_to_read(mode: str) -> str:
+    if mode == "scores":
+        return "## How to read this recording\n\nIt holds numbers only (`--record scores`): no points are drawn."
+    shown = {
+        "errors": "points that move are drawn in full, false positives one per 0.2 m, kept static points as one thinned map",
+        "full": "every point of every frame is drawn; the map of the whole run is thinned",
+    }[mode]
+    colours = [(word, paths.NAMES[outcome]) for outcome, word in _COLOUR_WORDS.items()]
+    views = (
+        "- **map**: the whole run; wrong points of all frames stand out.\n"
+        "- **frame**: the points of the frame under the cursor, and the sensor. Drag the cursor to replay.\n"
+        "- **wrong points per frame**: the worst frames are marked; click on a curve to go there.\n"
+        "- **distance**: how far wrong points lie from the nearest right one; a tenth lies left of the line."
+    )
+    return f"## How to read this recording\n\n{_table([('colour', 'point'), *colours])}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
+
+
+def _states(info: MethodInfo) -> str:
+    rows = [(state.name, state.meaning) for state in info.emits]
+    return "## What the method shows\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
+
+
+def _run(result: Result) -> str:
+    runtime = result.runtime
+    rows: list[tuple[Any, Any]] = [
+        ("seconds per frame", f"{runtime['mean_s']:.3f} ± {runtime['std_s']:.3f}" if "mean_s" in runtime else "n/a"),
+        ("frames", result.sequence["frames"]),
+        ("points", f"{result.sequence['points']:,}"),
+        ("mode", "online" if result.online else "two passes"),
+        ("scoring", result.scoring),
+        ("seed", result.seed),
+        ("threads", runtime.get("threads", "n/a")),
+        ("digest of the sequence", f"`{result.sequence['digest'][:16]}`"),
+        ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
+    ]
+    return "## The run\n\n" + _table([("what", "value"), *rows])
+
+
+def _parameters(params: Mapping[str, Any]) -> str:
+    rows = [(name, json.dumps(value)) for name, value in params.items()]
+    return f"## Parameters ({len(rows)})\n\n" + _table([("name", "value"), *rows]) if rows else ""
+
+
+def _table(rows: Iterable[Sequence[Any]]) -> str:
+    head, *body = rows
+    lines = [head, ["---"] * len(head), *body]
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)

@@ -1,0 +1,126 @@
+"""The world of a recording: each frame's points by outcome, and the map of the whole run with its wrong points."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from dynaviz.grid import KeySet, pack, thin
+from dynaviz.metric import Labelled
+from dynaviz.scan import F32, F64, Bool, Outcome, Scan
+from dynaviz.survey import Extent
+from dynaviz.viz import paths
+from dynaviz.viz.sink import Sink
+
+VOXEL = 0.2  # metres: false positives of a frame, and the map, are thinned to one point per voxel of this edge
+FINE = 0.1  # metres: the same for points that move; there are few
+GROWTH = 1.25  # of the voxel, while a map holds more points than its cap
+
+KEPT = (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT, Outcome.FALSE_NEGATIVE)
+REMOVED = (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED, Outcome.FALSE_POSITIVE)
+CAPS = {  # points in the map of the whole run: about 550 000 at most, which a software renderer still draws
+    Outcome.STATIC_KEPT: 300_000,
+    Outcome.UNLABELLED_KEPT: 100_000,
+    Outcome.FALSE_NEGATIVE: 40_000,
+    Outcome.DYNAMIC_REMOVED: 40_000,
+    Outcome.UNLABELLED_REMOVED: 30_000,
+    Outcome.FALSE_POSITIVE: 40_000,
+}
+WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)
+RADII = np.array([-3.0 if o in WRONG else -2.0 if o is Outcome.DYNAMIC_REMOVED else -1.2 for o in Outcome], np.float32)
+"""By outcome, as the viewer takes them: negative radii are points on the screen, so wrong ones stand out at any distance."""
+
+
+class ThinMap:
+    """Points of a whole run, one per voxel; memory grows with the volume they fill, not with their number.
+
+    Args:
+        size: the voxel's edge, metres.
+        cap: the most points to end with.
+    """
+
+    def __init__(self, size: float, cap: int) -> None:
+        self.size, self.cap = size, cap
+        self._seen = KeySet()
+        self._parts: list[F32] = []
+
+    def add(self, points: F32) -> None:
+        """Add (N, 3) finite points; the first of each voxel stays."""
+        self._parts.append(points[self._seen.add(pack(points, self.size))])
+
+    def points(self) -> F32:
+        """(M, 3) float32: what is left, in a coarser voxel where it would be more than the cap."""
+        left, size = np.concatenate([np.empty((0, 3), np.float32), *self._parts]), self.size
+        while len(left) > self.cap:
+            size *= GROWTH
+            left = left[thin(left, size)[0]]
+        return left
+
+
+class Scene:
+    """Draws what has a place in the world.
+
+    Args:
+        sink: where to draw.
+        extent: where the points of the sequence lie.
+        full: every point of every frame; else those that move or were removed, the latter thinned.
+    """
+
+    def __init__(self, sink: Sink, extent: Extent, full: bool) -> None:
+        self._sink, self._full = sink, full
+        # Voxels are counted from a corner nearby: a world may lie far from its origin.
+        self._corner: F32 = np.where(np.isfinite(extent.low), np.floor(extent.low), 0).astype(np.float32)
+        self._maps = {o: ThinMap(VOXEL if o in (*KEPT[:2], *REMOVED[1:]) else FINE, CAPS[o]) for o in Outcome}
+        self._trajectory: list[F64] = []
+        sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
+
+    def pose(self, scan: Scan) -> None:
+        """Draw where the sensor is."""
+        T = scan.T_world_sensor
+        self._sink.log(paths.SENSOR, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+
+    def frame(self, labelled: Labelled) -> None:
+        """Draw a frame's points by outcome, and remember them for the map."""
+        self._trajectory.append(labelled.scan.position)
+        local = labelled.scan.points - self._corner
+        finite = np.isfinite(local).all(1)
+        for outcome, thinned in self._maps.items():
+            thinned.add(local[finite & (labelled.outcome == outcome)])
+        if self._full:
+            self._draw(labelled, np.arange(len(local)), None)
+        else:
+            self._draw(labelled, *_chosen(labelled, local, finite))
+
+    def finish(self) -> None:
+        """Draw the map of the whole run, and the way of the sensor."""
+        for path, kinds in ((paths.MAP, KEPT), (paths.REMOVED, REMOVED)):
+            points = [self._maps[o].points() + self._corner for o in kinds]
+            classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
+            self._sink.log(path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=RADII[classes]), static=True)
+        line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
+        self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
+
+    def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
+        classes = labelled.outcome[chosen].astype(np.uint16)
+        xyz = labelled.scan.points[chosen]
+        self._sink.log(paths.SCAN, rr.Points3D(xyz, class_ids=classes, radii=RADII[classes]))
+        if len(chosen) and stands_for is not None:
+            details = {
+                "point": chosen.astype(np.uint32),
+                "stands_for": stands_for.astype(np.uint32),
+                "reason": labelled.reasons[chosen],
+            }
+            self._sink.log(paths.SCAN, rr.DynamicArchetype("dynaviz.Scan", components=details))
+
+
+def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a frame worth drawing, and how many each stands for: all that move, and one per voxel of the wrongly removed."""
+    moving = np.isin(labelled.outcome, (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE))
+    chosen, stands_for = [np.flatnonzero(moving)], [np.ones(int(moving.sum()), np.intp)]
+    for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
+        points = np.flatnonzero(finite & (labelled.outcome == outcome))
+        first, counts = thin(local[points], VOXEL)
+        chosen.append(points[first])
+        stands_for.append(counts)
+    return np.concatenate(chosen), np.concatenate(stands_for)

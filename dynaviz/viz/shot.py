@@ -1,0 +1,82 @@
+"""Pictures of a recording, without a screen."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import rerun as rr
+from rerun.chunk import RrdReader
+from rerun.experimental import ViewerClient
+
+from dynaviz.errors import DynavizError, UsageError
+from dynaviz.io.atomic import write_whole
+from dynaviz.viz import paths, viewer
+from dynaviz.viz.reader import Recording
+
+SIZE = (1600, 900)
+SECONDS_TO_LOAD = 120.0
+
+
+def shot(
+    recording: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    frames: Sequence[int] = (),
+    view: str | None = None,
+    size: tuple[int, int] = SIZE,
+) -> list[Path]:
+    """Render PNG pictures of a recording, as it looks when opened.
+
+    Args:
+        recording: the file.
+        out: the picture; with several frames, ``-NUMBER`` is put before its suffix.
+        frames: positions in the run; none for the last.
+        view: name of the one view to show (``map``, ``frame``, a state's name); None for the whole window.
+        size: of the window, in pixels.
+
+    Returns:
+        The pictures' paths.
+
+    Raises:
+        DataError: for a recording that cannot be read.
+        UsageError: for a frame or view that it does not have.
+        MissingDependency: where there is nothing to draw with.
+    """
+    source, out = Recording(recording), Path(out)
+    count = int(source.properties["frames"])
+    frames = tuple(frames) or (max(count - 1, 0),)
+    if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:
+        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
+    pictures = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
+    with viewer.headless(size) as client:
+        _push(source.path, client)
+        view_id = _wait_for(client, view)
+        for frame, picture in zip(frames, pictures, strict=True):
+            client.set_time(paths.FRAME, sequence=frame, play_state="paused")
+            client.take_screenshot()  # the first picture after a jump may lack what is still on its way
+            write_whole(picture, client.take_screenshot(view_id))
+    return pictures
+
+
+def _push(path: Path, client: ViewerClient) -> None:
+    """Send a recording and its layout; a viewer that opens the file itself would show it piece by piece."""
+    with rr.RecordingStream(paths.APPLICATION, send_properties=False) as stream:
+        stream.connect_grpc(client.url)
+        stream.log_file_from_path(path)
+        stream.flush(timeout_sec=SECONDS_TO_LOAD)
+    _ = RrdReader
+
+
+def _wait_for(client: ViewerClient, view: str | None) -> str | None:
+    """Wait until the layout is there; the id of a view by its name."""
+    end = time.monotonic() + SECONDS_TO_LOAD
+    while not (views := client.get_state().views) and time.monotonic() < end:
+        time.sleep(0.1)
+    if not views:
+        raise DynavizError("the viewer did not load the recording in time")
+    ids = {shown.name: shown.view_id for shown in views}
+    if view is not None and view not in ids:
+        raise UsageError(f"--view-name {view}: choose from {', '.join(sorted(ids))}")
+    return ids[view] if view else None

@@ -1,0 +1,160 @@
+"""How each kind of a method's state is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from dynaviz.grid import KeySet, pack
+from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
+from dynaviz.scan import F32, F64, Scan
+from dynaviz.viz import paths
+
+NEAR = 25.0  # metres around the sensor, where only a part of a state is kept
+THIN = 0.2  # metres: then, one point per voxel of this edge
+PICTURE = 256  # pixels: the edge of a polar grid seen from above
+CORNERS = 48  # of the polygon that stands for a disc
+CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
+
+# Viridis at nine even steps: dark to bright for every eye.
+VIRIDIS = np.array(
+    [
+        (68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140),
+        (40, 174, 128), (94, 201, 98), (173, 220, 48), (253, 231, 37),
+    ],
+    np.float64,
+)  # fmt: skip
+
+
+def legend(state: State) -> Any:
+    """The classes of a state, as the viewer's legend; None where it has none."""
+    colours = paths.CLASSES
+    if not state.legend:
+        return None
+    return rr.AnnotationContext([(i, name, colours[i % len(colours)]) for i, name in enumerate(state.legend)])
+
+
+def draw(value: Value, state: State, scan: Scan, most: int | None) -> Any:
+    """What to log for a state.
+
+    Args:
+        value: as emitted; its arrays are not kept.
+        state: its declaration.
+        scan: the current scan.
+        most: keep at most this many points or voxels, those nearest the sensor; None for all.
+
+    Returns:
+        An archetype, or None where there is nothing to see.
+    """
+    match value:
+        case Points(xyz, values):
+            near = _near(xyz, scan.position, most)
+            colours = None if values is None else _coloured(values[near], state.value_range)
+            return rr.Points3D(xyz[near], colors=colours, radii=rr.Radius.ui_points(2.0))
+        case PointClasses(classes):
+            near = _near(scan.points, scan.position, most)
+            return rr.Points3D(scan.points[near], class_ids=classes[near], radii=rr.Radius.ui_points(2.0))
+        case Mask(chosen):
+            xyz = scan.points[chosen]
+            near = _near(xyz, scan.position, most)
+            return rr.Points3D(xyz[near], colors=[paths.CLASSES[1]], radii=rr.Radius.ui_points(2.5))
+        case Voxels():
+            return _voxels(value, state, scan, most)
+        case Plane():
+            return _disc(value)
+        case RangeImage(ranges):
+            return _picture(ranges, state) if ranges.size else None
+        case PolarGrid(values, _):
+            return _picture(from_above(values), state) if values.size else None
+        case Scalar(number):
+            return rr.Scalars(number)
+    return None
+
+
+def from_above(values: F32) -> F32:
+    """A polar grid as a picture from above: the sensor in the middle, azimuth 0 to the right, a quarter turn up.
+
+    Args:
+        values: (rings, sectors) float32.
+
+    Returns:
+        (PICTURE, PICTURE) float32, NaN outside the outermost ring.
+    """
+    rings, sectors = values.shape
+    x = (np.arange(PICTURE) + 0.5) / PICTURE * 2 - 1
+    radius = np.hypot(x[None, :], x[:, None])
+    turn = np.arctan2(-x[:, None], x[None, :]) / (2 * np.pi) % 1.0
+    ring = np.minimum(radius * rings, rings - 1).astype(np.intp)
+    sector = np.minimum(turn * sectors, sectors - 1).astype(np.intp)
+    return np.where(radius < 1, values[ring, sector], np.float32(np.nan))
+
+
+def _voxels(value: Voxels, state: State, scan: Scan, most: int | None) -> Any:
+    near: Any = slice(None)
+    if most is not None:
+        near = _nearest((value.keys + np.float32(0.5)) * np.float32(value.size), scan.position, most)
+    keys = value.keys[near]
+    edges = [value.size] * 3
+    if value.values is None:
+        return rr.VoxelGridMap(keys, edges, colors=np.tile(np.array(paths.CLASSES[2], np.uint8), (len(keys), 1)))
+    values = value.values[near]
+    low, high = state.value_range or _range(values)
+    return rr.VoxelGridMap(keys, edges, values=values, value_range=[low, high], colormap="viridis")
+
+
+def _disc(plane: Plane) -> Any:
+    """A translucent polygon in the plane, seen from both sides."""
+    normal = plane.normal / np.linalg.norm(plane.normal)
+    side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    side /= np.linalg.norm(side)
+    ahead = np.cross(normal, side)
+    centre = plane.centre - (plane.centre @ normal - plane.offset / np.linalg.norm(plane.normal)) * normal
+    rim = centre + plane.radius * (np.cos(CIRCLE)[:, None] * side + np.sin(CIRCLE)[:, None] * ahead)
+    corner = np.arange(CORNERS)
+    fan = np.stack([np.full(CORNERS, CORNERS), corner, (corner + 1) % CORNERS], 1)
+    return rr.Mesh3D(vertex_positions=[*rim, centre], triangle_indices=fan, albedo_factor=[*paths.CLASSES[3], 110])
+
+
+def _picture(values: F32, state: State) -> Any:
+    """Two bytes a pixel, and dark where there is nothing."""
+    low, high = state.value_range or _range(values)
+    small = np.nan_to_num(values, nan=low, posinf=high, neginf=low).astype(np.float16)
+    return rr.DepthImage(small, meter=1.0, colormap="viridis", depth_range=[low, high], magnification_filter="nearest")
+
+
+def _coloured(values: F32, value_range: tuple[float, float] | None) -> NDArray[np.uint8]:
+    low, high = value_range or _range(values)
+    at = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1) * (len(VIRIDIS) - 1)
+    return np.stack([np.interp(at, np.arange(len(VIRIDIS)), channel) for channel in VIRIDIS.T], 1).astype(np.uint8)
+
+
+def _range(values: Iterable[float] | F32) -> tuple[float, float]:
+    finite = np.asarray(values)[np.isfinite(values)]
+    if not len(finite):
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return low, high if high > low else low + 1.0
+
+
+def _near(points: F32, centre: F64, most: int | None) -> Any:
+    """Of points: one per voxel, and of those the nearest; finite ones only."""
+    if most is None:
+        return slice(None)
+    local = points - centre.astype(np.float32)
+    near = np.flatnonzero(np.einsum("ij,ij->i", local, local) < NEAR**2)
+    near = near[KeySet().add(pack(local[near], THIN))]
+    return near[_nearest(points[near], centre, most)]
+
+
+def _nearest(points: F32, centre: F64, most: int) -> NDArray[np.intp]:
+    """The points within ``NEAR`` of a centre, at most so many of the nearest, in the order of the points."""
+    local = points - centre.astype(np.float32)
+    squared = np.einsum("ij,ij->i", local, local)
+    near = np.flatnonzero(squared < NEAR**2)
+    if len(near) > most:
+        near = np.sort(near[np.argpartition(squared[near], most)[:most]])
+    return near
