@@ -63,7 +63,7 @@ class BlockGrid:
         inside = (self._blocks >> 4 >= bounds[0]).all(1) & (self._blocks >> 4 <= bounds[1]).all(1)
         self._blocks = self._blocks[inside]
         self._directory = kernels.blocks.directory(self._blocks, self._base, self._shape)
-        lanes, rows = kernels.raycast.lanes(), len(self._blocks) + 1
+        lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are written from the first on, so what a scan does not need is never backed by memory.
         self._slots = np.zeros((lanes, rows), np.int32)
         self._owners = np.empty((lanes, rows), np.int32)

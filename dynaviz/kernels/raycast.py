@@ -9,18 +9,13 @@ so no two borders are met at once; of borders at the same place z comes first, t
 import math
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 ONE = 1 << 52
 END = ONE << 2 | 3  # after the last border, before what lies beyond the point
 START = -(1 << 60)
 CHUNK = 512  # rays a lane takes in turn, for balance
-
-
-def lanes() -> int:
-    """How many lanes of scratch memory serve all threads."""
-    return int(get_num_threads())
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -1,0 +1,57 @@
+"""One ground plane a scan, as PCL finds it: RANSAC among planes across the vertical, then a fit to its inliers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.probe import Plane
+from dynaviz.scan import F32, F64, Bool
+
+LEAST = 50  # points; fewer are not searched for a plane
+SAMPLES = 50  # at most, PCL's default
+CONFIDENCE = 0.99  # of having met the best plane, PCL's default
+
+
+def ground_plane(points: F32, distance: float, angle: float, random: np.random.Generator) -> tuple[Bool, Plane | None]:
+    """Points near the one plane across the world's z axis that holds most of them.
+
+    Args:
+        points: (N, 3) float32, metres, world frame; finite.
+        distance: metres; points nearer than this to the plane belong to it.
+        angle: radians; the plane's normal is at most this far from the vertical.
+        random: draws the samples.
+
+    Returns:
+        (N,) bool, and the plane; nothing and None for fewer than ``LEAST`` points, and where the fitted plane is too steep.
+    """
+    none = np.zeros(len(points), np.bool_)
+    if len(points) < LEAST:
+        return none, None
+    samples = random.integers(len(points), size=(SAMPLES, 3))
+    found, most = kernels.plane.from_samples(
+        kernels.frozen(points, np.float32), kernels.frozen(samples, np.int64), distance, math.cos(angle), CONFIDENCE
+    )
+    if not most:
+        return none, None
+    plane = _fit(points[_near(points, found[:3], found[3], distance)])
+    if abs(plane.normal[2]) < math.cos(angle):
+        return none, None
+    return _near(points, plane.normal, plane.offset, distance), plane
+
+
+def _near(points: F32, normal: F64, offset: float, distance: float) -> Bool:
+    near: Bool = np.abs(points @ normal - offset) < distance
+    return near
+
+
+def _fit(points: F32) -> Plane:
+    """The plane of least squared distances: across the direction in which the points spread least."""
+    centre = points.mean(0, dtype=np.float64)
+    spread = points - centre
+    normal = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+    normal = np.copysign(1.0, normal[2]) * normal  # upwards
+    radius = float(np.sqrt((spread**2).sum(1).max()))
+    return Plane(normal, float(normal @ centre), centre, radius)

@@ -1,0 +1,28 @@
+"""Statistical outlier removal (Rusu et al. 2008), as in PCL."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.scan import F32, Bool
+
+
+def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
+    """Points whose mean distance to their nearest neighbours is far above that of the others.
+
+    Args:
+        points: (N, 3) float32, metres; finite.
+        neighbours: how many nearest neighbours, the point itself not counted; all others where there are fewer.
+        stddev: how many standard deviations above the mean of all points.
+
+    Returns:
+        (N,) bool.
+    """
+    neighbours = min(neighbours, len(points) - 1)
+    if neighbours < 1:
+        return np.zeros(len(points), np.bool_)
+    tree = kernels.neighbours.tree(kernels.frozen(points, np.float32))
+    distances = kernels.neighbours.mean_distances(*tree, neighbours, kernels.threads_in_use())
+    far: Bool = distances > distances.mean() + stddev * distances.std(ddof=1)
+    return far

@@ -1,0 +1,235 @@
+"""OctoMap and its two improvements: ``octomap``, ``octomap_g`` (ground) and ``octomap_gf`` (ground and noise filter).
+
+Hornung et al. 2013; the improvements are those of the benchmark (Zhang et al. 2023, Section III-C). One algorithm:
+
+    for each scan
+        F  noise:   points far from their neighbours
+        G  ground:  points near one plane, among those that are no noise
+        free:       voxels that rays cross, once each: log-odds += logit(prob_miss), clamped
+        occupied:   voxels of all points but the ground's, once each: log-odds += logit(prob_hit), clamped
+    a point is static if its voxel's log-odds are at least 0, or if it is ground
+
+Noise casts no ray. A ray crosses the voxels from the sensor's to the last before its point's. A voxel may be crossed and hit
+by the same scan; both then count. Log-odds are float32, and only voxels near points have any (``dynaviz.blocks``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import Mask, Plane, State, Voxels
+from dynaviz.scan import U8, Bool, Scan
+from dynaviz_methods.ground import ground_plane
+from dynaviz_methods.noise import outliers
+
+
+@dataclass(frozen=True)
+class OctoMapParams:
+    """Parameters of OctoMap.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        prob_hit: probability that a voxel is occupied in which a ray ends.
+        prob_miss: probability that a voxel is occupied which a ray crosses.
+        clamp_min: lowest probability a voxel can reach.
+        clamp_max: highest probability a voxel can reach.
+    """
+
+    resolution: float = 0.1
+    prob_hit: float = 0.7
+    prob_miss: float = 0.4
+    clamp_min: float = 0.12
+    clamp_max: float = 0.97
+
+    def __post_init__(self) -> None:
+        _positive(self, "resolution")
+        for name in ("prob_hit", "prob_miss", "clamp_min", "clamp_max"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a probability above 0 and below 1")
+
+
+@dataclass(frozen=True)
+class OctoMapGParams(OctoMapParams):
+    """Parameters of OctoMap with ground estimation, further to OctoMap's.
+
+    Attributes:
+        ground_distance: points nearer than this to the ground plane are ground, metres.
+        ground_angle: largest angle between the plane's normal and the vertical, radians.
+        cast_ground_rays: whether rays to ground points mark the voxels they cross; the paper's text says no, its tables yes.
+    """
+
+    ground_distance: float = 0.04
+    ground_angle: float = 0.15
+    cast_ground_rays: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _positive(self, "ground_distance", "ground_angle")
+
+
+@dataclass(frozen=True)
+class OctoMapGFParams(OctoMapGParams):
+    """Parameters of OctoMap with ground estimation and noise filter, further to those of both.
+
+    Attributes:
+        noise_neighbours: nearest neighbours over which a point's mean distance is taken, points.
+        noise_stddev: noise is farther than the mean of all points by this many standard deviations.
+    """
+
+    noise_neighbours: int = 50
+    noise_stddev: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _positive(self, "noise_neighbours")
+
+
+def _positive(params: OctoMapParams, *names: str) -> None:
+    for name in names:
+        if not getattr(params, name) > 0:
+            raise ValueError(f"{name} = {getattr(params, name)}: give a number above 0")
+
+
+HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)
+REASONS = (
+    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh them"),
+    Reason("crossed_by_rays", "removed: rays that crossed the voxel outweigh its hits"),
+    Reason("never_crossed", "kept: no ray ever crossed the voxel"),
+    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the world's origin"),
+    Reason("ground_plane", "kept: on the ground plane of its scan"),
+    Reason("noise_cell", "kept: noise in its scan, which marks its voxel occupied without a ray"),
+)
+ODDS_RANGE = (math.log(0.12 / 0.88), math.log(0.97 / 0.03))
+STATES = (
+    State("crossed", Voxels, "Voxels with points that rays of this scan crossed; log-odds", value_range=ODDS_RANGE),
+    State("hit", Voxels, "Voxels that this scan marked occupied; log-odds", value_range=ODDS_RANGE),
+    State("log_odds", Voxels, "Voxels with points that this scan crossed or hit; log-odds", value_range=ODDS_RANGE),
+    State("ground", Mask, "Points on the ground plane: static by decision"),
+    State("ground_plane", Plane, "The ground plane fitted to this scan"),
+    State("noise", Mask, "Points far from their neighbours: they mark their voxel occupied but cast no ray"),
+)
+
+
+class OctoMap:
+    """OctoMap, asked for each point's voxel at the end."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "octomap", "OctoMap", "Hornung et al., Autonomous Robots 2013", REASONS[:4], STATES[:3]
+    )
+    Params: ClassVar[type[Any]] = OctoMapParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Lay out the map where points will lie."""
+        self._context, self._probe = context, context.probe
+        self._grid = BlockGrid(context.extent, self.params.resolution)
+        rows = len(self._grid) + 1  # points without a voxel, -1, read the last
+        self._log_odds = np.zeros((rows, VOXELS), np.float32)
+        self._ever = np.zeros((rows, 16), np.int64)  # bits as in Marks, of all scans so far
+        probabilities = (self.params.prob_miss, self.params.prob_hit, self.params.clamp_min, self.params.clamp_max)
+        self._logits = tuple(np.float32(math.log(p / (1 - p))) for p in probabilities)
+        self._ground: dict[int, U8] = {}  # packed bits of each scan: the decision is per point
+        self._noise: dict[int, U8] = {}
+
+    def observe(self, scan: Scan) -> None:
+        """Mark what the scan's rays cross and hit, then update each marked voxel once."""
+        noise = self._find_noise(scan)
+        ground = self._find_ground(scan, ~noise)
+        marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
+        kernels.raycast.update_log_odds(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
+        self._show(marks)
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the voxel's log-odds are below 0 and the point is not ground."""
+        voxels = self._grid.locate(scan.points)
+        dynamic: Bool = (self._log_odds.ravel()[voxels] < 0) & ~_unpack(self._ground, scan)
+        return dynamic
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``; noise that is kept is told as such whatever its voxel met."""
+        voxels, dynamic = self._grid.locate(scan.points), self.label(scan)
+        crossed = self._ever[voxels // VOXELS, voxels % VOXELS // 64] >> voxels % 64 & 1
+        reasons = np.where(crossed, HIT, NEVER_CROSSED).astype(np.uint8)
+        reasons[_unpack(self._noise, scan)] = NOISE
+        reasons[dynamic] = CROSSED
+        reasons[_unpack(self._ground, scan)] = GROUND
+        reasons[voxels < 0] = OUT_OF_REACH
+        return reasons
+
+    def _find_noise(self, scan: Scan) -> Bool:
+        return np.zeros(len(scan), np.bool_)
+
+    def _find_ground(self, scan: Scan, among: Bool) -> Bool:
+        return np.zeros(len(scan), np.bool_)
+
+    def _casts(self, noise: Bool, ground: Bool) -> Bool:
+        return ~noise
+
+    def _show(self, marks: Marks) -> None:
+        crossed, hit = marks.bits[:, :8], marks.bits[:, 8:]
+        with_points = self._ever[marks.blocks, 8:]
+        for name, bits in (("crossed", crossed & with_points), ("hit", hit), ("log_odds", (crossed | hit) & with_points)):
+            if self._probe.wants(name):
+                voxels = voxels_of(marks.blocks, bits)
+                values = self._log_odds.ravel()[voxels]
+                self._probe.emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, values))
+
+
+class OctoMapG(OctoMap):
+    """OctoMap with ground estimation: ground points are static, and do not mark their voxels."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "octomap_g", "OctoMap w G", "Zhang et al., ITSC 2023", REASONS[:5], STATES[:5]
+    )
+    Params: ClassVar[type[Any]] = OctoMapGParams
+
+    def _find_ground(self, scan: Scan, among: Bool) -> Bool:
+        ground = np.zeros(len(scan), np.bool_)
+        chosen = np.flatnonzero(among & np.isfinite(scan.points).all(1))
+        random = np.random.default_rng((self._context.seed, scan.index))
+        near, plane = ground_plane(
+            scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random
+        )
+        ground[chosen[near]] = True
+        self._ground[scan.index] = np.packbits(ground)
+        self._probe.emit("ground", Mask(ground))
+        if plane is not None:
+            self._probe.emit("ground_plane", plane)
+        return ground
+
+    def _casts(self, noise: Bool, ground: Bool) -> Bool:
+        return ~noise if self.params.cast_ground_rays else ~(noise | ground)
+
+
+class OctoMapGF(OctoMapG):
+    """OctoMap with ground estimation and noise filter: noise marks its voxels, but casts no rays."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES
+    )
+    Params: ClassVar[type[Any]] = OctoMapGFParams
+
+    def _find_noise(self, scan: Scan) -> Bool:
+        noise = np.zeros(len(scan), np.bool_)
+        finite = np.flatnonzero(np.isfinite(scan.points).all(1))
+        far = outliers(scan.points[finite], self.params.noise_neighbours, self.params.noise_stddev)
+        noise[finite[far]] = True
+        self._noise[scan.index] = np.packbits(noise)
+        self._probe.emit("noise", Mask(noise))
+        return noise
+
+
+def _unpack(masks: dict[int, U8], scan: Scan) -> Bool:
+    """A scan's mask from its packed bits; nothing where none was kept."""
+    if scan.index not in masks:
+        return np.zeros(len(scan), np.bool_)
+    return np.unpackbits(masks[scan.index], count=len(scan)).astype(np.bool_)
