@@ -31,8 +31,10 @@ def shown(*results: Result, color: bool = False) -> str:
 
 def test_a_row_has_every_number_with_its_unit():
     text = shown(result("octomap", 75.894))
-    for part in ("scores", "SA [%] ↑", "octomap", "75.89", "900 / 1 000", "64 / 100", "s/frame", "0.012 ± 0.000", "mask", "00"):
-        assert part in text
+    for column in ("sequence", "method", "SA [%] ↑", "AA [%] ↑", "s/frame", "scoring"):
+        assert column in text
+    for value in ("00", "octomap", "90.00", "75.89", "900 / 1 000", "64 / 100", "0.012 ± 0.000", "mask"):
+        assert value in text
 
 
 def test_undefined_is_not_a_number():

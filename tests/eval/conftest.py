@@ -1,0 +1,37 @@
+"""Small labelled scans with every kind of point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dynaviz.method import MethodInfo, Reason
+from dynaviz.metric import Labelled
+from dynaviz.scan import Scan
+
+INFO = MethodInfo("m", "M", "none", (Reason("seen_free", "a ray went through"), Reason("never_seen", "no ray did")))
+
+
+@pytest.fixture
+def info() -> MethodInfo:
+    return INFO
+
+
+@pytest.fixture
+def make_labelled() -> Callable[..., Labelled]:
+    """Labelled scans of random points, or of the arrays that are given."""
+
+    def make(frame: int = 0, n: int = 400, **given) -> Labelled:
+        rng = np.random.default_rng(1000 + frame)
+        points = given.pop("points", rng.uniform(-8, 8, (n, 3)) * [1, 1, 0.2])
+        n = len(points)
+        labels = given.pop("labels", rng.choice([0, 1, 255], n, p=[0.7, 0.25, 0.05]))
+        dynamic = given.pop("dynamic", rng.random(n) < np.where(labels == 1, 0.8, 0.2))
+        reasons = given.pop("reasons", rng.integers(0, 2, n))
+        pose = given.pop("T_world_sensor", np.eye(4))
+        scan = Scan(frame + 50, points, pose, labels=labels, **given)
+        return Labelled.of(frame, scan, np.asarray(dynamic), np.asarray(reasons, np.uint8))
+
+    return make

@@ -1,0 +1,112 @@
+"""Counts by range, height, frame and object."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dynaviz_eval.breakdown import Breakdown, heights_above_ground
+from dynaviz_eval.confusion import Counts
+
+COUNTED = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
+
+
+def breakdown(info, *labelled):
+    metric = Breakdown(info)
+    for each in labelled:
+        metric.update(each)
+    section = metric.finish()["breakdown"]
+    json.dumps(section, allow_nan=False)
+    return section
+
+
+def test_every_part_adds_up_to_the_whole(info, make_labelled):
+    frames = [make_labelled(k, instances=np.ones(400)) for k in range(3)]
+    total = sum((Counts.of(f.outcome) for f in frames), Counts())
+    section = breakdown(info, *frames)
+    for part in ("range", "height", "frame", "object"):
+        for name in COUNTED:
+            assert sum(row[name] for row in section[part]) == getattr(total, name)
+    assert [(row["frame"], row["index"]) for row in section["frame"]] == [(0, 50), (1, 51), (2, 52)]
+    assert section["frame"][0]["SA"] == Counts.of(frames[0].outcome).SA
+
+
+def test_ranges_are_from_the_sensor_and_include_their_lower_edge(info, make_labelled):
+    pose = np.eye(4)
+    pose[:3, 3] = 1000, 0, 0
+    points = [[1000 + r, 0, 0] for r in (0, 9.99, 10, 20, 30, 50, 500)]
+    section = breakdown(info, make_labelled(0, points=points, labels=[0] * 7, dynamic=[False] * 7, T_world_sensor=pose))
+    assert [(row["from"], row["to"]) for row in section["range"]] == [(0, 10), (10, 20), (20, 30), (30, 50), (50, None)]
+    assert [row["static_kept"] for row in section["range"]] == [2, 1, 1, 1, 2]
+
+
+def test_ranges_use_each_points_own_origin(info, make_labelled):
+    origins = np.array([[0, 0, 0], [40, 0, 0]])
+    points = np.full((2, 3), [41.0, 0, 0])
+    section = breakdown(info, make_labelled(0, points=points, labels=[0, 0], dynamic=[False, False], origins=origins))
+    assert [row["static_kept"] for row in section["range"]] == [1, 0, 0, 1, 0]
+
+
+def test_points_without_coordinates_count_in_the_last_bin(info, make_labelled):
+    points = np.array([[np.nan, 0, 0], [1, 0, 0]])
+    section = breakdown(info, make_labelled(0, points=points, labels=[0, 0], dynamic=[True, False]))
+    assert section["range"][-1]["static_removed"] == section["height"][-1]["static_removed"] == 1
+
+
+def slope(rng, n=20_000):
+    xy = rng.uniform(-20, 20, (n, 2))
+    return np.c_[xy, 0.05 * xy[:, 0] - 1.7 + rng.normal(0, 0.02, n)]
+
+
+def test_heights_follow_the_ground_and_survive_points_below_it():
+    rng = np.random.default_rng(0)
+    ground = slope(rng)
+    posts = np.c_[rng.uniform(-18, 18, (50, 2)), np.zeros(50)]
+    posts[:, 2] = 0.05 * posts[:, 0] - 1.7 + 1.5
+    below = ground[:30] - [0, 0, 4.0]  # reflections, scattered
+    cloud = np.concatenate([ground, posts, below])
+    heights = heights_above_ground(cloud)
+    assert np.abs(heights[: len(ground)]).max() < 0.3
+    assert heights[len(ground) : -30] == pytest.approx(1.5, abs=0.2)
+    assert (heights[-30:] < -3).all()
+
+
+def test_heights_do_not_depend_on_where_the_world_begins():
+    ground = np.round(slope(np.random.default_rng(1), 3000) * 64) / 64  # exact in float32, here and far away
+    moved = heights_above_ground(ground + np.array([4096, -1024, 50]))
+    np.testing.assert_array_equal(moved, heights_above_ground(ground))
+
+
+def test_heights_of_a_single_point():
+    assert heights_above_ground(np.array([[3.0, 4, 5]])).tolist() == [0]
+    assert heights_above_ground(np.zeros((0, 3))).shape == (0,)
+
+
+def test_objects_are_listed_from_the_most_missed(info, make_labelled):
+    def scan(frame, dynamic):
+        return make_labelled(
+            frame,
+            points=np.zeros((6, 3)),
+            labels=[1, 1, 1, 1, 0, 0],
+            instances=[7, 7, 9, 9, 11, 0],
+            classes=[252, 252, 254, 254, 10, 40],
+            dynamic=dynamic,
+        )
+
+    rows = breakdown(info, scan(0, [1, 1, 1, 0, 0, 0]), scan(4, [1, 0, 0, 0, 0, 1]))["object"]
+    assert [(row["class"], row["instance"], row["dynamic_kept"], row["points"]) for row in rows] == [
+        (254, 9, 3, 4),
+        (252, 7, 1, 4),
+    ]  # a parked car is no moving object
+    assert rows[0]["DA"] == 25
+    assert (rows[0]["first_frame"], rows[0]["last_frame"]) == (0, 4)
+
+
+def test_classes_alone_make_objects(info, make_labelled):
+    labelled = make_labelled(0, points=np.zeros((3, 3)), labels=[1, 1, 0], classes=[252, 254, 40], dynamic=[1, 0, 0])
+    rows = breakdown(info, labelled)["object"]
+    assert [(row["class"], row["instance"], row["DA"]) for row in rows] == [(254, 0, 0), (252, 0, 100)]
+
+
+def test_no_objects_without_truth(info, make_labelled):
+    assert breakdown(info, make_labelled(0, labels=None, dynamic=np.zeros(400, bool)))["object"] == []

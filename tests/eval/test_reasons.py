@@ -1,0 +1,54 @@
+"""Reasons crossed with outcomes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dynaviz_eval.confusion import Counts
+from dynaviz_eval.reasons import Reasons
+
+
+def test_wrong_points_are_counted_by_name(info, make_labelled):
+    metric = Reasons(info)
+    labelled = make_labelled(
+        0,
+        points=np.zeros((6, 3)),
+        labels=[0, 0, 1, 1, 1, 255],
+        dynamic=[True, False, False, False, True, True],
+        reasons=[0, 1, 1, 1, 0, 0],
+    )
+    curves = metric.update(labelled)
+    assert curves["reasons/false_negative/never_seen"] == 2
+    assert curves["reasons/false_positive/never_seen"] == 0
+    section = metric.finish()["reasons"]
+    assert section["false_negative"] == {"never_seen": 2}
+    assert section["false_positive"] == {"seen_free": 1}
+    assert section["dynamic_removed"] == {"seen_free": 1}
+    assert section["static_kept"] == {"never_seen": 1}
+    assert section["cost"] == {"seen_free": {"SA": 50, "DA": 0}, "never_seen": {"SA": 0, "DA": pytest.approx(200 / 3)}}
+    assert section["legend"]["never_seen"] == "no ray did"
+
+
+def test_costs_add_up_to_what_is_missing(info, make_labelled):
+    metric, total = Reasons(info), Counts()
+    for frame in range(3):
+        labelled = make_labelled(frame)
+        metric.update(labelled)
+        total += Counts.of(labelled.outcome)
+    cost = metric.finish()["reasons"]["cost"]
+    assert sum(c["SA"] for c in cost.values()) == pytest.approx(100 - total.SA)
+    assert sum(c["DA"] for c in cost.values()) == pytest.approx(100 - total.DA)
+
+
+def test_a_code_without_a_legend_shows(info, make_labelled):
+    metric = Reasons(info)
+    metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[255]))
+    assert metric.finish()["reasons"]["false_negative"] == {"code 255": 1}
+
+
+def test_without_truth_nothing_is_wrong(info, make_labelled):
+    metric = Reasons(info)
+    metric.update(make_labelled(0, labels=None, dynamic=np.ones(400, bool)))
+    section = json.loads(json.dumps(metric.finish(), allow_nan=False))["reasons"]
+    assert section["false_negative"] == section["false_positive"] == section["cost"] == {}
