@@ -25,24 +25,36 @@ def inverse(T_a_b: ArrayLike) -> F64:
     return out
 
 
-def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
-    """Points in another frame.
+def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> F64:
+    """(..., 4, 4) float64 T_a_c, one product at a time as in ``apply``."""
+    A, B = np.asarray(T_a_b, np.float64), np.asarray(T_b_c, np.float64)
+    T: F64 = (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
+    return T
 
-    Computed in float64 one coordinate at a time, never by a matrix product, whose bits depend on machine and threads.
+
+def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
+    """Points in another frame, one coordinate at a time.
+
+    Never by a matrix product, whose bits depend on machine and threads.
 
     Args:
-        T_a_b: (4, 4) float64, rigid, metres.
+        T_a_b: (4, 4) or (3, 4) float64, metres.
         points: (N, 3) float, metres, frame b.
 
     Returns:
-        (N, 3) float32, metres, frame a.
+        (N, 3) float64, metres, frame a.
     """
     T = np.asarray(T_a_b, np.float64)
     x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
-    out = np.empty((len(points), 3), np.float32)
+    out = np.empty((len(points), 3))
     for axis in range(3):
         out[:, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
     return out
+
+
+def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
+    """Points in another frame, rounded to float32 at the end; the rest as in ``apply``."""
+    return apply(T_a_b, points).astype(np.float32)
 
 
 def pose(position: ArrayLike, quaternion: ArrayLike) -> F64:

@@ -18,6 +18,7 @@ from dynaviz import geometry, kernels
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened, whole_file
 from dynaviz.io.pcd_header import ENCODINGS, Field, PcdHeader, header_text, layout_of, parse_header, read_header
+from dynaviz.io.text import read_rows
 from dynaviz.scan import F32, F64
 
 __all__ = ["ENCODINGS", "Field", "Pcd", "PcdHeader", "PcdWriter", "read_header", "read_pcd", "write_pcd"]
@@ -221,23 +222,10 @@ def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> ND
     if not header.points:
         return np.empty(0, header.row)
     _expect(path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1)  # "0 0 0"
-    line = header.lines
-
-    def lines() -> Iterator[str]:
-        nonlocal line
-        for content in file:
-            line += 1
-            if not (text := content.decode("latin-1")).isspace():
-                yield text
-
-    try:
-        rows: NDArray[Any] = np.loadtxt(lines(), _flat(header.fields), comments=None, ndmin=1)
-    except (ValueError, OverflowError) as error:
-        problem = f"has a point that cannot be read ({str(error).partition(';')[0][:80]})"
-        raise DataError(path, problem, at=f"line {line}", hint=_AGAIN) from None
+    rows = read_rows(path, file, _flat(header.fields), header.lines)
     if rows.size < header.points:
         problem = f"has {rows.size} points, where its header says {header.points}"
-        raise DataError(path, problem, at=f"line {line}", hint=_AGAIN)
+        raise DataError(path, problem, at="at its end", hint=_AGAIN)
     return rows[: header.points].view(header.row)
 
 

@@ -1,0 +1,85 @@
+"""Opening a sequence of any known format; one format per file, found through the entry points ``dynaviz.datasets``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import ClassVar, Protocol, Self
+
+from dynaviz import registry
+from dynaviz.errors import DataError, PluginError
+from dynaviz.scan import Sequence, part
+from dynaviz.sensors import load_sensor
+
+
+class Dataset(Sequence, Protocol):
+    """A sequence that can tell and open its own format.
+
+    Attributes:
+        layout: the files that make the format, in a few words, for messages.
+    """
+
+    layout: ClassVar[str]
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a path looks like this format. Looks at names only, never into files."""
+        ...
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a sequence.
+
+        Raises:
+            DataError: where the path does not hold what the format needs.
+        """
+        ...
+
+
+def open_sequence(text: str, sensor: str | None = None) -> Sequence:
+    """Open a sequence.
+
+    Args:
+        text: a path whose format is guessed, or ``format:PATH``.
+        sensor: name of the sensor, where the data do not tell it.
+
+    Raises:
+        DataError: where nothing is at the path, or nothing known.
+        UsageError: for a format or sensor that is not known.
+    """
+    kind, path = _asked(text)
+    sequence: Sequence = (kind or _guess(path)).open(path)
+    return part(sequence, sensor=load_sensor(sensor)) if sensor else sequence
+
+
+def _asked(text: str) -> tuple[type[Dataset] | None, Path]:
+    """The format that a prefix asks for, if any, and the path."""
+    prefix, colon, rest = text.partition(":")
+    if not colon or not prefix.isidentifier() or Path(text).exists():
+        return None, Path(text)
+    return registry.load("datasets", prefix), Path(rest)
+
+
+def _guess(path: Path) -> type[Dataset]:
+    if not path.exists():
+        raise DataError(path, "does not exist", hint="Give the folder of a sequence")
+    layouts = []
+    for handle in registry.handles("datasets"):
+        try:
+            kind: type[Dataset] = handle.load()
+        except PluginError:  # it breaks nobody else; asking for it by name tells what is wrong
+            continue
+        if kind.matches(path):
+            return kind
+        layouts.append(f"{handle.name} ({kind.layout})")
+    hint = f"Known layouts: {'; '.join(layouts)}. Give such a folder, or force a format as in benchmark:PATH"
+    raise DataError(path, f"is no sequence that is known, but {_description(path)}", hint=hint)
+
+
+def _description(path: Path) -> str:
+    """What is at a path, for somebody who expected something else there."""
+    if path.is_file():
+        return f"a file of {path.stat().st_size} bytes"
+    kinds = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in path.iterdir())
+    inside = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(3))
+    return f"a folder ({inside})" if inside else "an empty folder"

@@ -1,0 +1,45 @@
+"""What the formats share: numbered files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dynaviz.errors import DataError
+
+
+def holds(folder: Path, pattern: str) -> bool:
+    """Whether a folder is there and holds a file of a pattern."""
+    return next(folder.glob(pattern), None) is not None
+
+
+def numbered(folder: Path, suffix: str) -> dict[int, Path]:
+    """The files of a folder by the number that is their name, in the order of the numbers.
+
+    Raises:
+        DataError: where there is none, a name is no number, or two are the same number.
+    """
+    files: dict[int, Path] = {}
+    for path in folder.glob(f"*{suffix}"):
+        if not (path.stem.isascii() and path.stem.isdigit()):
+            raise DataError(path, "has a name that is no frame number", hint=f"Name the scans 000000{suffix} and so on")
+        if int(path.stem) in files:
+            raise DataError(path, f"has the same number as {files[int(path.stem)].name}", hint="Remove one of them")
+        files[int(path.stem)] = path
+    if not files:
+        problem = f"has no *{suffix} files" if folder.is_dir() else "is missing"
+        raise DataError(folder, problem, hint="Give the folder of a sequence")
+    return dict(sorted(files.items()))
+
+
+def only_folder(folder: Path, what: str) -> Path:
+    """The only folder in a folder.
+
+    Raises:
+        DataError: where there is none, or a choice.
+    """
+    inside = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    if len(inside) == 1:
+        return inside[0]
+    names = ", ".join(path.name for path in inside[:30])
+    problem = f"holds several {what}: {names}" if inside else f"holds no {what}"
+    raise DataError(folder, problem, hint=f"Give one of the {what}" if inside else f"Give a folder with {what}")

@@ -1,0 +1,57 @@
+"""KITTI tracking's ``label_02``: boxes with track ids, a line a box and frame."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from dynaviz.errors import DataError
+from dynaviz.io.atomic import opened
+
+_HINT = "A line has frame, track, type and at least 14 numbers"
+REGION = "DontCare"
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An object in a frame, or a region that nobody labelled (``kind`` DontCare, which has no extent in space).
+
+    Attributes:
+        frame, track: numbers as in the file; track is -1 for a region.
+        kind: ``Car``, ``Pedestrian`` ...
+        rectangle: left, top, right, bottom in the image of camera 2, pixels.
+        size: height, width, length, metres.
+        bottom: (x, y, z) of the middle of its bottom, metres, rectified camera frame (x right, y down, z forward).
+        yaw: about the camera's y axis, radians.
+    """
+
+    frame: int
+    track: int
+    kind: str
+    rectangle: tuple[float, float, float, float]
+    size: tuple[float, float, float]
+    bottom: tuple[float, float, float]
+    yaw: float
+
+
+def read_boxes(path: str | os.PathLike[str]) -> list[Box]:
+    """Read all boxes and regions of a sequence, in the order of the file.
+
+    Raises:
+        DataError: for a file that cannot be read, or a line that is no box.
+    """
+    boxes = []
+    with opened(path, _HINT) as file:
+        for number, line in enumerate(file, 1):
+            try:
+                boxes.append(_box(line.decode("latin-1").split()))
+            except (ValueError, IndexError):
+                raise DataError(path, "has no box", at=f"line {number}", hint=_HINT) from None
+    return boxes
+
+
+def _box(words: list[str]) -> Box:
+    left, top, right, bottom, height, width, length, x, y, z, yaw = (float(word) for word in words[6:17])
+    return Box(
+        int(words[0]), int(words[1]), words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw
+    )

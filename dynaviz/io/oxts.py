@@ -1,0 +1,47 @@
+"""KITTI's ``oxts`` records: the car's GPS and inertial unit, a line a frame."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from dynaviz.io.text import read_table
+from dynaviz.scan import F64
+
+_EARTH_RADIUS = 6378137.0  # metres
+_COLUMNS = 30  # lat lon alt roll pitch yaw, then speeds, accelerations and qualities
+
+
+def read_oxts(path: str | os.PathLike[str]) -> F64:
+    """Read poses of the inertial unit.
+
+    Latitude and longitude are projected by Mercator, at the scale of the first line's latitude (KITTI raw development
+    kit, ``latlonToMercator``).
+
+    Returns:
+        (lines, 4, 4) float64, metres: T_earth_imu; x east, y north, z up.
+
+    Raises:
+        DataError: for a file that cannot be read, or a line without 30 numbers.
+    """
+    table = read_table(path, _COLUMNS, "A line of oxts has 30 numbers, from latitude on")
+    latitude, longitude = np.radians(table[:, 0]), np.radians(table[:, 1])
+    scale = np.cos(latitude[:1]) * _EARTH_RADIUS
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, 0, 3] = scale * longitude
+    poses[:, 1, 3] = scale * np.log(np.tan(np.pi / 4 + latitude / 2))
+    poses[:, 2, 3] = table[:, 2]
+    poses[:, :3, :3] = _rotation(*table[:, 3:6].T)
+    return poses
+
+
+def _rotation(roll: F64, pitch: F64, yaw: F64) -> F64:
+    """(N, 3, 3) Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
