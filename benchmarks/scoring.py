@@ -1,0 +1,97 @@
+"""What scoring costs: metrics per frame and at the end, and the neighbour search beside scipy's kd-tree.
+
+Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, as KITTI 00, take about a minute)
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections import defaultdict
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dynaviz.method import MethodInfo, Reason
+from dynaviz.metric import Labelled
+from dynaviz.scan import F32, Scan
+from dynaviz_eval.breakdown import Breakdown
+from dynaviz_eval.confusion import Confusion
+from dynaviz_eval.error_distance import ErrorDistance
+from dynaviz_eval.nearest import nearest_distance
+from dynaviz_eval.reasons import Reasons
+
+INFO = MethodInfo("m", "M", "none", tuple(Reason(f"reason_{k}", "") for k in range(6)))
+METRICS = (Confusion, ErrorDistance, Breakdown, Reasons)
+
+
+def street(position: float, rng: np.random.Generator, n: int) -> F32:
+    """(n, 3) float32, metres: ground and the walls of houses around a sensor, dense near it."""
+    distance, azimuth = 2 + rng.exponential(12, n), rng.uniform(-np.pi, np.pi, n)
+    x, y, z = position + distance * np.cos(azimuth), distance * np.sin(azimuth), rng.normal(-1.7, 0.02, n)
+    wall = np.abs(y) > 15
+    y[wall] = np.sign(y[wall]) * 15 + rng.normal(0, 0.03, wall.sum())
+    z[wall] = rng.uniform(-1.7, 8, wall.sum())
+    return np.stack([x, y, z], 1).astype(np.float32)
+
+
+def labelled_street(frame: int, n: int = 123_000) -> Labelled:
+    """A frame with a car, scored as of a bad method: 6 m patches of ground are removed, and a tenth of everything."""
+    rng = np.random.default_rng(frame)
+    points = street(frame, rng, n)
+    car = (np.abs(points[:, 0] - frame - 10) < 2) & (np.abs(points[:, 1]) < 1)
+    patch = (np.floor(points[:, :2] / 6).sum(1) % 5 == 0) & (points[:, 2] < -1)
+    removed = np.where(car, rng.random(n) < 0.9, patch | (rng.random(n) < 0.1))
+    pose = np.eye(4)
+    pose[0, 3] = frame
+    scan = Scan(frame, points, pose, labels=car.astype(np.uint8), instances=car.astype(np.int32))
+    return Labelled.of(frame, scan, removed, rng.integers(0, 6, n).astype(np.uint8))
+
+
+def metrics(frames: int) -> None:
+    first = labelled_street(0)
+    for metric in METRICS:  # loads the kernels
+        warm = metric(INFO)
+        warm.update(first)
+        warm.finish()
+    run, spent = [metric(INFO) for metric in METRICS], defaultdict(list)
+    for frame in range(frames):
+        labelled = labelled_street(frame)
+        for metric in run:
+            start = time.perf_counter()
+            metric.update(labelled)
+            spent[metric].append(time.perf_counter() - start)
+    print(f"{'metric':14s} {'update, median':>15s} {'finish':>9s}")
+    for metric in run:
+        start = time.perf_counter()
+        section = metric.finish()
+        seconds = time.perf_counter() - start
+        print(f"{type(metric).__name__:14s} {np.median(spent[metric]) * 1e3:12.2f} ms {seconds:7.2f} s")
+        if isinstance(metric, ErrorDistance):
+            counts = {kind: found["count"] for kind, found in section["error_distance"].items()}
+    print(f"{frames} frames of {len(first.scan)} points; {counts}")
+    print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
+
+
+def neighbours(n: int, m: int, limit: float) -> None:
+    rng = np.random.default_rng(0)
+    query, reference = street(0, rng, n), street(0, rng, m)
+    nearest_distance(query[:10], reference[:10], limit)
+    start = time.perf_counter()
+    found = nearest_distance(query, reference, limit)
+    own = time.perf_counter() - start
+    start = time.perf_counter()
+    expected, _ = cKDTree(reference).query(query, distance_upper_bound=limit, workers=-1)
+    tree = time.perf_counter() - start
+    inside = np.isfinite(expected) & np.isfinite(found)
+    error = np.abs(found[inside] - expected[inside]).max()
+    times = f"{own:6.2f} s, kd-tree {tree:6.2f} s, ratio {tree / own:4.1f}"
+    print(f"{n:>10,} in {m:>10,} within {limit} m: {times}; largest difference {error:.0e} m")
+
+
+if __name__ == "__main__":
+    metrics(int(sys.argv[1]) if len(sys.argv) > 1 else 141)
+    for limit in (0.05, 2.0):
+        for size in (200_000, 2_000_000):
+            neighbours(size, size, limit)
