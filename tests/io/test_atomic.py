@@ -65,5 +65,5 @@ def test_a_read_error_in_the_body_stays_what_it_is(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_opened_is_told(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"none: cannot be read .* Give a file"), opened(tmp_path / "none", "Give a file"):
-        raise AssertionError("there is no such file")
+    with pytest.raises(DataError, match=r"none: cannot be read .* Give a file"):
+        opened(tmp_path / "none", "Give a file").__enter__()
