@@ -19,6 +19,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 for verb in (demo, run, info, list, config, simulate, view, shot):
     verb.add_to(app)

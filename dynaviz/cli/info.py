@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dynaviz.cli.console import progress, show
+
+if TYPE_CHECKING:
+    from dynaviz.result import Result
 
 
 def add_to(app: typer.Typer) -> None:
@@ -39,18 +42,17 @@ def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]
         _show_pairs(what, _sequence_facts(what))
 
 
-def _show_result(result: object) -> None:
+def _show_result(result: Result) -> None:
     from rich.table import Table
 
-    from dynaviz.result import Result
-
-    assert isinstance(result, Result)
     show(result)
-    for outcome, counts in result.sections.get("reasons", {}).items():
-        table = Table("reason", "points", title=outcome.replace("_", " "), title_justify="left", box=None)
-        for name, count in sorted(counts.items(), key=lambda pair: -pair[1]):
+    reasons = result.sections.get("reasons", {})
+    for outcome, meaning in (("false_positive", "static points removed"), ("false_negative", "dynamic points kept")):
+        table = Table("reason", "points", title=f"{meaning}, by reason", title_justify="left", box=None)
+        for name, count in sorted(reasons.get(outcome, {}).items(), key=lambda pair: -pair[1]):
             table.add_row(name, f"{count:,}")
-        show(table)
+        if table.row_count:
+            show("", table)
 
 
 def _sequence_facts(path: str) -> dict[str, str]:
