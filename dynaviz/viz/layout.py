@@ -8,7 +8,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from dynaviz.method import MethodInfo
-from dynaviz.probe import Mask, Plane, Scalar, State
+from dynaviz.probe import Scalar, State
 from dynaviz.scan import F64
 from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
@@ -31,7 +31,6 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     body = rrb.Horizontal(_world(info, extent), numbers, column_shares=[5, 3]) if geometry else numbers
     return rrb.Blueprint(
         body,
-        rrb.TopPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=paths.FRAME, fps=10.0, play_state="paused"),
@@ -43,7 +42,7 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
 def _world(info: MethodInfo, extent: Extent) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
     everything = _solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent))
-    frame = _solid("frame", [paths.SCAN, paths.MAP, *common], _follow())
+    frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], _follow())
     states = [_state(info.name, state) for state in info.emits if issubclass(state.kind, (*paths.SOLID, *paths.FLAT))]
     below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
     return rrb.Vertical(everything, below, row_shares=[3, 2])
@@ -62,16 +61,16 @@ def _numbers(info: MethodInfo) -> Any:
         ],
     )
     distance = rrb.Tabs(
-        rrb.BarChartView(name="false negatives: distance [m]", contents=_run_histogram("false_negative")),
-        rrb.BarChartView(name="false positives", contents=_run_histogram("false_positive")),
-        rrb.BarChartView(name="this frame", contents=[f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS]),
+        _bars("false negatives: metres to the nearest true positive", _run_histogram("false_negative")),
+        _bars("false positives", _run_histogram("false_positive")),
+        _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
     )
     words = rrb.Tabs(
         rrb.TextDocumentView(name="report", origin=paths.REPORT),
         rrb.TextLogView(name="log", origin=paths.LOG),
     )
-    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST])
-    return rrb.Vertical(scores, wrong, distance, words, row_shares=[4, 4, 4, 7])
+    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST], rrb.Corner2D.RightTop)
+    return rrb.Vertical(scores, wrong, distance, words, row_shares=[4, 4, 4, 9])
 
 
 _KINDS = ("false_negative", "false_positive")
@@ -81,8 +80,12 @@ def _run_histogram(kind: str) -> list[str]:
     return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
 
 
-def _curves(name: str, contents: list[str]) -> Any:
-    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=rrb.Corner2D.LeftBottom)
+def _curves(name: str, contents: list[str], legend: Any = rrb.Corner2D.RightBottom) -> Any:
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend)
+
+
+def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
+    return rrb.BarChartView(name=name, contents=contents, plot_legend=legend or rrb.PlotLegend(visible=False))
 
 
 def _solid(name: str, contents: list[str], eye: rrb.EyeControls3D) -> Any:
@@ -100,15 +103,14 @@ def _state(method: str, state: State) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
         return rrb.Spatial2DView(name=state.name, origin=path, background=[*paths.BACKGROUND, 255])
-    around = [paths.SENSOR, paths.TRAJECTORY, *([paths.SCAN, paths.MAP] if issubclass(state.kind, (Plane, Mask)) else [])]
-    return _solid(state.name, [path, *around], _follow())
+    return _solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY], _follow())
 
 
 def _follow() -> rrb.EyeControls3D:
     """Behind and above the sensor, and along with it."""
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        tracking_entity=f"/{paths.SENSOR}",
+        tracking_entity=f"/{paths.RINGS}",
         position=[-22.0, -16.0, 22.0],
         look_target=[0.0, 0.0, 0.0],
         eye_up=[0.0, 0.0, 1.0],

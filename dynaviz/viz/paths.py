@@ -14,10 +14,13 @@ SENSOR_TIME = "sensor_time"  # timeline: the data's own stamps, where it has any
 ROOT = "/"  # holds the legend of outcomes
 WORLD = "world"
 SCAN = "world/scan"  # the frame's points, class = outcome
-MAP = "world/map"  # static: the cleaned map of the whole run, thinned; what was kept, rightly or wrongly
-REMOVED = "world/removed"  # static: what was removed in the whole run, thinned; rightly or wrongly
+MAP = "world/map"  # static: what was kept in the whole run, thinned; the cleaned map
+MAP_WRONG = "world/map/wrong"  # static: what was kept wrongly, thinned
+REMOVED = "world/removed"  # static: what was removed in the whole run, thinned
+REMOVED_WRONG = "world/removed/wrong"  # static: what was removed wrongly, thinned
 TRAJECTORY = "world/trajectory"  # static: where the sensor went
 SENSOR = "world/sensor"  # the sensor's pose
+RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
 FAILURES = "world/failures"  # a box for each failure case
 
 ANSWERS = "answers"  # every point's answer, truth and reason, without loss; not for the eye
@@ -61,7 +64,7 @@ COLOURS: dict[Outcome, Colour] = {
     Outcome.FALSE_POSITIVE: (240, 215, 60),
     Outcome.FALSE_NEGATIVE: (255, 90, 30),
     Outcome.UNLABELLED_KEPT: (96, 96, 104),
-    Outcome.UNLABELLED_REMOVED: (204, 121, 167),
+    Outcome.UNLABELLED_REMOVED: (170, 110, 150),
 }
 NAMES: dict[Outcome, str] = {
     Outcome.STATIC_KEPT: "static, kept",

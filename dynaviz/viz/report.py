@@ -57,23 +57,27 @@ def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
         _title(info, result.sequence["name"]),
         _scores(result),
         _worst(tally),
+        _counts(result),
         _reasons(info, tally),
         _how_to_read(mode),
         _states(info) if mode != "scores" else "",
-        _run(result),
+        _run(info, result),
         _parameters(result.parameters),
     ]
     return "\n\n".join(part for part in parts if part)
 
 
 def _title(info: MethodInfo, sequence: str) -> str:
-    return f"# {info.title} on {sequence}\n\n{info.paper}"
+    return f"## {info.title} on {sequence}"
 
 
 def _scores(result: Result) -> str:
-    scores = _table([tuple(result.metrics), tuple(_percent(value) for value in result.metrics.values())])
-    counts = [(name.replace("_", " "), f"{count:,}") for name, count in result.counts.items()]
-    return "\n\n".join([scores, _table([("points", "count"), *counts])]) if result.metrics else ""
+    return _table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
+
+
+def _counts(result: Result) -> str:
+    rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.counts.items()]
+    return _table([("points", "count"), *rows]) if rows else ""
 
 
 def _percent(value: float | None) -> str:
@@ -84,7 +88,7 @@ def _worst(tally: Tally) -> str:
     rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in tally.worst()]
     if not rows:
         return "No wrong point in any frame." if tally.frames else ""
-    return "## Look here first\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
+    return "### Look here first\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
 
 
 def _reasons(info: MethodInfo, tally: Tally) -> str:
@@ -94,7 +98,7 @@ def _reasons(info: MethodInfo, tally: Tally) -> str:
         if tally.crossed[:, code].any():
             rows.append((reason.name, *(f"{tally.crossed[o, code]:,}" for o in outcomes), reason.meaning))
     head = ("reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
-    return "## Why points got their labels\n\n" + _table([head, *rows]) if rows else ""
+    return "### Why points got their labels\n\n" + _table([head, *rows]) if rows else ""
 
 
 _COLOUR_WORDS = {
@@ -109,7 +113,7 @@ _COLOUR_WORDS = {
 
 def _how_to_read(mode: str) -> str:
     if mode == "scores":
-        return "## How to read this recording\n\nIt holds numbers only (`--record scores`): no points are drawn."
+        return "### How to read this recording\n\nIt holds numbers only (`--record scores`): no points are drawn."
     shown = {
         "errors": "points that move are drawn in full, false positives one per 0.2 m, kept static points as one thinned map",
         "full": "every point of every frame is drawn; the map of the whole run is thinned",
@@ -121,18 +125,19 @@ def _how_to_read(mode: str) -> str:
         "- **wrong points per frame**: the worst frames are marked; click on a curve to go there.\n"
         "- **distance**: how far wrong points lie from the nearest right one; a tenth lies left of the line."
     )
-    return f"## How to read this recording\n\n{_table([('colour', 'point'), *colours])}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
+    return f"### How to read this recording\n\n{_table([('colour', 'point'), *colours])}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
 
 
 def _states(info: MethodInfo) -> str:
     rows = [(state.name, state.meaning) for state in info.emits]
-    return "## What the method shows\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
+    return "### What the method shows\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
 
 
-def _run(result: Result) -> str:
+def _run(info: MethodInfo, result: Result) -> str:
     runtime = result.runtime
     rows: list[tuple[Any, Any]] = [
         ("seconds per frame", f"{runtime['mean_s']:.3f} ± {runtime['std_s']:.3f}" if "mean_s" in runtime else "n/a"),
+        ("published in", info.paper),
         ("frames", result.sequence["frames"]),
         ("points", f"{result.sequence['points']:,}"),
         ("mode", "online" if result.online else "two passes"),
@@ -142,12 +147,12 @@ def _run(result: Result) -> str:
         ("digest of the sequence", f"`{result.sequence['digest'][:16]}`"),
         ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
     ]
-    return "## The run\n\n" + _table([("what", "value"), *rows])
+    return "### The run\n\n" + _table([("what", "value"), *rows])
 
 
 def _parameters(params: Mapping[str, Any]) -> str:
     rows = [(name, json.dumps(value)) for name, value in params.items()]
-    return f"## Parameters ({len(rows)})\n\n" + _table([("name", "value"), *rows]) if rows else ""
+    return f"### Parameters ({len(rows)})\n\n" + _table([("name", "value"), *rows]) if rows else ""
 
 
 def _table(rows: Iterable[Sequence[Any]]) -> str:

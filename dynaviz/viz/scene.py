@@ -16,8 +16,13 @@ VOXEL = 0.2  # metres: false positives of a frame, and the map, are thinned to o
 FINE = 0.1  # metres: the same for points that move; there are few
 GROWTH = 1.25  # of the voxel, while a map holds more points than its cap
 
-KEPT = (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT, Outcome.FALSE_NEGATIVE)
-REMOVED = (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED, Outcome.FALSE_POSITIVE)
+MAPS = {  # where the points of the whole run lie, by outcome
+    paths.MAP: (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT),
+    paths.MAP_WRONG: (Outcome.FALSE_NEGATIVE,),
+    paths.REMOVED: (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED),
+    paths.REMOVED_WRONG: (Outcome.FALSE_POSITIVE,),
+}
+MOVING = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
 CAPS = {  # points in the map of the whole run: about 550 000 at most, which a software renderer still draws
     Outcome.STATIC_KEPT: 300_000,
     Outcome.UNLABELLED_KEPT: 100_000,
@@ -26,9 +31,10 @@ CAPS = {  # points in the map of the whole run: about 550 000 at most, which a s
     Outcome.UNLABELLED_REMOVED: 30_000,
     Outcome.FALSE_POSITIVE: 40_000,
 }
-WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)
-RADII = np.array([-3.0 if o in WRONG else -2.0 if o is Outcome.DYNAMIC_REMOVED else -1.2 for o in Outcome], np.float32)
+RADII = np.array([-1.2, -2.0, -3.0, -3.0, -1.2, -1.6], np.float32)
 """By outcome, as the viewer takes them: negative radii are points on the screen, so wrong ones stand out at any distance."""
+RINGS = (10.0, 20.0)  # metres; the viewer's eye follows them, and their size sets its distance
+TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
 class ThinMap:
@@ -70,10 +76,12 @@ class Scene:
         self._sink, self._full = sink, full
         # Voxels are counted from a corner nearby: a world may lie far from its origin.
         self._corner: F32 = np.where(np.isfinite(extent.low), np.floor(extent.low), 0).astype(np.float32)
-        self._maps = {o: ThinMap(VOXEL if o in (*KEPT[:2], *REMOVED[1:]) else FINE, CAPS[o]) for o in Outcome}
+        self._maps = {o: ThinMap(FINE if o in MOVING else VOXEL, CAPS[o]) for o in Outcome}
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
+        rings = [limit * np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1) for limit in RINGS]
+        sink.log(paths.RINGS, rr.LineStrips3D(rings, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)), static=True)
 
     def pose(self, scan: Scan) -> None:
         """Draw where the sensor is."""
@@ -94,7 +102,7 @@ class Scene:
 
     def finish(self) -> None:
         """Draw the map of the whole run, and the way of the sensor."""
-        for path, kinds in ((paths.MAP, KEPT), (paths.REMOVED, REMOVED)):
+        for path, kinds in MAPS.items():
             points = [self._maps[o].points() + self._corner for o in kinds]
             classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
             self._sink.log(path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=RADII[classes]), static=True)
@@ -116,7 +124,7 @@ class Scene:
 
 def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:
     """Points of a frame worth drawing, and how many each stands for: all that move, and one per voxel of the wrongly removed."""
-    moving = np.isin(labelled.outcome, (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE))
+    moving = np.isin(labelled.outcome, MOVING)
     chosen, stands_for = [np.flatnonzero(moving)], [np.ones(int(moving.sum()), np.intp)]
     for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
         points = np.flatnonzero(finite & (labelled.outcome == outcome))

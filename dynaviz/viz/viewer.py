@@ -70,7 +70,8 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
         f"--bind={HOME}", f"--port={port}", "--server-memory-limit=4GB",
     ]  # fmt: skip
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdout=said, stderr=said, stdin=subprocess.DEVNULL)
+        quiet = {**os.environ, "RUST_LOG": "error"}  # messages would be drawn over the picture
+        process = subprocess.Popen(command, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=quiet)
         try:
             yield _answering(process, port, said)
         finally:
