@@ -1,0 +1,52 @@
+"""What a simulated point was measured on: the numbers and names of SemanticKITTI, as far as the scenes use them."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Kind(IntEnum):
+    """Class of a point. From 252 on it moves, or will, or has: such points are dynamic in every scan."""
+
+    OUTLIER = 1  # a reflection's echo, below the ground
+    CAR = 10
+    PARKED_BICYCLE = 11
+    ROAD = 40
+    PARKING = 44
+    SIDEWALK = 48
+    OTHER_GROUND = 49
+    BUILDING = 50
+    FENCE = 51
+    OTHER_STRUCTURE = 52
+    VEGETATION = 70
+    TRUNK = 71
+    TERRAIN = 72
+    POLE = 80
+    TRAFFIC_SIGN = 81
+    OTHER_OBJECT = 99
+    MOVING_CAR = 252
+    MOVING_BICYCLIST = 253
+    MOVING_PERSON = 254
+    MOVING_TRUCK = 258
+    MOVING_OTHER_VEHICLE = 259
+
+    @property
+    def moving(self) -> bool:
+        """Whether the class is a moving one."""
+        return self >= Kind.MOVING_CAR
+
+
+CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", "-") for kind in Kind}
+
+REFLECTANCE = {
+    Kind.ROAD: 0.2,
+    Kind.PARKING: 0.2,
+    Kind.SIDEWALK: 0.3,
+    Kind.OTHER_GROUND: 0.3,
+    Kind.BUILDING: 0.5,
+    Kind.VEGETATION: 0.6,
+    Kind.TRUNK: 0.3,
+    Kind.TERRAIN: 0.4,
+    Kind.TRAFFIC_SIGN: 1.0,
+}
+"""Share of the light that comes back, by class; objects not listed say it themselves or send back 0.4."""

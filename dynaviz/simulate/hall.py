@@ -1,0 +1,84 @@
+"""A hall: flat ceiling with beams, pillars, racks and tables, people and a fork-lift truck."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz.scan import F64
+from dynaviz.simulate import things
+from dynaviz.simulate.classes import Kind
+from dynaviz.simulate.movers import Path, Ride, cruise, depart
+from dynaviz.simulate.scene import Scene, rolling
+from dynaviz.simulate.shapes import box, boxes, grid, join, quads, tube
+
+X, Y, CEILING = 24.0, 13.0, 5.5  # half length, half width and height, metres
+AISLES = (-10.8, -4.0, 4.0, 10.8)  # where people walk along the hall, y in metres
+
+
+def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
+    """Build a hall for a sensor on a small robot that goes round in it.
+
+    Args:
+        rng: chooses everything.
+        duration: of the recording, seconds.
+        speed: of the sensor, m/s.
+        traffic: how much of it; 1 is usual.
+    """
+    route = Path([(-16, -4), (0, -4), (13, -4), (13, 4), (0, 4), (-19, 4), (-19, -4), (0, -4), (13, -4)], rounds=4)
+    scene = Scene(rolling(rng, 0.0003), Ride(route, cruise(1.0, speed)))
+    _shell(scene)
+    _furniture(scene, rng)
+    _people(scene, rng, duration, traffic)
+    return scene
+
+
+def _shell(scene: Scene) -> None:
+    """Floor, ceiling and beams, walls with two gates to the open, pillars along the middle."""
+    x, y = np.meshgrid(np.arange(-X, X + 0.1, 1.0), np.arange(-Y, Y + 0.1, 1.0), indexing="ij")
+    scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), Kind.OTHER_GROUND, 0.35)
+    ceiling = quads([[(-X, -Y, CEILING), (-X, Y, CEILING), (X, Y, CEILING), (X, -Y, CEILING)]])
+    beams = boxes([(x, 0, CEILING - 0.25) for x in np.arange(-X + 4, X, 4)], (0.3, 2 * Y, 0.5))
+    ducts = tube([(-X, 6, CEILING - 0.8), (X, 6, CEILING - 0.8)], 0.35, 10)
+    walls = [_wall((-X, -Y), (X, -Y)), _wall((X, Y), (-X, Y)), _wall((-X, Y), (-X, 2)), _wall((-X, -2), (-X, -Y))]
+    walls += [_wall((X, -Y), (X, -6)), _wall((X, -2), (X, Y)), _wall((-X, 2), (-X, -2), 3.5), _wall((X, -6), (X, -2), 3.5)]
+    scene.add(join([ceiling, beams, ducts, *walls]), Kind.BUILDING)
+    for x in np.arange(-18, 19, 6.0):
+        for y in (-7.4, 7.4):
+            scene.put(join([tube([(0, 0, -0.1), (0, 0, CEILING)], 0.25, 12), box(0.8, 0.8, 0.25)]), Kind.BUILDING, x, y)
+
+
+def _wall(start: tuple[float, float], end: tuple[float, float], above: float = -0.2):  # type: ignore[no-untyped-def]
+    """A wall between two corners; from a height on where a gate is left open below."""
+    (a, b), (c, d) = start, end
+    return quads([[(a, b, above), (c, d, above), (c, d, CEILING), (a, b, CEILING)]])
+
+
+def _furniture(scene: Scene, rng: np.random.Generator) -> None:
+    for x in np.arange(-18, 19, 6.0):
+        for y in (-12.4, 12.4):
+            scene.put(things.shelf(rng), Kind.OTHER_OBJECT, x, y)
+        if rng.random() < 0.7:
+            scene.put(things.table(), Kind.OTHER_OBJECT, x + 2.8, rng.choice([-7.4, 7.4]), np.pi / 2)
+    for x, y in rng.uniform((-7, -1.8), (7, 1.8), (9, 2)):
+        scene.put(things.box(*rng.uniform(0.4, 1.3, 3)), Kind.OTHER_OBJECT, x, y, rng.uniform(0, np.pi))
+    scene.put(things.fence(8.0, 1.1), Kind.FENCE, -2, -2.8)
+
+
+def _people(scene: Scene, rng: np.random.Generator, duration: float, traffic: float) -> None:
+    """People along the aisles and across; one stands for half of the time; a fork-lift truck; a robot-sized cart."""
+    for count in range(round(9 * traffic)):
+        path, pace = _aisle(rng, AISLES[count % 4] + rng.uniform(-0.5, 0.5)), rng.uniform(0.8, 1.5)
+        start = rng.uniform(0, max(1.0, path.length - pace * duration))
+        scene.walk(path, cruise(start, pace), rng)
+    standing = Path([(2, 7.0), (2.2, 5), (4, 5.3), (14, 5.4), (22, 5.4)], rounds=4)
+    scene.walk(standing, depart(1.0, 1.3, duration / 2, 1.0), rng)
+    across = Path([(16.5, -12), (16.6, 0), (16.5, 11)], rounds=3)
+    scene.walk(across, cruise(0, 1.1), rng)
+    haul = Path([(21, -11), (20.5, -5.6), (10, -5.6), (-10, -5.5), (-21.5, -5.6), (-21.5, 9)], rounds=4)
+    scene.move(Kind.MOVING_OTHER_VEHICLE, haul, depart(3, 1.8, 0.25 * duration), things.forklift(rng), rng)
+
+
+def _aisle(rng: np.random.Generator, y: float) -> Path:
+    x: F64 = np.linspace(-X + 1.5, X - 1.5, 60)
+    path = Path(np.column_stack([x, y + 0.25 * np.sin(x / 3)]))
+    return path if rng.random() < 0.5 else path.reversed()

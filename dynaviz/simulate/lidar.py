@@ -1,0 +1,163 @@
+"""The sensor: where its rays go, what they hit, and what comes back of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import geometry
+from dynaviz.scan import F32, F64, U8, Bool
+from dynaviz.sensors import Sensor
+from dynaviz.simulate.classes import Kind
+from dynaviz.simulate.movers import Mover
+from dynaviz.simulate.scene import Part, Scene
+from dynaviz.simulate.shapes import Mesh
+
+GOLDEN = (0.6180339887498949, 0.7548776662466927)  # of the golden ratio and of the plastic number
+REFLECTING = (Kind.ROAD, Kind.SIDEWALK, Kind.TERRAIN, Kind.OTHER_GROUND)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """One sweep's rays in the sensor frame: (N, 3) unit directions, (N, 3) origins in metres, (N,) number of the lidar."""
+
+    directions: F64
+    origins: F64
+    lidar: U8
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What the rays met: all (N,).
+
+    Attributes:
+        range: metres to the surface, infinite for the open sky.
+        facing: cosine between ray and surface normal, 0 to 1.
+        kind, instance: of what was hit.
+        reflectance: of what was hit.
+    """
+
+    range: F64
+    facing: F64
+    kind: NDArray[np.uint16]
+    instance: NDArray[np.int32]
+    reflectance: F64
+
+
+def mounts(sensor: Sensor) -> list[F64]:
+    """T_sensor_lidar (4, 4) of each lidar."""
+    from scipy.spatial.transform import Rotation
+
+    poses = []
+    for *shift, roll, pitch, yaw in sensor.mounts or ((0.0,) * 6,):
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("xyz", (roll, pitch, yaw), degrees=True).as_matrix()
+        T[:3, 3] = shift
+        poses.append(T)
+    return poses
+
+
+def sweep(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
+    """All rays of one sweep; a spinning sensor starts each sweep at another fraction of a step."""
+    directions, origins, lidar = [], [], []
+    for number, T in enumerate(mounts(sensor)):
+        azimuth, elevation = _scattered(sensor, frame) if sensor.points_per_sweep else _rings(sensor, rng.random())
+        flat = np.cos(elevation)
+        own = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
+        directions.append(geometry.apply(T, own) - T[:3, 3])
+        origins.append(np.broadcast_to(T[:3, 3], own.shape))
+        lidar.append(np.full(len(own), number, np.uint8))
+    return Rays(np.concatenate(directions), np.concatenate(origins), np.concatenate(lidar))
+
+
+def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
+    """Azimuth and elevation in radians, firing by firing from the lowest beam up, as far as the field of view goes."""
+    assert sensor.azimuth_step and sensor.elevation and sensor.rings
+    low, high = sensor.azimuth
+    firings = np.arange(int((high - low) / sensor.azimuth_step))
+    elevations = np.array(sensor.elevations) if sensor.elevations else np.linspace(*sensor.elevation, sensor.rings)
+    within = (np.arange(sensor.rings) / sensor.rings + start) % 1  # beams of one firing fire one after another
+    azimuth = low + sensor.azimuth_step * (firings[:, None] + within)
+    return np.radians(azimuth.ravel()), np.radians(np.broadcast_to(elevations, azimuth.shape).ravel())
+
+
+def _scattered(sensor: Sensor, frame: int) -> tuple[F64, F64]:
+    """A pattern that never repeats: evenly spread over the field of view and filling gaps from sweep to sweep."""
+    assert sensor.points_per_sweep and sensor.elevation
+    count = frame * sensor.points_per_sweep + np.arange(sensor.points_per_sweep)
+    across, up = (count * share % 1 for share in GOLDEN)
+    fields = (sensor.azimuth, sensor.elevation)
+    azimuth, elevation = (low + (high - low) * u for (low, high), u in zip(fields, (across, up), strict=True))
+    return np.radians(azimuth), np.radians(elevation)
+
+
+class World:
+    """A scene made ready for rays: what stands is prepared once, what moves anew for each sweep."""
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        self._standing = _Surfaces(scene.parts, [part.mesh for part in scene.parts])
+
+    def cast(self, rays: Rays, T_scene_sensor: F64, time: float) -> Hits:
+        """What the rays of a sensor at a pose hit at a time."""
+        origins = geometry.apply(T_scene_sensor, rays.origins)
+        directions = geometry.apply(T_scene_sensor, rays.directions) - T_scene_sensor[:3, 3]
+        packed = np.concatenate([origins, directions], axis=1).astype(np.float32)
+        still = self._standing.cast(packed)
+        there = [(m, mesh) for m in self.scene.movers if (mesh := m.mesh(time, self.scene.height)) is not None]
+        if not there:
+            return still
+        moving = _Surfaces([mover for mover, _ in there], [mesh for _, mesh in there]).cast(packed)
+        nearer = moving.range < still.range
+        return Hits(*(np.where(nearer, getattr(moving, f), getattr(still, f)) for f in Hits.__dataclass_fields__))
+
+
+class _Surfaces:
+    """Some objects' meshes in the tree of the ray caster."""
+
+    def __init__(self, owners: list[Part] | list[Mover], meshes: list[Mesh]):
+        import open3d as o3d
+
+        self._tensor = o3d.core.Tensor.from_numpy
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # built the same way on any machine
+        for mesh in meshes:
+            vertices, triangles = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
+            self._scene.add_triangles(self._tensor(vertices), self._tensor(triangles))
+        # The last row stands for a miss.
+        self._kind = np.array([o.kind for o in owners] + [0], np.uint16)
+        self._instance = np.array([getattr(o, "instance", 0) for o in owners] + [0], np.int32)
+        self._reflectance = np.array([o.reflectance for o in owners] + [0.0])
+
+    def cast(self, rays: F32) -> Hits:
+        """Nearest surface along (N, 6) rays of origin and direction."""
+        found: dict[str, Any] = self._scene.cast_rays(self._tensor(rays))
+        owner = np.minimum(found["geometry_ids"].numpy(), len(self._kind) - 1)
+        normals = found["primitive_normals"].numpy()
+        facing = np.abs((normals * rays[:, 3:]).sum(1, dtype=np.float64))
+        distance = found["t_hit"].numpy().astype(np.float64)
+        return Hits(distance, facing, self._kind[owner], self._instance[owner], self._reflectance[owner])
+
+
+def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, Bool, NDArray[np.uint16], F32]:
+    """What the sensor reports of the hits.
+
+    Light comes back from as far as ``max_range`` from a bright surface seen squarely, less far from a dark one
+    or one that is grazed. One return in 200 gets lost. One in 2000 off the ground comes by a detour and is put beyond it.
+
+    Returns:
+        (N,) range in metres with noise; (N,) bool, which rays return; (N,) class; (N,) intensity from 0 to 1.
+    """
+    count = len(hits.range)
+    assert sensor.max_range is not None
+    reach = sensor.max_range * np.sqrt(hits.reflectance / 0.8) * np.clip(hits.facing, 1e-3, 1) ** 0.1
+    reach = np.minimum(reach * rng.normal(1, 0.12, count), sensor.max_range)
+    seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > 0.005)
+    detour = (rng.random(count) < 0.0005) & np.isin(hits.kind, REFLECTING)
+    longer = np.where(detour, rng.uniform(1.15, 1.8, count), 1.0)
+    distance = hits.range * longer + rng.normal(0, sensor.range_noise or 0.0, count)
+    kind = np.where(detour, Kind.OUTLIER, hits.kind).astype(np.uint16)
+    intensity = np.clip(hits.reflectance * (0.4 + 0.6 * hits.facing) * rng.normal(1, 0.08, count), 0, 1)
+    return distance, seen & (distance >= sensor.min_range) & (distance <= sensor.max_range), kind, intensity.astype(np.float32)

@@ -1,0 +1,46 @@
+"""The scenes that can be simulated by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A scene, a sensor, and how good its poses are.
+
+    Attributes:
+        name: for the command line.
+        title: for a reader.
+        scene: ``street``, ``square`` or ``hall``.
+        sensor: name of a sensor file.
+        frames: sweeps, where none are asked for.
+        speed: of the sensor, m/s.
+        traffic: how much moves; 1 is usual.
+        pose_noise: standard deviation of a pose's error: metres, degrees.
+    """
+
+    name: str
+    title: str
+    scene: str
+    sensor: str
+    frames: int
+    speed: float
+    traffic: float = 1.0
+    pose_noise: tuple[float, float] = (0.01, 0.05)
+
+
+_ALL = (
+    Preset("demo", "small busy street, VLP-16", "street", "vlp16", 50, 3.0, traffic=2.0),
+    Preset("hall_mid360", "hall, Livox Mid-360", "hall", "mid360", 200, 1.0),
+    Preset("hall_vlp16", "hall, VLP-16", "hall", "vlp16", 200, 1.0),
+    Preset("square_mid360", "square with a crowd, Livox Mid-360", "square", "mid360", 200, 1.5),
+    Preset("square_vlp32c", "square with a crowd, two VLP-32C", "square", "vlp32c_pair", 120, 3.0),
+    Preset("street_hdl64", "street, HDL-64E", "street", "hdl64e", 120, 8.0, pose_noise=(0.015, 0.05)),
+    Preset("street_vlp16", "street, VLP-16", "street", "vlp16", 200, 2.5),
+)
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _ALL})
+"""By name, sorted."""

@@ -1,0 +1,176 @@
+"""Drive a sensor through a scene and write what it saw in the public benchmark's layout."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import geometry
+from dynaviz.errors import DataError, UsageError
+from dynaviz.scan import F32, F64, U8, Label
+from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.simulate.classes import CLASS_NAMES, Kind
+from dynaviz.simulate.hall import hall
+from dynaviz.simulate.lidar import World, receive, sweep
+from dynaviz.simulate.presets import PRESETS, Preset
+from dynaviz.simulate.scene import Scene
+from dynaviz.simulate.square import square
+from dynaviz.simulate.street import street
+
+VERSION = 1  # goes up whenever the same preset and seed give other points
+BUILDERS = {"street": street, "square": square, "hall": hall}
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One sweep as a mapping system would hand it over, with its truth.
+
+    Attributes:
+        index: number of the frame.
+        time: seconds since the start.
+        points: (N, 3) float32, metres, world frame: the true sensor's pose at frame 0.
+        intensity: (N,) float32, 0 to 1.
+        lidar: (N,) uint8, which of a merged pair.
+        kinds: (N,) uint16, a ``Kind`` each.
+        instances: (N,) int32, the mover's number, 0 for what stands.
+        T_world_sensor: (4, 4) float64, metres: the pose with its error, by which the points were placed.
+        T_scene_world: (4, 4) float64, metres: from here to the frame of the scene, without error.
+    """
+
+    index: int
+    time: float
+    points: F32
+    intensity: F32
+    lidar: U8
+    kinds: NDArray[np.uint16]
+    instances: NDArray[np.int32]
+    T_world_sensor: F64
+    T_scene_world: F64
+
+    @property
+    def labels(self) -> U8:
+        """(N,) uint8, a ``Label`` each."""
+        return np.where(self.kinds >= Kind.MOVING_CAR, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+
+
+def build(preset: Preset, frames: int, seed: int = 0) -> Scene:
+    """The scene of a preset, with what happens in it fitted to the number of frames."""
+    duration = frames / (load_sensor(preset.sensor).rate or 10.0)
+    return BUILDERS[preset.scene](np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic)
+
+
+def shoot(scene: Scene, preset: Preset, frames: int, seed: int = 0) -> Iterator[Shot]:
+    """Sweep by sweep. Each has random numbers of its own, so that it depends on no other."""
+    sensor = load_sensor(preset.sensor)
+    world = World(scene)
+    errors = _pose_errors(np.random.default_rng([seed, 1]), frames, preset.pose_noise)
+    T_scene_world = _sensor_pose(scene, sensor, 0.0)
+    for index in range(frames):
+        yield _shot(world, sensor, index, T_scene_world, errors[index], np.random.default_rng([seed, 2, index]))
+
+
+def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F64, rng: np.random.Generator) -> Shot:
+    time = index / (sensor.rate or 10.0)
+    T_scene_sensor = _sensor_pose(world.scene, sensor, time)
+    rays = sweep(sensor, index, rng)
+    hits = world.cast(rays, T_scene_sensor, time)
+    distance, back, kinds, intensity = receive(hits, sensor, rng)
+    in_sensor = rays.origins[back] + rays.directions[back] * distance[back, None]
+    T_world_sensor = geometry.compose(geometry.compose(geometry.inverse(T_scene_world), T_scene_sensor), error)
+    points = geometry.transform(T_world_sensor, in_sensor)
+    instances = np.where(kinds == Kind.OUTLIER, 0, hits.instance).astype(np.int32)
+    return Shot(
+        index, time, points, intensity[back], rays.lidar[back], kinds[back], instances[back], T_world_sensor, T_scene_world
+    )
+
+
+def _sensor_pose(scene: Scene, sensor: Sensor, time: float) -> F64:
+    T = scene.sensor.pose(time, scene.height)
+    if T is None:
+        raise UsageError(f"the sensor's way ends after {time:.1f} s: ask for fewer frames (--frames)")
+    T = T.copy()
+    T[:3, 3] += T[:3, 2] * (sensor.height or 0.0)
+    return T
+
+
+def _pose_errors(rng: np.random.Generator, frames: int, noise: tuple[float, float]) -> F64:
+    """(frames, 4, 4) small motions whose error wanders, as a SLAM system's does: each keeps 0.8 of the one before."""
+    from scipy.spatial.transform import Rotation
+
+    steps = rng.normal(size=(frames, 6))
+    for k in range(1, frames):
+        steps[k] = 0.8 * steps[k - 1] + 0.6 * steps[k]
+    errors = np.tile(np.eye(4), (frames, 1, 1))
+    errors[:, :3, :3] = Rotation.from_rotvec(np.radians(noise[1]) * steps[:, 3:]).as_matrix()
+    errors[:, :3, 3] = noise[0] * steps[:, :3]
+    return errors
+
+
+def simulate(
+    preset: str,
+    out: Path,
+    frames: int | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Write a simulated sequence: scans in the world frame, the labelled cloud of them all, and what it is.
+
+    The same preset, frames and seed give the same bytes. The folder appears whole or not at all.
+
+    Args:
+        preset: a name in ``PRESETS``.
+        out: the folder to make; it must not exist yet.
+        frames: number of sweeps; None for the preset's own.
+        seed: another seed is another scene of the same kind.
+        progress: told how many of how many sweeps are done.
+
+    Raises:
+        UsageError: for a preset that is not known, or a number of frames below 1 or beyond the sensor's way.
+        DataError: where ``out`` exists or cannot be written.
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"no preset '{preset}'. Known: {', '.join(PRESETS)}")
+    chosen, out = PRESETS[preset], Path(out)
+    frames = chosen.frames if frames is None else frames
+    if frames < 1 or seed < 0:
+        raise UsageError(f"frames {frames}, seed {seed}: give at least one frame and a seed of 0 or more")
+    if out.exists():
+        raise DataError(out, "exists already", hint="Remove it or choose another folder")
+    beside = out.with_name(f".{out.name}.part")
+    shutil.rmtree(beside, ignore_errors=True)
+    try:
+        (beside / "pcd").mkdir(parents=True)
+        _write(beside, chosen, frames, seed, out.name, progress)
+        beside.rename(out)
+    except OSError as error:
+        raise DataError(out, f"cannot be written ({error.strerror})", hint="Free space or choose another folder") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    return out
+
+
+def _write(folder: Path, preset: Preset, frames: int, seed: int, name: str, progress: Callable[[int, int], None]) -> None:
+    import tomli_w
+
+    from dynaviz.io.pcd import PcdWriter, write_pcd
+
+    merged = bool(load_sensor(preset.sensor).mounts)
+    layout = {"x": np.float32, "y": np.float32, "z": np.float32, "intensity": np.float32}
+    with PcdWriter(folder / "gt_cloud.pcd", {**layout, "class": np.uint16, "instance": np.int32}) as cloud:
+        for shot in shoot(build(preset, frames, seed), preset, frames, seed):
+            xyz: dict[str, Any] = dict(zip("xyz", shot.points.T, strict=True))
+            scan = {**xyz, "intensity": shot.intensity} | ({"lidar": shot.lidar} if merged else {})
+            write_pcd(folder / "pcd" / f"{shot.index:06d}.pcd", scan, T_world_sensor=shot.T_world_sensor)
+            truth = {"intensity": shot.labels.astype(np.float32), "class": shot.kinds, "instance": shot.instances}
+            cloud.append(**xyz, **truth)
+            progress(shot.index + 1, frames)
+    facts = {"name": name, "title": preset.title, "preset": preset.name, "sensor": preset.sensor, "seed": seed}
+    facts |= {"frames": frames, "rate": load_sensor(preset.sensor).rate, "generator": VERSION}
+    classes = {str(number): text for number, text in CLASS_NAMES.items()}
+    (folder / "sequence.toml").write_bytes(tomli_w.dumps({**facts, "classes": classes}).encode())

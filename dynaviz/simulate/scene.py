@@ -1,0 +1,88 @@
+"""A scene: what stands, what moves, the ground, and the sensor's way; and the helpers that the builders share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynaviz.scan import F64
+from dynaviz.simulate import things
+from dynaviz.simulate.classes import REFLECTANCE, Kind
+from dynaviz.simulate.movers import Height, Mover, Path, Ride, Schedule
+from dynaviz.simulate.shapes import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Something that stands: its mesh in the scene frame, class and share of light sent back."""
+
+    mesh: Mesh
+    kind: Kind
+    reflectance: float
+
+
+@dataclass(eq=False)
+class Scene:
+    """All there is to see. The scene frame has z up and the ground near z = 0.
+
+    Attributes:
+        height: of the ground in metres at x, y in the scene frame.
+        sensor: the way of the sensor's carrier.
+        parts: what stands.
+        movers: what moves; instance numbers are positions in this list from 1.
+    """
+
+    height: Height
+    sensor: Ride
+    parts: list[Part] = field(default_factory=list)
+    movers: list[Mover] = field(default_factory=list)
+
+    def add(self, mesh: Mesh, kind: Kind, reflectance: float | None = None) -> None:
+        """Put something that stands, already in the scene frame."""
+        self.parts.append(Part(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance))
+
+    def put(self, mesh: Mesh, kind: Kind, x: float, y: float, yaw: float = 0, reflectance: float | None = None) -> None:
+        """Stand something on the ground."""
+        z = float(self.height(np.array([x]), np.array([y]))[0])
+        self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
+
+    def tree(self, rng: np.random.Generator, x: float, y: float) -> None:
+        """Plant a tree."""
+        height = rng.uniform(5.5, 9.0)
+        self.put(things.trunk(rng, height), Kind.TRUNK, x, y)
+        self.put(things.crown(rng, height), Kind.VEGETATION, x, y)
+
+    def house(self, rng: np.random.Generator, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
+        """Build a house whose front's middle is at x, y and whose front looks along yaw + 90 degrees."""
+        walls, panes = things.house(rng, width, depth, storeys)
+        self.put(walls, Kind.BUILDING, x, y, yaw, rng.uniform(0.3, 0.7))
+        self.put(panes, Kind.BUILDING, x, y, yaw, 0.06)  # glass sends little back from afar
+
+    def move(self, kind: Kind, path: Path, schedule: Schedule, body: Mesh | Callable[[float], Mesh], rng: np.random.Generator) -> None:
+        """Let something move along a path."""
+        shape = body if callable(body) else lambda _: body
+        upright = kind in (Kind.MOVING_PERSON, Kind.MOVING_BICYCLIST)
+        reflectance = rng.uniform(0.12, 0.7)
+        self.movers.append(Mover(kind, len(self.movers) + 1, Ride(path, schedule, upright), shape, reflectance))
+
+    def walk(self, path: Path, schedule: Schedule, rng: np.random.Generator) -> None:
+        """Let a person go along a path."""
+        height = rng.uniform(1.55, 1.9)
+        self.move(Kind.MOVING_PERSON, path, schedule, lambda way: things.person(way, height), rng)
+
+
+def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64, F64], F64]:
+    """Smooth uneven ground: waves of 6 to 90 m length whose height is this share of their length."""
+    lengths = np.array([90.0, 60.0, 35.0, 20.0, 11.0, 6.0])
+    directions, phases = rng.uniform(0, 2 * np.pi, (2, len(lengths)))
+
+    def height(x: F64, y: F64) -> F64:
+        waves = zip(lengths, directions, phases, strict=True)
+        return sum(  # type: ignore[return-value]
+            steepness * length * np.sin(2 * np.pi / length * (x * np.cos(a) + y * np.sin(a)) + phase)
+            for length, a, phase in waves
+        )
+
+    return height

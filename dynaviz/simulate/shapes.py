@@ -1,0 +1,147 @@
+"""Triangle meshes of simple shapes. Metres; x forward, y left, z up; triangles counter-clockwise seen from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaviz import geometry
+from dynaviz.scan import F64
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in space.
+
+    Attributes:
+        vertices: (V, 3) float64, metres.
+        triangles: (T, 3) int64, rows of ``vertices``.
+    """
+
+    vertices: F64
+    triangles: Index
+
+    def moved(self, x: float = 0, y: float = 0, z: float = 0, *, yaw: float = 0) -> Mesh:
+        """The same shape turned about z (radians) and then shifted (metres)."""
+        T = np.eye(4)
+        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        T[:3, 3] = x, y, z
+        return self.transformed(T)
+
+    def transformed(self, T: F64) -> Mesh:
+        """The same shape under a (4, 4) rigid motion."""
+        return Mesh(geometry.apply(T, self.vertices), self.triangles)
+
+    def scaled(self, x: float, y: float, z: float) -> Mesh:
+        """The same shape, stretched along the axes by positive factors."""
+        return Mesh(self.vertices * (x, y, z), self.triangles)
+
+    @property
+    def bounds(self) -> F64:
+        """(2, 3) float64, metres: lowest and highest corner."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+
+def join(meshes: Iterable[Mesh]) -> Mesh:
+    """Several meshes as one."""
+    meshes = list(meshes)
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    triangles = [m.triangles + start for m, start in zip(meshes, starts, strict=False)]
+    return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(triangles))
+
+
+def quads(corners: ArrayLike) -> Mesh:
+    """Flat four-cornered faces.
+
+    Args:
+        corners: (N, 4, 3) metres, counter-clockwise seen from the front.
+    """
+    vertices = np.asarray(corners, np.float64).reshape(-1, 3)
+    first = 4 * np.arange(len(vertices) // 4)[:, None]
+    return Mesh(vertices, np.concatenate([first + [0, 1, 2], first + [0, 2, 3]]))
+
+
+def grid(points: F64) -> Mesh:
+    """A surface through (R, C, 3) points; rows along x and columns along y make it face up."""
+    rows, columns = points.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    triangles = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    return Mesh(points.reshape(-1, 3), triangles)
+
+
+def loft(rings: ArrayLike) -> Mesh:
+    """A closed body through rings.
+
+    Args:
+        rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last.
+    """
+    points = np.asarray(rings, np.float64)
+    count, sides = points.shape[:2]
+    index = np.arange(count * sides).reshape(count, sides)
+    a, b = index[:-1], np.roll(index[:-1], -1, axis=1)
+    d, c = index[1:], np.roll(index[1:], -1, axis=1)
+    side = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
+    fan = np.stack([np.zeros(sides - 2, np.int64), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)
+    caps = [index[0][fan[:, ::-1]], index[-1][fan]]
+    return Mesh(points.reshape(-1, 3), np.concatenate(side + caps))
+
+
+def boxes(centres: ArrayLike, sizes: ArrayLike) -> Mesh:
+    """Boxes along the axes, (N, 3) centres and (N, 3) or (3,) sizes in metres."""
+    centres = np.asarray(centres, np.float64)
+    half = np.broadcast_to(np.asarray(sizes, np.float64) / 2, centres.shape)
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    unit = loft(np.stack([np.column_stack([square, np.full(4, z)]) for z in (-1, 1)]))
+    vertices = (centres[:, None] + half[:, None] * unit.vertices).reshape(-1, 3)
+    triangles = (8 * np.arange(len(centres))[:, None, None] + unit.triangles).reshape(-1, 3)
+    return Mesh(vertices, triangles)
+
+
+def box(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
+    """One box of this size, standing with the middle of its bottom at ``at``."""
+    return boxes([(at[0], at[1], at[2] + z / 2)], (x, y, z))
+
+
+def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0), sides: int = 10) -> Mesh:
+    """An ellipsoid with these half axes about ``at``."""
+    polar = np.linspace(-0.98, 0.98, 7) * np.pi / 2
+    around = 2 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([np.cos(around), np.sin(around), np.ones(sides)])
+    return loft([ring * (x * np.cos(p), y * np.cos(p), z * np.sin(p)) + at for p in polar])
+
+
+def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
+    """A round bar along (P, 3) points with one radius for all or one for each: poles, trunks, limbs, wheels' rims."""
+    points = np.asarray(points, np.float64)
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    helper = np.where(np.abs(tangents[:, 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    u = np.cross(helper, tangents)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(tangents, u)
+    around = 2 * np.pi * np.arange(sides)[:, None] / sides
+    circle = np.cos(around) * u[:, None] + np.sin(around) * v[:, None]
+    return loft(points[:, None] + circle * np.broadcast_to(radii, len(points))[:, None, None])
+
+
+def layers(profile: Iterable[tuple[float, float, float, float]]) -> Mesh:
+    """A body of stacked rectangles with the edges cut off: (z, rear x, front x, half width) from below upwards."""
+    return loft([_rounded(rear, front, half, z) for z, rear, front, half in profile])
+
+
+def _rounded(rear: float, front: float, half: float, z: float) -> F64:
+    cut = 0.25 * half
+    corners = [(rear, -half + cut), (rear + cut, -half), (front - cut, -half), (front, -half + cut)]
+    return np.array([(x, y, z) for x, y in corners] + [(x, -y, z) for x, y in reversed(corners)])
+
+
+def leaves(centres: F64, size: float, rng: np.random.Generator) -> Mesh:
+    """Single triangles of about this size (metres) in any direction about (N, 3) centres: rays pass between them."""
+    corners = centres[:, None] + rng.normal(0, size / 2, (len(centres), 3, 3))
+    return Mesh(corners.reshape(-1, 3), np.arange(3 * len(centres)).reshape(-1, 3))

@@ -1,0 +1,214 @@
+"""A street with a bend: kerbs, pavements, houses, trees, parked cars, traffic, and people close to the walls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz.scan import F64
+from dynaviz.simulate import things
+from dynaviz.simulate.classes import Kind
+from dynaviz.simulate.movers import Path, Ride, arrive, cruise, depart
+from dynaviz.simulate.scene import Scene, rolling
+from dynaviz.simulate.shapes import grid
+
+ENDS = 85.0  # of street before and after the sensor's way, metres
+BEND, RADIUS = np.radians(50), 75.0
+LANE, BAY, KERB, WALL = 1.75, 4.6, 5.7, 9.2  # middle of a lane and of the parking bays, kerb, house fronts; metres
+STEP = 0.13  # height of the kerb, metres
+
+
+class Street:
+    """The frame of a street: stations along its middle and metres to the left of it."""
+
+    def __init__(self, rng: np.random.Generator, way: float):
+        self.length = way + 2 * ENDS
+        self.middle = _middle(self.length)
+        self.base = rolling(rng)
+
+    def height(self, x: F64, y: F64) -> F64:
+        """Of the ground, metres: the rolling country, and the step at the kerb."""
+        offsets = np.stack([x, y], -1)[..., None, :] - self.middle.xy
+        return self.base(x, y) + _profile(np.sqrt((offsets**2).sum(-1).min(-1)))
+
+    def lane(self, left: float) -> Path:
+        """The way along the street this far to its left; on the right as the sensor goes, on the left against it."""
+        path = self.middle.shifted(left)
+        return path if left < 0 else path.reversed()
+
+    def station(self, path: Path, station: float, left: float) -> float:
+        """How far along a lane a station of the street is."""
+        x, y, _ = self.middle.beside(station, left)
+        return float(path.distance[np.argmin(np.hypot(path.xy[:, 0] - x, path.xy[:, 1] - y))])
+
+
+def _middle(length: float) -> Path:
+    """Straight, a bend halfway, straight again."""
+    stations = np.arange(0, length, 0.5)
+    turned = np.clip((stations - length / 2) / (RADIUS * BEND) + 0.5, 0, 1)
+    yaw = BEND * turned**2 * (3 - 2 * turned)
+    return Path(np.column_stack([np.cumsum(0.5 * np.cos(yaw)), np.cumsum(0.5 * np.sin(yaw))]))
+
+
+def _profile(aside: F64) -> F64:
+    """Height across the street by metres from its middle: a crowned carriageway, a gutter, the kerb."""
+    return np.where(aside < KERB, 0.06 * (1 - (aside / KERB) ** 2), STEP)
+
+
+def street(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
+    """Build a street for a sensor that drives along it.
+
+    Args:
+        rng: chooses everything.
+        duration: of the recording, seconds.
+        speed: of the sensor, m/s.
+        traffic: how much of it; 1 is usual.
+    """
+    road = Street(rng, duration * speed)
+    lane = road.lane(-LANE)
+    scene = Scene(road.height, Ride(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
+    reserved = _parkers(scene, road, rng, duration, speed)
+    _ground(scene, road)
+    _fronts(scene, road, rng)
+    _kerbside(scene, road, rng, reserved)
+    _traffic(scene, road, rng, duration, speed, traffic)
+    _people(scene, road, rng, duration, speed, traffic)
+    return scene
+
+
+def _ground(scene: Scene, road: Street) -> None:
+    stations = np.arange(0, road.length, 1.0)
+    across = np.linspace(-KERB, KERB, 9)
+    strips = [(Kind.ROAD, across), (Kind.SIDEWALK, np.array([KERB, KERB, 7.5, WALL]))]
+    strips += [(Kind.TERRAIN, np.array([WALL, 11, 14, 18, 23, 29, 36, 44, 52]))]
+    for kind, left in strips:
+        heights = _profile(np.abs(left))
+        heights[0] = _profile(np.abs(left[:1]) - 1e-6)[0]  # the strip of pavement begins with the kerb's face
+        for side in (left,) if kind == Kind.ROAD else (left, -left):
+            scene.add(_strip(road, stations, side, heights), kind)
+
+
+def _strip(road: Street, stations: F64, left: F64, heights: F64):  # type: ignore[no-untyped-def]
+    x, y, _ = road.middle.beside(*np.meshgrid(stations, left, indexing="ij"))
+    return grid(np.stack([x, y, road.base(x, y) + heights], -1))
+
+
+def _fronts(scene: Scene, road: Street, rng: np.random.Generator) -> None:
+    """Row houses with gaps; on the left, halfway, there is open country with nothing behind it."""
+    for side in (-1, 1):
+        station, plot = 4.0, 0
+        while station < road.length - 20:
+            width = rng.uniform(10, 17)
+            middle, plot = station + width / 2, plot + 1
+            if side > 0 and abs(middle - road.length / 2 - 8) < 20:
+                _open(scene, road, rng, middle, width)
+            elif plot % 4 == 3:
+                _garden(scene, road, rng, middle, width, side)
+            else:
+                x, y, yaw = road.middle.beside(middle, side * WALL)
+                scene.house(rng, x, y, yaw + np.pi * (side > 0), width, rng.uniform(8, 11), int(rng.integers(2, 5)))
+            station += width + 0.1
+
+
+def _garden(scene: Scene, road: Street, rng: np.random.Generator, middle: float, width: float, side: int) -> None:
+    """A gap between houses: fence or wall in front, a hedge and trees behind."""
+    x, y, yaw = road.middle.beside(middle, side * (WALL + 0.2))
+    if rng.random() < 0.6:
+        scene.put(things.fence(width), Kind.FENCE, x, y, yaw)
+    else:
+        scene.put(things.box(width, 0.3, 1.9), Kind.OTHER_STRUCTURE, x, y, yaw)
+    x, y, yaw = road.middle.beside(middle, side * (WALL + 9))
+    scene.put(things.bush(rng, width, 1.2, 2.0), Kind.VEGETATION, x, y, yaw)
+    for along in (-0.25, 0.25):
+        x, y, _ = road.middle.beside(middle + along * width, side * (WALL + rng.uniform(3.5, 6.5)))
+        scene.tree(rng, x, y)
+
+
+def _open(scene: Scene, road: Street, rng: np.random.Generator, middle: float, width: float) -> None:
+    for _ in range(2):
+        x, y, yaw = road.middle.beside(middle + rng.uniform(-width / 2, width / 2), WALL + rng.uniform(2, 25))
+        scene.put(things.bush(rng, 1.5, 1.5, rng.uniform(0.5, 1.2)), Kind.VEGETATION, x, y, yaw)
+
+
+def _kerbside(scene: Scene, road: Street, rng: np.random.Generator, reserved: list[tuple[float, int]]) -> None:
+    """Parked cars, street trees, lamps, signs, bins, benches and parked bicycles."""
+    for side in (-1, 1):
+        for count, station in enumerate(np.arange(3.0, road.length - 3, 6.2)):
+            free = all(abs(station - place) > 6.3 or taken != side for place, taken in reserved)
+            if free and rng.random() < 0.4:
+                x, y, yaw = road.middle.beside(station + rng.uniform(-0.4, 0.4), side * (BAY + rng.uniform(-0.1, 0.1)))
+                scene.put(things.car(rng), Kind.CAR, x, y, yaw + np.pi * (rng.random() < 0.3), rng.uniform(0.1, 0.7))
+            x, y, yaw = road.middle.beside(station + 3.1, side * (KERB + 0.6))
+            _furniture(scene, rng, (count + 2 * side) % 6, x, y, yaw - side * np.pi / 2)
+
+
+def _furniture(scene: Scene, rng: np.random.Generator, kind: int, x: float, y: float, inward: float) -> None:
+    """One of the things that stand on the edge of a pavement, looking at the carriageway."""
+    if kind in (0, 3):
+        scene.tree(rng, x, y)
+    elif kind == 1:
+        scene.put(things.lamp(), Kind.POLE, x, y, inward)
+    elif kind == 2:
+        scene.put(things.sign(), Kind.TRAFFIC_SIGN, x, y, inward + np.pi / 2)
+    elif kind == 4:
+        scene.put(things.bicycle(), Kind.PARKED_BICYCLE, x, y, inward + np.pi / 2)
+    else:
+        scene.put(things.box(0.5, 0.45, 1.1), Kind.OTHER_OBJECT, x, y, inward)
+
+
+def _parkers(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float) -> list[tuple[float, int]]:
+    """One car drives in and parks, one parked car drives off. Both are dynamic from the first scan to the last."""
+    halfway = ENDS + duration * speed / 2
+    into = halfway + max(8.0, 2.5 * speed)  # ahead of the sensor while it parks
+    out_of = into + 13
+    stations = np.arange(0, road.length, 0.5)
+    swing_in = np.interp(stations, [into - 14, into - 4], [LANE, BAY])
+    path = road.middle.shifted(-_eased(swing_in))
+    end = road.station(path, into, -BAY)
+    scene.move(Kind.MOVING_CAR, path, arrive(end, 6.0, 0.45 * duration), things.car(rng), rng)
+    swing_out = np.interp(stations, [out_of + 2, out_of + 12], [BAY, LANE])
+    path = road.middle.shifted(-_eased(swing_out))
+    scene.move(Kind.MOVING_CAR, path, depart(road.station(path, out_of, -BAY), 7.0, 0.5 * duration), things.car(rng), rng)
+    return [(into, -1), (out_of, -1)]
+
+
+def _eased(left: F64) -> F64:
+    """A swerve between lane and bay without corners."""
+    share = (left - LANE) / (BAY - LANE)
+    return LANE + (BAY - LANE) * share**2 * (3 - 2 * share)
+
+
+def _traffic(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float, traffic: float) -> None:
+    """Oncoming cars and lorries pass the sensor at times spread over the recording; others go ahead and behind."""
+    oncoming, same, edge = road.lane(LANE), road.lane(-LANE), road.lane(-3.1)
+    cars, pace = max(2, round(0.2 * duration * traffic)), 8.0
+    for count in range(cars):
+        meet = duration * (count + rng.uniform(0.3, 0.7)) / cars
+        start = road.station(oncoming, ENDS + speed * meet, LANE) - pace * meet
+        lorry = count % 4 == 1
+        scene.move(
+            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR, oncoming, cruise(start, pace),
+            things.truck(rng) if lorry else things.car(rng), rng,
+        )
+    here = road.station(same, ENDS, -LANE)
+    scene.move(Kind.MOVING_CAR, same, cruise(here + 38, speed + 1.5), things.car(rng), rng)
+    scene.move(Kind.MOVING_CAR, same, cruise(here - 24, speed), things.car(rng), rng)
+    for gap, lead in ((11, 0.8), (26, -1.0)):
+        scene.move(Kind.MOVING_BICYCLIST, edge, cruise(road.station(edge, ENDS + gap, -3.1), speed + lead), things.cyclist, rng)
+
+
+def _people(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float, traffic: float) -> None:
+    """People along the walls and under the trees both ways; one crosses; one stands half of the time, then goes."""
+    lefts = (6.9, -6.9, 7.7, -7.7, 8.6, -8.6)
+    for count in range(max(8, round(1.5 * duration * traffic))):
+        left, pace = lefts[count % 6], rng.uniform(1.1, 1.6)
+        path = road.middle.shifted(left + 0.12 * np.sin(road.middle.distance / 3.0))
+        path = path if count % 4 < 2 else path.reversed()
+        meet = rng.uniform(0, duration)
+        start = road.station(path, ENDS + speed * meet + rng.uniform(2, 22), left) - pace * meet
+        scene.walk(path, cruise(start, pace), rng)
+    halfway = ENDS + duration * speed / 2
+    standing = road.middle.shifted(-7.3)
+    scene.walk(standing, depart(road.station(standing, halfway + 6, -7.3), 1.4, duration / 2, 1.0), rng)
+    ends = [np.array(road.middle.beside(ENDS + duration * speed + 14, left)[:2]) for left in (8.0, -8.0)]
+    across = Path(np.linspace(*ends, 60))
+    scene.walk(across, cruise(max(0.0, across.length / 2 - 1.3 * duration * 0.5), 1.3), rng)
