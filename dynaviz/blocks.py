@@ -36,11 +36,11 @@ class BlockGrid:
     """Voxels of a given edge, in blocks of 8^3 that exist where an extent says that points lie.
 
     Voxel k spans [k, k + 1) * resolution per axis. It is known by one number: block * 512 + place in the block. State
-    is kept by the caller, as arrays of ``len(grid)`` rows; memory so grows with the mapped area. Blocks are found through a
-    directory of super-blocks of 16^3 blocks, dense over the bounds, so that maps of kilometres fit.
+    is kept by the caller, as arrays of ``len(grid)`` rows; memory so grows with the mapped area. Blocks are found
+    through a directory of super-blocks of 16^3 blocks, dense over the bounds, so that maps of kilometres fit.
 
-    Like OctoMap's keys of 16 bit, the grid reaches 32768 voxels to each side of the world's origin. Points beyond, points that
-    are not finite and points outside the extent have no voxel.
+    Like OctoMap's keys of 16 bit, the grid reaches 32768 voxels to each side of the world's origin. Points beyond,
+    points that are not finite and points outside the extent have no voxel.
 
     Args:
         extent: where points and ray origins will lie.
@@ -99,7 +99,7 @@ class BlockGrid:
 
         Args:
             scan: where rays start and end.
-            casts: (N,) bool: points whose ray marks every voxel from the origin's to the last before the point's as crossed.
+            casts: (N,) bool: points whose ray marks as crossed every voxel from the origin's to the last before their own.
             hits: (N,) bool: points that mark their own voxel as hit.
 
         Returns:

@@ -44,11 +44,11 @@ def _split(xyz, order, axis, first, last, middle):
 
 @njit(cache=True, nogil=True)
 def tree(points):
-    """Coordinates (3, M) and indices (M,) of finite points in the order of the tree, its depth, and the boxes of its nodes."""
+    """Coordinates (3, M) and indices (M,) of finite points in the order of the tree, its depth, its nodes' boxes."""
     m, depth = len(points), 0
     while m >> depth > LEAF:
         depth += 1
-    xyz, order = points.T.copy(), np.arange(m)
+    xyz, order = points.T.astype(np.float64), np.arange(m)
     boxes = np.empty((2 << depth, 6), np.float64)
     for level in range(depth + 1):
         for j in range(1 << level):
@@ -93,7 +93,7 @@ def _smallest(values, n, k):
 @njit(cache=True, nogil=True)
 def _squares(xyz, first, last, i, out):
     """Squared distances of point i to the points first ... last - 1."""
-    x, y, z = float(xyz[0, i]), float(xyz[1, i]), float(xyz[2, i])
+    x, y, z = xyz[0, i], xyz[1, i], xyz[2, i]
     for c in range(first, last):
         dx, dy, dz = xyz[0, c] - x, xyz[1, c] - y, xyz[2, c] - z
         out[c - first] = dx * dx + dy * dy + dz * dz
@@ -146,7 +146,7 @@ def _leaf_means(xyz, order, boxes, depth, leaf, k, near, squares, kept, stack, m
         if i > first:
             dx, dy, dz = xyz[0, i] - xyz[0, i - 1], xyz[1, i] - xyz[1, i - 1], xyz[2, i] - xyz[2, i - 1]
             bound += math.sqrt(dx * dx + dy * dy + dz * dz)
-        x, y, z = float(xyz[0, i]), float(xyz[1, i]), float(xyz[2, i])
+        x, y, z = xyz[0, i], xyz[1, i], xyz[2, i]
         for c in range(n):
             dx, dy, dz = near[0, c] - x, near[1, c] - y, near[2, c] - z
             squares[c] = dx * dx + dy * dy + dz * dz

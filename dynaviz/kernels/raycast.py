@@ -1,9 +1,9 @@
 """Rays through a block grid, and the log-odds update they lead to.
 
-A ray is walked voxel by voxel (Amanatides and Woo 1987) where its block exists, and from border to border of blocks and
-super-blocks where not. Its parameter is an integer, 0 at the sensor and ``ONE`` at the point, so that n steps of a period
-are n times the period exactly: leaps and single steps meet the same voxels. The two lowest bits of a time tell the axis,
-so no two borders are met at once; of borders at the same place z comes first, then y, then x.
+A ray is walked voxel by voxel (Amanatides and Woo 1987) where its block exists, and from border to border of blocks
+and super-blocks where not. Its parameter is an integer, 0 at the sensor and ``ONE`` at the point, so that n steps of a
+period are n times the period exactly: leaps and single steps meet the same voxels. The two lowest bits of a time tell
+the axis, so no two borders are met at once; of borders at the same place z comes first, then y, then x.
 """
 
 import math
@@ -28,7 +28,7 @@ def _axis(start, end, tie):
     length = abs(end - start)
     ahead = (k + 1 - start) if goal > k else (start - k)
     first = np.int64(ahead / length * ONE + 0.5)
-    period = np.int64(min(ONE / length, float(ONE)) + 0.5)
+    period = np.int64(min(ONE / length, 2.0 * ONE) + 0.5)  # beyond the point in any case, and 128 of them fit
     last = first + (borders - 1) * period
     if last > ONE:  # by rounding: the ray must end in the voxel of its point, neither before nor after
         first -= last - ONE

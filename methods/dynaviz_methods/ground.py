@@ -25,7 +25,8 @@ def ground_plane(points: F32, distance: float, angle: float, random: np.random.G
         random: draws the samples.
 
     Returns:
-        (N,) bool, and the plane; nothing and None for fewer than ``LEAST`` points, and where the fitted plane is too steep.
+        (N,) bool, and the plane; nothing and None for fewer than ``LEAST`` points, and where the fitted plane is too
+        steep.
     """
     none = np.zeros(len(points), np.bool_)
     if len(points) < LEAST:

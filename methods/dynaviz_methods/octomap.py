@@ -9,8 +9,10 @@ Hornung et al. 2013; the improvements are those of the benchmark (Zhang et al. 2
         occupied:   voxels of all points but the ground's, once each: log-odds += logit(prob_hit), clamped
     a point is static if its voxel's log-odds are at least 0, or if it is ground
 
-Noise casts no ray. A ray crosses the voxels from the sensor's to the last before its point's. A voxel may be crossed and hit
-by the same scan; both then count. Log-odds are float32, and only voxels near points have any (``dynaviz.blocks``).
+Noise casts no ray. A ray crosses the voxels from the sensor's to the last before its point's. A voxel may be crossed
+and hit by the same scan; both then count. Log-odds are float32; only voxels near points have any (``dynaviz.blocks``).
+Keys have 16 bit per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
+are not finite, are kept unjudged; from a sensor beyond that reach no ray is cast, but its points hit.
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ class OctoMapGParams(OctoMapParams):
     Attributes:
         ground_distance: points nearer than this to the ground plane are ground, metres.
         ground_angle: largest angle between the plane's normal and the vertical, radians.
-        cast_ground_rays: whether rays to ground points mark the voxels they cross; the paper's text says no, its tables yes.
+        cast_ground_rays: whether rays to ground points mark the voxels they cross; the paper's text says no, its public
+            program, from which its tables come, says yes.
     """
 
     ground_distance: float = 0.04
@@ -146,7 +149,8 @@ class OctoMap:
         ground = self._find_ground(scan, ~noise)
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
         kernels.raycast.update_log_odds(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
-        self._show(marks)
+        if any(self._probe.wants(state.name) for state in STATES[:3]):
+            self._show(marks)
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the voxel's log-odds are below 0 and the point is not ground."""
@@ -177,7 +181,8 @@ class OctoMap:
     def _show(self, marks: Marks) -> None:
         crossed, hit = marks.bits[:, :8], marks.bits[:, 8:]
         with_points = self._ever[marks.blocks, 8:]
-        for name, bits in (("crossed", crossed & with_points), ("hit", hit), ("log_odds", (crossed | hit) & with_points)):
+        shown = {"crossed": crossed & with_points, "hit": hit, "log_odds": (crossed | hit) & with_points}
+        for name, bits in shown.items():
             if self._probe.wants(name):
                 voxels = voxels_of(marks.blocks, bits)
                 values = self._log_odds.ravel()[voxels]
