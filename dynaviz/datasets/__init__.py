@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from pathlib import Path
 from typing import ClassVar, Protocol, Self
@@ -56,13 +57,11 @@ def _asked(text: str) -> tuple[type[Dataset] | None, Path]:
     """The format that a prefix asks for, if any, and the path."""
     prefix, colon, rest = text.partition(":")
     if not colon or not prefix.isidentifier() or Path(text).exists():
-        return None, Path(text)
-    return registry.load("datasets", prefix), Path(rest)
+        return None, Path(os.path.abspath(text))
+    return registry.load("datasets", prefix), Path(os.path.abspath(rest))
 
 
 def _guess(path: Path) -> type[Dataset]:
-    if not path.exists():
-        raise DataError(path, "does not exist", hint="Give the folder of a sequence")
     layouts = []
     for handle in registry.handles("datasets"):
         try:
@@ -72,6 +71,8 @@ def _guess(path: Path) -> type[Dataset]:
         if kind.matches(path):
             return kind
         layouts.append(f"{handle.name} ({kind.layout})")
+    if not path.exists():  # asked last: KITTI tracking knows a sequence by training/0012, which is no folder
+        raise DataError(path, "does not exist", hint="Give the folder of a sequence")
     hint = f"Known layouts: {'; '.join(layouts)}. Give such a folder, or force a format as in benchmark:PATH"
     raise DataError(path, f"is no sequence that is known, but {_description(path)}", hint=hint)
 

@@ -63,7 +63,7 @@ class BenchmarkSequence:
         sensor = load_sensor(facts["sensor"]) if "sensor" in facts else Sensor()
         gt = root / "gt_cloud.pcd"
         truth = GroundTruth(gt, counts, lambda position: read_pcd(files[position]).xyz) if gt.exists() else None
-        return cls(facts.get("name", root.resolve().name), sensor, facts.get("rate"), scans, truth)
+        return cls(facts.get("name", root.name), sensor, facts.get("rate"), scans, truth)
 
     @property
     def has_labels(self) -> bool:

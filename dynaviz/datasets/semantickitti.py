@@ -69,7 +69,7 @@ class SemanticKittiSequence:
     @property
     def name(self) -> str:
         """As in ``semantickitti_08``."""
-        return f"semantickitti_{self.folder.resolve().name}"
+        return f"semantickitti_{self.folder.name}"
 
     @cached_property
     def has_labels(self) -> bool:
