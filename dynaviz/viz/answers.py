@@ -76,7 +76,7 @@ class Answers:
 
 
 def range_bands(scan: Scan) -> U8:
-    """(N,) uint8: each point's range from its ray's origin, as an index into ``BAND_NAMES``; the last where not finite."""
+    """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``; the last if not finite."""
     offset = scan.points - scan.origins.astype(np.float32)
     squared = np.einsum("ij,ij->i", offset, offset)
     bands = np.zeros(len(squared), np.uint8)
@@ -86,7 +86,7 @@ def range_bands(scan: Scan) -> U8:
 
 
 def _squeeze(array: U8) -> U8:
-    return np.frombuffer(zlib.compress(memoryview(np.ascontiguousarray(array)), 1), np.uint8)
+    return np.frombuffer(zlib.compress(array.tobytes(), 1), np.uint8)
 
 
 def _swell(blob: NDArray[np.generic], n: int) -> U8:

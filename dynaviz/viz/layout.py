@@ -19,8 +19,8 @@ SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in paths.SERIES]
 def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    Left, the world: the map of the whole run with its wrong points, below it the frame's points and the method's states.
-    Right, the numbers: scores, wrong points per frame, how far errors lie from right answers, and the report.
+    Left, the world: the map of the whole run with its wrong points; below it the frame's points and the method's
+    states. Right, the numbers: scores, wrong points per frame, how far errors lie from right answers, and the report.
 
     Args:
         info: whose run it is; its ``emits`` each get a view.
@@ -41,7 +41,9 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
 
 def _world(info: MethodInfo, extent: Extent) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
-    everything = _solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent))
+    everything = _solid(
+        "map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent)
+    )
     frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], _follow())
     states = [_state(info.name, state) for state in info.emits if issubclass(state.kind, (*paths.SOLID, *paths.FLAT))]
     below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
@@ -128,7 +130,7 @@ def _eye(extent: Extent) -> rrb.EyeControls3D:
 
 
 def _bulk(extent: Extent) -> tuple[F64, F64, float]:
-    """Middle, horizontal long axis (unit) and length along it, in metres, of where nine tenths of the map's cells lie."""
+    """Middle, long horizontal axis (unit), and length along it in metres of where nine tenths of the map lie."""
     if not len(extent.cells):
         return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0
     cells = (extent.cells + 0.5) * CELL

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
+import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class Recording:
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = Path(path)
-        self._store = _opened(self.path)
+        self._store = open_store(self.path)
         self.properties = self._read_properties()
 
     @property
@@ -166,7 +166,12 @@ class Recording:
         return properties
 
 
-def _opened(path: Path) -> Any:
+def open_store(path: Path) -> Any:
+    """Open any whole recording, chunk by chunk as it is read.
+
+    Raises:
+        DataError: where the file is no recording, or was cut off.
+    """
     try:
         with path.open("rb") as file:
             magic = file.read(4)
@@ -175,7 +180,9 @@ def _opened(path: Path) -> Any:
     if magic not in MAGIC:
         raise DataError(path, "is not a recording", at="byte 0", hint="Give the run.rrd of a run")
     try:
-        return RrdReader(path).store()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a file that was cut off, told below
+            return RrdReader(path).store()
     except (RuntimeError, ValueError, OSError) as error:
         raise DataError(
             path, "was cut off, its writer did not finish it", hint=f"Salvage its frames with: dynaviz repair {path}"

@@ -19,7 +19,7 @@ from dynaviz.result import Result, environment
 from dynaviz.run import Listener, Run
 from dynaviz.scan import Outcome, Scan
 from dynaviz.survey import Survey
-from dynaviz.viz import answers, paths, sink, states
+from dynaviz.viz import answers, paths, sink, states, viewer
 from dynaviz.viz.layout import layout
 from dynaviz.viz.report import Tally, before, report
 from dynaviz.viz.scene import Scene
@@ -31,24 +31,25 @@ STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that
 class Recorder(Listener):
     """Writes the recording of a run; both a listener and the method's probe.
 
-    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when the
-    run is done. Whatever ends the run earlier leaves ``.run.rrd.part`` beside it, with every frame so far.
+    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when
+    the run is done. Whatever ends the run earlier leaves ``.run.rrd.part`` beside it, with every frame so far.
 
     Args:
         path: the recording.
         mode: ``errors`` draws what is wrong, ``full`` every point, ``scores`` none. Answers, truth and reasons of all
             points are in each.
-        live: open a viewer that follows the run.
+        live: open a viewer that follows the run; closing it disturbs nothing.
 
     Raises:
-        UsageError: for a mode that does not exist.
+        UsageError: for a mode that does not exist, or ``live`` without a screen.
         DataError: where the folder cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], mode: Mode = "errors", live: bool = False):
         if mode not in get_args(Mode):
             raise UsageError(f"--record {mode}: choose from {', '.join(get_args(Mode))}")
-        self.path, self.mode, self._live = Path(path), mode, live
+        self.path, self.mode = Path(path), mode
+        self._port = viewer.open_window() if live else None
         self._sink: sink.Sink | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
@@ -59,7 +60,7 @@ class Recorder(Listener):
 
     def __exit__(self, *error: Any) -> None:
         if self._sink is not None:
-            self._sink.abort()
+            self._sink.close()
 
     def sha256(self) -> str:
         """Digest of the finished recording."""
@@ -84,7 +85,7 @@ class Recorder(Listener):
         name = run.sequence.name
         blueprint = layout(info, survey.extent, geometry=drawn)
         self._sink = sink.Sink(
-            self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._live
+            self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
         )
         self._scene = Scene(self._sink, survey.extent, self.mode == "full") if drawn else None
         params = dataclasses.asdict(run.params)

@@ -41,7 +41,9 @@ class Tally:
 
 def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str) -> str:
     """The report of a run that is not finished."""
-    return "\n\n".join([_title(info, sequence), "**This run was not finished.**", _parameters(params), _how_to_read(mode)])
+    return "\n\n".join(
+        [_title(info, sequence), "**This run was not finished.**", _parameters(params), _how_to_read(mode)]
+    )
 
 
 def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
@@ -72,7 +74,9 @@ def _title(info: MethodInfo, sequence: str) -> str:
 
 
 def _scores(result: Result) -> str:
-    return _table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
+    return (
+        _table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
+    )
 
 
 def _counts(result: Result) -> str:
@@ -115,7 +119,7 @@ def _how_to_read(mode: str) -> str:
     if mode == "scores":
         return "### How to read this recording\n\nIt holds numbers only (`--record scores`): no points are drawn."
     shown = {
-        "errors": "points that move are drawn in full, false positives one per 0.2 m, kept static points as one thinned map",
+        "errors": "points that move are drawn in full, false positives one per 0.2 m, kept static points as one map",
         "full": "every point of every frame is drawn; the map of the whole run is thinned",
     }[mode]
     colours = [(word, paths.NAMES[outcome]) for outcome, word in _COLOUR_WORDS.items()]
@@ -125,7 +129,8 @@ def _how_to_read(mode: str) -> str:
         "- **wrong points per frame**: the worst frames are marked; click on a curve to go there.\n"
         "- **distance**: how far wrong points lie from the nearest right one; a tenth lies left of the line."
     )
-    return f"### How to read this recording\n\n{_table([('colour', 'point'), *colours])}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
+    legend = _table([("colour", "point"), *colours])
+    return f"### How to read this recording\n\n{legend}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
 
 
 def _states(info: MethodInfo) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from dynaviz.grid import KeySet, pack, thin
+from dynaviz.grid import REACH, KeySet, pack, thin
 from dynaviz.metric import Labelled
 from dynaviz.scan import F32, F64, Bool, Outcome, Scan
-from dynaviz.survey import Extent
+from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
 from dynaviz.viz.sink import Sink
 
@@ -32,7 +32,7 @@ CAPS = {  # points in the map of the whole run: about 550 000 at most, which a s
     Outcome.FALSE_POSITIVE: 40_000,
 }
 RADII = np.array([-1.2, -2.0, -3.0, -3.0, -1.2, -1.6], np.float32)
-"""By outcome, as the viewer takes them: negative radii are points on the screen, so wrong ones stand out at any distance."""
+"""By outcome, as the viewer takes them: negative radii are points on the screen, so wrong ones stand out from afar."""
 RINGS = (10.0, 20.0)  # metres; the viewer's eye follows them, and their size sets its distance
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
@@ -74,8 +74,10 @@ class Scene:
 
     def __init__(self, sink: Sink, extent: Extent, full: bool) -> None:
         self._sink, self._full = sink, full
-        # Voxels are counted from a corner nearby: a world may lie far from its origin.
-        self._corner: F32 = np.where(np.isfinite(extent.low), np.floor(extent.low), 0).astype(np.float32)
+        # Voxels are counted from the middle of the map: a world may lie far from its origin.
+        self._middle: F32 = np.round(
+            np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
+        ).astype(np.float32)
         self._maps = {o: ThinMap(FINE if o in MOVING else VOXEL, CAPS[o]) for o in Outcome}
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -91,8 +93,8 @@ class Scene:
     def frame(self, labelled: Labelled) -> None:
         """Draw a frame's points by outcome, and remember them for the map."""
         self._trajectory.append(labelled.scan.position)
-        local = labelled.scan.points - self._corner
-        finite = np.isfinite(local).all(1)
+        local = labelled.scan.points - self._middle
+        finite = (np.abs(local) < REACH * FINE).all(1)  # nor so far that it has no voxel
         for outcome, thinned in self._maps.items():
             thinned.add(local[finite & (labelled.outcome == outcome)])
         if self._full:
@@ -103,9 +105,11 @@ class Scene:
     def finish(self) -> None:
         """Draw the map of the whole run, and the way of the sensor."""
         for path, kinds in MAPS.items():
-            points = [self._maps[o].points() + self._corner for o in kinds]
+            points = [self._maps[o].points() + self._middle for o in kinds]
             classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
-            self._sink.log(path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=RADII[classes]), static=True)
+            self._sink.log(
+                path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=RADII[classes]), static=True
+            )
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
@@ -123,7 +127,7 @@ class Scene:
 
 
 def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a frame worth drawing, and how many each stands for: all that move, and one per voxel of the wrongly removed."""
+    """Points of a frame worth drawing, and how many each stands for: all that move, one per voxel wrongly removed."""
     moving = np.isin(labelled.outcome, MOVING)
     chosen, stands_for = [np.flatnonzero(moving)], [np.ones(int(moving.sum()), np.intp)]
     for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):

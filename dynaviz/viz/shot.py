@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rerun as rr
-from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from dynaviz.errors import DynavizError, UsageError
@@ -18,6 +17,7 @@ from dynaviz.viz.reader import Recording
 
 SIZE = (1600, 900)
 SECONDS_TO_LOAD = 120.0
+SECONDS_OF_MESSAGES = 5.0  # so long does the viewer show its own messages over the window
 
 
 def shot(
@@ -51,8 +51,11 @@ def shot(
         raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
     pictures = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
     with viewer.headless(size) as client:
+        start = time.monotonic()
         _push(source.path, client)
         view_id = _wait_for(client, view)
+        if view is None:
+            time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
         for frame, picture in zip(frames, pictures, strict=True):
             client.set_time(paths.FRAME, sequence=frame, play_state="paused")
             client.take_screenshot()  # the first picture after a jump may lack what is still on its way
@@ -66,7 +69,6 @@ def _push(path: Path, client: ViewerClient) -> None:
         stream.connect_grpc(client.url)
         stream.log_file_from_path(path)
         stream.flush(timeout_sec=SECONDS_TO_LOAD)
-    _ = RrdReader
 
 
 def _wait_for(client: ViewerClient, view: str | None) -> str | None:

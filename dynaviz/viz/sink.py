@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz.errors import DataError
-from dynaviz.viz import paths
+from dynaviz.viz import paths, viewer
 
 FLUSH_SECONDS = 60.0
 
@@ -37,57 +37,75 @@ class Sink:
         layout_id: recordings of one id share the viewer's layout.
         name: of the recording, for its reader.
         blueprint: the viewer's layout.
-        live: open a viewer that looks on.
+        live: port on this machine of a viewer that looks on, or None; it may be absent, or go at any time.
 
     Raises:
         DataError: where the folder cannot be written.
     """
 
-    def __init__(self, path: Path, layout_id: str, name: str, blueprint: Any, live: bool = False) -> None:
-        self.path = path
-        # A fresh id: the viewer would merge two recordings of one id.
-        self._stream = rr.RecordingStream(_plain(layout_id), recording_id=str(uuid.uuid4()), send_properties=False)
-        file = rr.FileSink(part_of(path))
+    def __init__(self, path: Path, layout_id: str, name: str, blueprint: Any, live: int | None = None) -> None:
+        self.path, self._port = path, live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             part_of(path).touch()
         except OSError as error:
-            raise DataError(path, f"cannot be written ({error.strerror})", hint="Choose another folder with -o") from None
-        self._stream.set_sinks(file, default_blueprint=blueprint)
-        self._stream.set_log_time_enabled(False)
-        self._stream.send_recording_name(name)
+            raise DataError(
+                path, f"cannot be written ({error.strerror})", hint="Choose another folder with -o"
+            ) from None
+        self._file = _stream(layout_id)
+        self._file.save(part_of(path), default_blueprint=blueprint)
+        self._streams = [self._file]  # a stream of its own for the viewer: whatever happens to it, the file is whole
+        if live is not None and viewer.listens(live):
+            self._streams.append(_stream(layout_id))
+            self._streams[-1].connect_grpc(viewer.url(live), default_blueprint=blueprint)
+        for stream in self._streams:
+            stream.set_log_time_enabled(False)
+            stream.send_recording_name(name)
 
     def at(self, frame: int, stamp_ns: int | None) -> None:
         """What is logged from here on is of this frame."""
-        self._stream.reset_time()
-        self._stream.set_time(paths.FRAME, sequence=frame)
-        if stamp_ns is not None:
-            self._stream.set_time(paths.SENSOR_TIME, timestamp=np.datetime64(stamp_ns, "ns"))
+        for stream in self._streams:
+            stream.reset_time()
+            stream.set_time(paths.FRAME, sequence=frame)
+            if stamp_ns is not None:
+                stream.set_time(paths.SENSOR_TIME, timestamp=np.datetime64(stamp_ns, "ns"))
 
     def log(self, path: str, *what: Any, static: bool = False) -> None:
         """Log archetypes to an entity."""
-        self._stream.log(path, *what, static=static)
+        for stream in self._streams:
+            stream.log(path, *what, static=static)
 
     def columns(self, path: str, frames: Any, columns: Any) -> None:
         """Log a value for each of many frames at once."""
-        self._stream.send_columns(path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=columns)
+        for stream in self._streams:
+            stream.send_columns(path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=columns)
 
     def properties(self, **values: Any) -> None:
         """Set the recording's properties, those that are not empty; later ones replace earlier ones."""
-        self._stream.send_property(paths.PROPERTIES, rr.AnyValues(**{k: v for k, v in values.items() if v != ""}))
+        kept = {name: value for name, value in values.items() if value != ""}
+        for stream in self._streams:
+            stream.send_property(paths.PROPERTIES, rr.AnyValues(**kept))
 
     def flush(self) -> None:
-        """Hand all that was logged to the operating system."""
-        self._stream.flush(timeout_sec=FLUSH_SECONDS)
+        """Hand all that was logged to the operating system; let go of a viewer that was closed."""
+        self._file.flush(timeout_sec=FLUSH_SECONDS)
+        if len(self._streams) > 1 and self._port is not None and not viewer.listens(self._port):
+            self._streams.pop().disconnect()
 
     def finish(self) -> None:
         """Close the file and give it its name."""
-        self._stream.disconnect()
+        self.close()
         os.replace(part_of(self.path), self.path)
 
-    def abort(self) -> None:
+    def close(self) -> None:
         """Close the file and leave it where it is, for repair."""
-        self._stream.disconnect()
+        for stream in self._streams:
+            stream.disconnect()
+
+
+def _stream(layout_id: str) -> rr.RecordingStream:
+    """A fresh recording id each: the viewer would merge two recordings of one id."""
+    return rr.RecordingStream(_plain(layout_id), recording_id=str(uuid.uuid4()), send_properties=False)
 
 
 def _plain(name: str) -> str:

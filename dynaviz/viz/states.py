@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -132,8 +131,8 @@ def _coloured(values: F32, value_range: tuple[float, float] | None) -> NDArray[n
     return np.stack([np.interp(at, np.arange(len(VIRIDIS)), channel) for channel in VIRIDIS.T], 1).astype(np.uint8)
 
 
-def _range(values: Iterable[float] | F32) -> tuple[float, float]:
-    finite = np.asarray(values)[np.isfinite(values)]
+def _range(values: F32) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
     low, high = float(finite.min()), float(finite.max())

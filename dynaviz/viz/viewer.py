@@ -16,18 +16,20 @@ from typing import IO
 import rerun_cli
 from rerun.experimental import ViewerClient
 
-from dynaviz.errors import DynavizError, MissingDependency
+from dynaviz.errors import DynavizError, MissingDependency, UsageError
 
 HOME = "127.0.0.1"
 SECONDS_TO_START = 30.0
 
 
 def program() -> str:
-    """The viewer itself; the ``rerun`` command is only a script around it, and stopping that leaves the viewer running."""
+    """The viewer itself; the ``rerun`` command is a script around it, and stopping that leaves the viewer running."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     path = Path(rerun_cli.__file__).with_name(name)
     if not path.is_file():
-        raise MissingDependency(f"the viewer is missing at {path}. Install it again: pip install --force-reinstall rerun-sdk")
+        raise MissingDependency(
+            f"the viewer is missing at {path}. Install it again: pip install --force-reinstall rerun-sdk"
+        )
     return str(path)
 
 
@@ -54,6 +56,25 @@ def listens(port: int) -> bool:
 def has_screen() -> bool:
     """Whether a window could be shown."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def open_window(*recordings: Path) -> int:
+    """Open a viewer that outlives this process; returns the port where it listens for more.
+
+    Raises:
+        UsageError: where there is no screen.
+    """
+    if not has_screen():
+        raise UsageError("there is no screen to open a viewer on. Use dynaviz view --web, or dynaviz shot for pictures")
+    port = free_port()
+    process = subprocess.Popen(
+        [program(), *map(str, recordings), f"--bind={HOME}", f"--port={port}", "--hide-welcome-screen"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    end = time.monotonic() + SECONDS_TO_START
+    while process.poll() is None and not listens(port) and time.monotonic() < end:
+        time.sleep(0.05)
+    return port
 
 
 @contextlib.contextmanager

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import pytest
 import rerun as rr
 
-from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Text, Voxels
 from dynaviz.run import Run, execute
 from dynaviz.scan import Outcome, Scan, Sequence
 from dynaviz.viz.recorder import Recorder
-
-
-@pytest.fixture(autouse=True)
-def _strict() -> Any:
-    """Bad data is an error, not a warning."""
-    rr.set_strict_mode(True)
-    yield
-    rr.set_strict_mode(False)
 
 
 @dataclass(frozen=True)
@@ -79,7 +69,7 @@ class Guess:
         probe.emit("bins", PolarGrid(np.linspace(0, 4, 8 * 36, dtype=np.float32).reshape(8, 36), 12.0))
 
     def _band(self, scan: Scan) -> np.ndarray:
-        return (scan.points[:, 2] < self.params.height) & (scan.points[:, 1] > 1.0)
+        return (scan.points[:, 2] < self.params.height) & (scan.points[:, 1] > 2.2)
 
     def label(self, scan: Scan) -> np.ndarray:
         self.probe.emit("count", Scalar(float(self._band(scan).sum())))
@@ -91,7 +81,7 @@ class Guess:
 
 
 class Numbers:
-    """Emits what the real metrics do: scores, undefined ones, counts by reason, and a histogram with an open last bin."""
+    """Answers what the real metrics do: scores, undefined ones, reasons, and a histogram with an open last bin."""
 
     def __init__(self, info: MethodInfo):
         self.frames: list[np.ndarray] = []
@@ -99,10 +89,16 @@ class Numbers:
     def update(self, labelled: Labelled) -> dict[str, float]:
         self.frames.append(np.bincount(labelled.outcome, minlength=len(Outcome)))
         kept, missed = self.frames[-1][Outcome.STATIC_KEPT], self.frames[-1][Outcome.FALSE_NEGATIVE]
-        return {"SA/so_far": 90.0 + kept % 7, "DA/so_far": float("nan"), "SA/frame": 91.0, "reasons/band": float(missed)}
+        return {
+            "SA/so_far": 90.0 + kept % 7,
+            "DA/so_far": float("nan"),
+            "SA/frame": 91.0,
+            "reasons/band": float(missed),
+        }
 
     def finish(self) -> dict[str, Any]:
-        return {"metrics": {"SA": 90.0, "DA": None}, "counts": {"static_kept": 1}}
+        names = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
+        return {"metrics": {"SA": 90.0, "DA": None}, "counts": dict.fromkeys(names, 1)}
 
     def histograms(self) -> dict[str, FrameHistograms]:
         edges = np.array([0.0, 0.5, 1.0, 1.5, np.inf])
@@ -110,19 +106,15 @@ class Numbers:
         return {"false_negative": FrameHistograms("distance", "m", edges, counts)}
 
 
-Record = Callable[..., Path]
+def guess_run(sequence: Sequence, **changes: Any) -> Run:
+    """A run of the test's method."""
+    params = GuessParams()
+    return Run(Guess(params), sequence, params, (Numbers(Guess.info),), **changes)
 
 
-@pytest.fixture
-def record(tmp_path: Path) -> Record:
-    """Record the test's method on a sequence; returns the recording's path."""
-
-    def go(sequence: Sequence, mode: Any = "errors", name: str = "run.rrd", **changes: Any) -> Path:
-        path = tmp_path / name
-        params = GuessParams()
-        run = Run(Guess(params), sequence, params, (Numbers(Guess.info),), **changes)
-        with Recorder(path, mode) as recorder:
-            execute(run, [recorder], recorder)
-        return path
-
-    return go
+def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any) -> Path:
+    """Record it; bad data is an error, not a warning."""
+    rr.set_strict_mode(True)
+    with Recorder(path, mode) as recorder:
+        execute(guess_run(sequence, **changes), [recorder], recorder)
+    return path

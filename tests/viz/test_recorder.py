@@ -1,0 +1,292 @@
+"""What a recording holds in each mode, and what is on disk whatever happens."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import InMemory, room
+from guess import guess_run, record
+from rerun.chunk import RrdReader
+
+from dynaviz.errors import DataError, UsageError
+from dynaviz.grid import pack
+from dynaviz.metric import Labelled
+from dynaviz.probe import MemoryProbe
+from dynaviz.run import Listener, execute
+from dynaviz.scan import Outcome, Scan, outcomes
+from dynaviz.survey import CELL, Extent
+from dynaviz.viz import paths
+from dynaviz.viz.reader import Recording
+from dynaviz.viz.recorder import Recorder
+
+MODES = ("full", "errors", "scores")
+WORLD = {
+    paths.SCAN, paths.MAP, paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG,
+    paths.TRAJECTORY, paths.SENSOR, paths.RINGS,
+}  # fmt: skip
+NUMBERS = {
+    "answers", "report", "log", "scores/SA/so_far", "scores/SA/frame", "scores/DA/so_far", "reasons/band", paths.WORST,
+    "scores/wrong_points/false_negatives", "scores/wrong_points/false_positives",
+    "error_distance/false_negative", "error_distance/false_negative/run", "error_distance/false_negative/p10",
+}  # fmt: skip
+STATES = {
+    *(f"world/guess/{name}" for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane")),
+    *(f"guess/{name}" for name in ("ranges", "bins", "count")),
+}
+
+
+def expected(sequence: InMemory) -> list[Labelled]:
+    """What the test's method answers, computed here."""
+    answers = []
+    for frame, scan in enumerate(sequence.scans):
+        dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
+        answers.append(Labelled.of(frame, scan, dynamic, dynamic.astype(np.uint8)))
+    return answers
+
+
+@pytest.mark.parametrize(("mode", "entities"), zip(MODES, (WORLD | STATES, WORLD | STATES, set()), strict=True))
+def test_every_entity_is_there(little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]) -> None:
+    found = set(Recording(record(little_room, tmp_path / "run.rrd", mode)).entities())
+    assert found - {"", "world"} == NUMBERS | entities
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("online", [False, True])
+def test_all_answers_survive(little_room: InMemory, tmp_path: Path, mode: str, online: bool) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd", mode, online=online))
+    answers = list(recording.answers())
+    assert [a.index for a in answers] == [10, 11, 12, 13, 14, 15]
+    for a, b in zip(answers, expected(little_room), strict=True):
+        assert a.frame == b.frame
+        np.testing.assert_array_equal(a.dynamic, b.dynamic)
+        np.testing.assert_array_equal(a.truth, b.scan.labels)
+        np.testing.assert_array_equal(a.reasons, b.reasons)
+        np.testing.assert_array_equal(a.outcome, b.outcome)
+
+
+def test_full_draws_every_point(little_room: InMemory, tmp_path: Path) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd", "full"))
+    for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
+        np.testing.assert_array_equal(drawn.xyz, truth.scan.points)
+        np.testing.assert_array_equal(drawn.outcome, truth.outcome)
+        assert drawn.stands_for.tolist() == [1] * len(truth.scan)
+
+
+def test_errors_draws_all_that_moves_and_thins_false_positives(little_room: InMemory, tmp_path: Path) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd", "errors"))
+    for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
+        np.testing.assert_array_equal(drawn.xyz, truth.scan.points[drawn.point])
+        np.testing.assert_array_equal(drawn.outcome, truth.outcome[drawn.point])
+        for outcome in Outcome:
+            mine, all_of_it = drawn.outcome == outcome, truth.outcome == outcome
+            if outcome in (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT):
+                assert not mine.any()
+            else:
+                assert drawn.stands_for[mine].sum() == all_of_it.sum()
+        wrong = drawn.outcome == Outcome.FALSE_POSITIVE
+        assert 0 < wrong.sum() < (truth.outcome == Outcome.FALSE_POSITIVE).sum()
+        moving = (drawn.outcome == Outcome.DYNAMIC_REMOVED) | (drawn.outcome == Outcome.FALSE_NEGATIVE)
+        assert moving.sum() == truth.scan.labels.sum()  # type: ignore[union-attr]
+
+
+def test_the_map_keeps_what_was_kept_one_per_voxel(little_room: InMemory, tmp_path: Path) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    kept = np.concatenate([e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)])
+    xyz = recording.static(paths.MAP)["Points3D:positions"]
+    middle = np.round(np.median(Extent.of(*little_room.scans).cells, axis=0) * CELL).astype(np.float32)
+    assert set(recording.static(paths.MAP)["Points3D:class_ids"]) == {Outcome.STATIC_KEPT}
+    assert len(xyz) == len(np.unique(pack(kept - middle, 0.2)))
+    assert set(recording.static(paths.MAP_WRONG)["Points3D:class_ids"]) == {Outcome.FALSE_NEGATIVE}
+    assert set(recording.static(paths.REMOVED)["Points3D:class_ids"]) == {Outcome.DYNAMIC_REMOVED}
+    assert set(recording.static(paths.REMOVED_WRONG)["Points3D:class_ids"]) == {Outcome.FALSE_POSITIVE}
+
+
+def test_properties_tell_everything(little_room: InMemory, tmp_path: Path) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed"))
+    p, result = recording.properties, recording.result
+    assert result is not None
+    assert recording.complete
+    told = {"method": "guess", "sequence": "room", "frames": 6, "mode": "scores", "seed": 7, "online": False}
+    assert {name: p[name] for name in told} == told
+    assert p["digest"] == result.sequence["digest"]
+    assert p["points"] == sum(len(s) for s in little_room.scans)
+    assert recording.parameters == {"height": 1.0, "note": "a|b"}
+    assert [r.name for r in recording.reasons] == ["outside", "band"]
+    assert json.loads(p["environment_json"])["versions"]["rerun-sdk"]
+    assert result.metrics == {"SA": 90.0, "DA": None}
+    assert recording.facts()["command"] == "typed"
+
+
+def test_curves_keep_order_and_gaps(little_room: InMemory, tmp_path: Path) -> None:
+    recording = Recording(record(little_room, tmp_path / "run.rrd", "scores"))
+    frames, values = recording.curve("scores/wrong_points/false_positives")
+    assert frames.tolist() == [0, 1, 2, 3, 4, 5]
+    assert values.tolist() == [(e.outcome == Outcome.FALSE_POSITIVE).sum() for e in expected(little_room)]
+    assert np.isnan(recording.curve("scores/DA/so_far")[1]).all()
+    assert len(recording.curve("scores/none")[0]) == 0
+    worst, _ = recording.curve(paths.WORST)
+    assert len(worst) == 5
+
+
+def test_timelines(little_room: InMemory, tmp_path: Path) -> None:
+    assert timelines(record(little_room, tmp_path / "run.rrd")) == {"frame", "sensor_time"}
+    blind = InMemory([replace(scan, stamp_ns=None) for scan in little_room.scans])
+    assert timelines(record(blind, tmp_path / "unstamped.rrd")) == {"frame"}
+
+
+def timelines(path: Path) -> set[str]:
+    return {column.name for column in RrdReader(path).store().schema().index_columns()}
+
+
+NOTHING = np.empty((0, 3), np.float32)
+
+
+def empty_scan(scan: Scan) -> Scan:
+    return replace(scan, points=NOTHING, labels=np.empty(0, np.uint8), instances=None)
+
+
+def holey_scan(scan: Scan) -> Scan:
+    points = scan.points.copy()
+    points[::7] = np.nan
+    return replace(scan, points=points)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    "change",
+    [
+        empty_scan,
+        holey_scan,
+        lambda scan: scan.without_truth(),
+        lambda scan: replace(scan, labels=np.zeros(len(scan), np.uint8)),
+        lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8)),
+        lambda scan: replace(scan, points=scan.points + np.float32(3e5), T_world_sensor=far_away(scan), origins=None),
+        lambda scan: replace(scan, points=scan.points * np.float32([1, 1, 1e5])),
+    ],
+    ids=["empty", "not finite", "no labels", "nothing moves", "unlabelled", "far from the origin", "stray points"],
+)
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+def test_odd_scans(tmp_path: Path, mode: str, change: Callable[[Scan], Scan]) -> None:
+    scans = [change(scan) if i in (0, 2) else scan for i, scan in enumerate(room(4, 300).scans)]
+    recording = Recording(record(InMemory(scans), tmp_path / "run.rrd", mode))
+    for answer, scan in zip(recording.answers(), scans, strict=True):
+        dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
+        np.testing.assert_array_equal(answer.outcome, outcomes(scan.labels, dynamic))
+
+
+def far_away(scan: Scan) -> np.ndarray:
+    T_world_sensor = scan.T_world_sensor.copy()
+    T_world_sensor[:3, 3] += 3e5
+    return T_world_sensor
+
+
+def test_labels_do_not_depend_on_who_looks(little_room: InMemory, tmp_path: Path) -> None:
+    run = guess_run(little_room)
+    with Recorder(tmp_path / "run.rrd") as recorder:
+        recorded = execute(run, [recorder], recorder)
+    assert recorded.labels_sha256 == execute(run).labels_sha256 == execute(run, probe=MemoryProbe()).labels_sha256
+
+
+def test_the_file_appears_when_whole(little_room: InMemory, tmp_path: Path) -> None:
+    seen: list[list[str]] = []
+
+    class Watching(InMemory):
+        def __getitem__(self, position: int) -> Scan:
+            seen.append(sorted(p.name for p in tmp_path.iterdir()))
+            return super().__getitem__(position)
+
+    record(Watching(little_room.scans), tmp_path / "run.rrd")
+    assert seen[-1] == [".run.rrd.part"]
+    assert [p.name for p in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_digest_of_the_file(little_room: InMemory, tmp_path: Path) -> None:
+    with Recorder(tmp_path / "deep" / "run.rrd", "scores") as recorder:
+        execute(guess_run(little_room), [recorder], recorder)
+    assert recorder.sha256() == hashlib.sha256((tmp_path / "deep/run.rrd").read_bytes()).hexdigest()
+
+
+def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_path: Path) -> None:
+    class Torn(InMemory):
+        reads = 0
+
+        def __getitem__(self, position: int) -> Scan:
+            self.reads += 1
+            if self.reads == 4 + 2 * len(self):
+                raise RuntimeError("torn")
+            return super().__getitem__(position)
+
+    with pytest.raises(RuntimeError, match="torn"):
+        record(Torn(little_room.scans), tmp_path / "run.rrd")
+    assert [p.name for p in tmp_path.iterdir()] == [".run.rrd.part"]
+    recording = Recording(tmp_path / ".run.rrd.part")
+    assert not recording.complete
+    assert recording.result is None
+    assert len(list(recording.answers())) == 2
+
+
+KILLED = """
+import os, signal, sys
+sys.path[:0] = {folders!r}
+from conftest import room
+from guess import guess_run
+from dynaviz.run import Listener, execute
+from dynaviz.viz.recorder import Recorder
+
+class Killer(Listener):
+    def labelled(self, labelled, curves):
+        if labelled.frame == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+with Recorder({path!r}) as recorder:
+    execute(guess_run(room(6, 500)), [recorder, Killer()], recorder)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_kill_leaves_every_frame_that_was_flushed(tmp_path: Path) -> None:
+    here = Path(__file__).parent
+    code = KILLED.format(folders=[str(here.parent), str(here)], path=str(tmp_path / "run.rrd"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert os.listdir(tmp_path) == [".run.rrd.part"]
+    part = tmp_path / ".run.rrd.part"
+    with pytest.raises(DataError, match=r"was cut off.*dynaviz repair"):
+        Recording(part)
+    frames: set[Any] = set()
+    for chunk in RrdReader(part).stream().filter(content="/answers"):
+        frames |= set(chunk.to_record_batch()["frame"].to_pylist())
+    assert frames == {0, 1, 2, 3}
+
+
+def test_modes_and_places_that_do_not_work(little_room: InMemory, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="choose from full, errors, scores"):
+        Recorder(tmp_path / "run.rrd", "all")  # type: ignore[arg-type]
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="cannot be written"), Recorder(tmp_path / "file/run.rrd") as recorder:
+        execute(guess_run(little_room), [recorder], recorder)
+
+
+@pytest.mark.parametrize(("mode", "wanted"), [("errors", [True, False]), ("scores", [False, False])])
+def test_a_recorder_wants_what_is_declared(
+    little_room: InMemory, tmp_path: Path, mode: Any, wanted: list[bool]
+) -> None:
+    with Recorder(tmp_path / "run.rrd", mode) as recorder:
+
+        class Asking(Listener):
+            def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+                assert [recorder.wants(name) for name in ("cells", "unheard")] == wanted
+
+        execute(guess_run(little_room), [recorder, Asking()], recorder)
