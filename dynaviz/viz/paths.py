@@ -61,8 +61,8 @@ Colour = tuple[int, int, int]
 COLOURS: dict[Outcome, Colour] = {
     Outcome.STATIC_KEPT: (128, 128, 136),
     Outcome.DYNAMIC_REMOVED: (86, 160, 233),
-    Outcome.FALSE_POSITIVE: (240, 215, 60),
-    Outcome.FALSE_NEGATIVE: (255, 90, 30),
+    Outcome.FALSE_POSITIVE: (245, 225, 80),
+    Outcome.FALSE_NEGATIVE: (240, 70, 20),
     Outcome.UNLABELLED_KEPT: (96, 96, 104),
     Outcome.UNLABELLED_REMOVED: (170, 110, 150),
 }

@@ -52,8 +52,8 @@ def shot(
     pictures = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
     with viewer.headless(size) as client:
         start = time.monotonic()
-        _push(source.path, client)
-        view_id = _wait_for(client, view)
+        push(source.path, client)
+        view_id = None if view is None else _id_of(view, client)
         if view is None:
             time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
         for frame, picture in zip(frames, pictures, strict=True):
@@ -63,22 +63,27 @@ def shot(
     return pictures
 
 
-def _push(path: Path, client: ViewerClient) -> None:
-    """Send a recording and its layout; a viewer that opens the file itself would show it piece by piece."""
+def push(path: Path, client: ViewerClient) -> None:
+    """Send a recording and its layout, and wait until they are shown.
+
+    A viewer that opens the file itself would load it piece by piece, and leave pictures blank.
+
+    Raises:
+        DynavizError: where the viewer does not show it in time.
+    """
     with rr.RecordingStream(paths.APPLICATION, send_properties=False) as stream:
         stream.connect_grpc(client.url)
         stream.log_file_from_path(path)
         stream.flush(timeout_sec=SECONDS_TO_LOAD)
-
-
-def _wait_for(client: ViewerClient, view: str | None) -> str | None:
-    """Wait until the layout is there; the id of a view by its name."""
     end = time.monotonic() + SECONDS_TO_LOAD
-    while not (views := client.get_state().views) and time.monotonic() < end:
+    while not client.get_state().views:
+        if time.monotonic() > end:
+            raise DynavizError("the viewer did not load the recording in time")
         time.sleep(0.1)
-    if not views:
-        raise DynavizError("the viewer did not load the recording in time")
-    ids = {shown.name: shown.view_id for shown in views}
-    if view is not None and view not in ids:
+
+
+def _id_of(view: str, client: ViewerClient) -> str:
+    ids = {shown.name: shown.view_id for shown in client.get_state().views}
+    if view not in ids:
         raise UsageError(f"--view-name {view}: choose from {', '.join(sorted(ids))}")
-    return ids[view] if view else None
+    return str(ids[view])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import pose
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -14,6 +14,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.viz.answers import BAND_NAMES, Answers, range_bands
 
 
+@settings(deadline=None)
 @given(n=st.integers(0, 200), data=st.data())
 def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
     u8 = arrays(np.uint8, n)
