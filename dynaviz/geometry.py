@@ -69,19 +69,18 @@ def matrix(quaternion: ArrayLike) -> F64:
     """Rotation matrix of a quaternion.
 
     Args:
-        quaternion: (4,) float64, (qw, qx, qy, qz), of any length but zero.
+        quaternion: (4,) float64, (qw, qx, qy, qz), of any sensible length.
 
     Returns:
         (3, 3) float64.
 
     Raises:
-        ValueError: for a quaternion of length zero, or one that is not finite.
+        ValueError: for a quaternion of about length zero, beyond a million, or not finite.
     """
     q = np.asarray(quaternion, np.float64)
-    norm = np.sqrt((q * q).sum())
-    if not (np.isfinite(norm) and norm > 1e-6):
+    if not 1e-6 < np.abs(q).max() < 1e6:  # also where it is not finite
         raise ValueError(f"no rotation has the quaternion {q.tolist()}")
-    w, x, y, z = q / norm
+    w, x, y, z = q / np.sqrt((q * q).sum())
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -43,7 +43,7 @@ def test_half_turns_have_quaternions(axis: int) -> None:
     np.testing.assert_array_equal(geometry.quaternion(R)[1:], np.eye(3)[axis])
 
 
-@pytest.mark.parametrize("q", [(0, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)])
+@pytest.mark.parametrize("q", [(0, 0, 0, 0), (0, 1e-9, 0, 0), (1e200, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)])
 def test_what_is_no_rotation_is_refused(q: Any) -> None:
     with pytest.raises(ValueError, match="no rotation"):
         geometry.matrix(q)

@@ -146,4 +146,6 @@ def _facts(path: Path) -> Mapping[str, Any]:
             raise DataError(path, f"has {key} = {facts[key]!r}", hint=hint)
     if not facts.get("rate", 1.0) > 0:
         raise DataError(path, f"has rate = {facts['rate']}", hint=hint)
+    if "name" in facts and facts["name"] != (Path(facts["name"]).name or None):
+        raise DataError(path, f"has name = {facts['name']!r}, which no folder can have", hint=hint)
     return facts

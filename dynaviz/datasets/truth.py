@@ -105,7 +105,8 @@ class GroundTruth:
         from scipy.spatial import cKDTree
 
         xyz = self._whole.xyz
-        return cKDTree(np.where(np.isfinite(xyz).all(1, keepdims=True), xyz, np.float32(1e9)))  # out of reach
+        reachable = np.where(np.isfinite(xyz).all(1, keepdims=True), xyz, np.float32(1e9))
+        return cKDTree(reachable, compact_nodes=False, balanced_tree=False)  # three times faster to build
 
 
 def _same(a: F32, b: F32) -> bool:

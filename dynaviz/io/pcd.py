@@ -84,10 +84,14 @@ class Pcd:
         view = self.header.viewpoint
         if view is None:
             return None
-        if not (np.isfinite(view).all() and np.any(view[3:])):
+        try:
+            if not np.isfinite(view[:3]).all():
+                raise ValueError("no position")
+            return geometry.pose(view[:3], view[3:])
+        except ValueError:
             hint = "Give the sensor's pose as tx ty tz qw qx qy qz, with a quaternion of length 1"
-            raise DataError(self.path, f"has a VIEWPOINT that is no pose: {view.tolist()}", at="VIEWPOINT", hint=hint)
-        return geometry.pose(view[:3], view[3:])
+            problem = f"has a VIEWPOINT that is no pose: {view.tolist()}"
+            raise DataError(self.path, problem, at="VIEWPOINT", hint=hint) from None
 
 
 def read_pcd(path: str | os.PathLike[str], rows: tuple[int, int] | None = None) -> Pcd:

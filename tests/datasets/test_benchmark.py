@@ -156,7 +156,10 @@ def test_the_sequence_file_tells_name_sensor_and_rate(folder: Path) -> None:
     assert sequence[1].stamp_ns == 11 * 50_000_000  # frame 11 at 20 Hz
 
 
-@pytest.mark.parametrize("content", ["name = ", "name = 7", 'rate = "fast"', "rate = 0.0", "sensor = []"])
+@pytest.mark.parametrize(
+    "content",
+    ["name = ", "name = 7", 'name = "../up"', 'name = ""', 'rate = "fast"', "rate = 0.0", "sensor = []"],
+)
 def test_a_bad_sequence_file_is_told(folder: Path, content: str) -> None:
     (folder / "sequence.toml").write_text(content)
     with pytest.raises(DataError, match=r"sequence\.toml: .* It may hold name"):

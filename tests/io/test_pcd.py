@@ -196,8 +196,9 @@ def test_a_damaged_file_is_named_with_the_place(tmp_path: Path, content: bytes, 
     assert what in str(caught.value)
 
 
-def test_a_viewpoint_without_rotation_is_no_pose(tmp_path: Path) -> None:
-    (tmp_path / "a.pcd").write_bytes(text(PLAIN + "VIEWPOINT 1 2 3 0 0 0 0\nDATA binary\n", bytes(24)))
+@pytest.mark.parametrize("view", ["1 2 3 0 0 0 0", "1 2 3 1e-9 0 0 0", "1 2 3 1e300 1 1 1", "1 2 nan 1 0 0 0"])
+def test_a_viewpoint_without_rotation_is_no_pose(tmp_path: Path, view: str) -> None:
+    (tmp_path / "a.pcd").write_bytes(text(PLAIN + f"VIEWPOINT {view}\nDATA binary\n", bytes(24)))
     pcd = read_pcd(tmp_path / "a.pcd")
     assert len(pcd.xyz) == 2
     with pytest.raises(DataError, match="quaternion"):
