@@ -1,0 +1,71 @@
+"""A cloud thinned to one centroid per voxel, in the order in which the voxels are first met."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+_REACH = 1 << 20
+
+
+@njit(cache=True, nogil=True)
+def number(points, size):
+    """Number the voxels of (N, 3) points: (N,) int32, -1 where not finite or beyond reach; and how many voxels.
+
+    Indices are taken of float32 products, as PCL's VoxelGrid does, so that both put a point on a border into one voxel.
+    """
+    numbers = np.empty(len(points), np.int32)
+    slots = np.full(1 << 12, np.int32(-1))
+    keys = np.empty(1 << 11, np.int64)
+    mask = len(slots) - 1
+    inverse = np.float32(1.0 / size)
+    voxels = 0
+    for i in range(len(points)):
+        key = np.int64(0)
+        for axis in range(3):
+            k = math.floor(points[i, axis] * inverse)
+            if not (-_REACH <= k < _REACH):  # also where not finite
+                key = np.int64(-1)
+                break
+            key = (key << 21) | (np.int64(k) + _REACH)
+        if key < 0:
+            numbers[i] = -1
+            continue
+        s = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)) & mask
+        while slots[s] >= 0 and keys[slots[s]] != key:
+            s = (s + 1) & mask
+        if slots[s] < 0:
+            slots[s] = voxels
+            keys[voxels] = key
+            voxels += 1
+        numbers[i] = slots[s]
+        if voxels == len(keys):  # half full: the same voxels in a table of twice the size
+            more = np.empty(2 * voxels, np.int64)
+            more[:voxels] = keys
+            keys = more
+            slots = np.full(4 * voxels, np.int32(-1))
+            mask = len(slots) - 1
+            for v in range(voxels):
+                s = np.int64((np.uint64(keys[v]) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)) & mask
+                while slots[s] >= 0:
+                    s = (s + 1) & mask
+                slots[s] = v
+    return numbers, voxels
+
+
+@njit(cache=True, nogil=True)
+def means(points, numbers, voxels):
+    """(V, 3) float32: the centroid of the points of each number."""
+    sums = np.zeros((voxels, 3), np.float64)
+    counts = np.zeros(voxels, np.int64)
+    for i in range(len(points)):
+        v = numbers[i]
+        if v >= 0:
+            counts[v] += 1
+            for axis in range(3):
+                sums[v, axis] += points[i, axis]
+    centroids = np.empty((voxels, 3), np.float32)
+    for v in range(voxels):
+        for axis in range(3):
+            centroids[v, axis] = sums[v, axis] / counts[v]
+    return centroids

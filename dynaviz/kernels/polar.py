@@ -1,0 +1,68 @@
+"""Bins around the sensor: rings of equal width times sectors of equal angle, and the heights that points span in them."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
+    """Points near the sensor, and their bins.
+
+    Args:
+        points: (N, 3) float32, metres, world frame.
+        spans: (S, 2) int64: rows to look at, from the first to before the second number of each span.
+        gone: (N,) bool: rows to pass over.
+        centre: (3,) float64: the sensor in x and y, and height 0 in z.
+        max_range: metres in x and y; a point there or beyond is not near.
+        rings, sectors: number of bins along and around.
+        low, high: metres above height 0; a point in a bin is strictly between.
+
+    Returns:
+        rows: (K,) int32, those within range, in order.
+        bins: (K,) int32: ring * sectors + sector; -1 for points outside the band of heights.
+    """
+    room = 0
+    for s in range(len(spans)):
+        room += spans[s, 1] - spans[s, 0]
+    rows = np.empty(room, np.int32)
+    bins = np.empty(room, np.int32)
+    rings_per_metre = rings / max_range
+    sectors_per_radian = sectors / (2 * math.pi)
+    found = 0
+    for s in range(len(spans)):
+        for i in range(spans[s, 0], spans[s, 1]):
+            x, y, z = points[i, 0] - centre[0], points[i, 1] - centre[1], points[i, 2] - centre[2]
+            squared = x * x + y * y
+            if gone[i] or not squared < max_range * max_range:
+                continue
+            rows[found] = i
+            bins[found] = -1
+            if low < z < high:
+                ring = min(int(math.sqrt(squared) * rings_per_metre), rings - 1)
+                azimuth = math.atan2(y, x)
+                if azimuth < 0:
+                    azimuth += 2 * math.pi
+                sector = min(int(azimuth * sectors_per_radian), sectors - 1)
+                bins[found] = ring * sectors + sector
+            found += 1
+    return rows[:found], bins[:found]
+
+
+@njit(cache=True, nogil=True)
+def heights(points, rows, bins, n):
+    """For each of n bins the difference between its highest and lowest point, (n,) float64 (NaN without points), and
+    how many points it holds, (n,) int64.
+    """
+    low = np.full(n, np.inf)
+    high = np.full(n, -np.inf)
+    counts = np.zeros(n, np.int64)
+    for k in range(len(rows)):
+        b = bins[k]
+        if b >= 0:
+            z = points[rows[k], 2]
+            low[b] = min(low[b], z)
+            high[b] = max(high[b], z)
+            counts[b] += 1
+    return np.where(counts > 0, high - low, np.nan), counts

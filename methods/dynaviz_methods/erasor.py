@@ -1,0 +1,310 @@
+"""ERASOR: a map that stands higher than a scan, where both are seen from above, held something that moved.
+
+Lim et al. 2021; the parameters are those of the benchmark (Zhang et al. 2023). The algorithm:
+
+    the map is the raw map, thinned to the centroids of voxels; heights count from the foot of the sensor
+    for every removal_interval-th scan, thinned as well
+        bins:    rings and sectors around the sensor; points beyond max_range or outside the band of heights are in none
+        heights: in each bin the difference between highest and lowest point, of the map and of the scan
+        flagged: bins with min_points of the scan where scan / map < scan_ratio, and map > min_difference
+        ground:  of each flagged bin (R-GPF): a plane through its lowest points, fitted again and again to what is near
+        the map loses the points of flagged bins that are not ground
+    a point is dynamic if the map lost its voxel
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.errors import UsageError
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import Points, PolarGrid, State, Voxels
+from dynaviz.scan import F32, F64, U8, Bool, Scan
+from dynaviz_methods.tiles import Tiles
+
+NEAR = 0.05  # metres: the port's map stands for the points this near to one of its own
+PILLAR = 0.5  # metres: the cubes that show flagged bins
+
+
+@dataclass(frozen=True)
+class ErasorParams:
+    """Parameters of ERASOR; the defaults are the benchmark's for KITTI 00.
+
+    Attributes:
+        max_range: reach of the bins around the sensor in x and y, metres.
+        rings: bins along a radius.
+        sectors: bins around the sensor.
+        min_height: points lower than this above the ground are left alone, metres.
+        max_height: points higher than this above the ground are left alone, metres.
+        sensor_height: of the sensor above the ground, metres; 0: as the sensor's file says.
+        scan_ratio: a bin is flagged where the scan's height is less than this part of the map's.
+        min_difference: a bin is only flagged where the map's height is more than this, metres.
+        min_points: fewer points of the scan in a bin say nothing.
+        ground_distance: points less than this above the plane are ground, metres.
+        ground_iterations: planes fitted one after another.
+        ground_skip: lowest points of a bin that are passed over.
+        ground_lowest: points after them whose mean height is the lowest ground.
+        ground_seed: points less than this above the lowest ground begin the fit, metres.
+        map_voxel: edge of the voxels that thin the map, metres; 0: every point counts.
+        query_voxel: edge of the voxels that thin a scan, metres; 0: every point counts.
+        removal_interval: of so many scans, the last is compared with the map.
+        port: as the benchmark's port: a flagged bin also gets the scan's points, normals are not turned up, and a
+            point is static if a point of the map that is left is within 0.05 m.
+    """
+
+    max_range: float = 80.0
+    rings: int = 20
+    sectors: int = 108
+    min_height: float = -1.3
+    max_height: float = 3.0
+    sensor_height: float = 0.0
+    scan_ratio: float = 0.2
+    min_difference: float = 0.5
+    min_points: int = 6
+    ground_distance: float = 0.15
+    ground_iterations: int = 3
+    ground_skip: int = 5
+    ground_lowest: int = 20
+    ground_seed: float = 0.5
+    map_voxel: float = 0.1
+    query_voxel: float = 0.1
+    removal_interval: int = 4
+    port: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("rings", "sectors", "min_points", "ground_iterations", "ground_lowest", "removal_interval"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: give at least 1")
+        for name in ("min_difference", "ground_distance", "ground_skip", "map_voxel", "query_voxel", "sensor_height"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: give at least 0")
+        if not self.max_range > 0:
+            raise ValueError(f"max_range = {self.max_range}: give metres above 0")
+        if not self.min_height < self.max_height:
+            raise ValueError(f"min_height = {self.min_height}: give less than max_height = {self.max_height}")
+
+
+# Of several scans, the highest code counts; those from UNJUDGED on are told apart only when asked for.
+BEYOND, OUTSIDE, TOO_FEW, MAP_NOT_HIGHER, LOW_BIN, GROUND, REMOVED, UNJUDGED, FAR_FROM_MAP, NEAR_MAP = range(10)
+REASONS = (
+    Reason("beyond_range", "kept: never within range of a scan that was compared with the map"),
+    Reason("outside_height_band", "kept: too low or too high above the ground to be judged"),
+    Reason("too_few_points", "kept: no scan had enough points in its bin"),
+    Reason("map_not_higher", "kept: the scan stands about as high in its bin as the map does"),
+    Reason("low_bin", "kept: the map stands higher than the scan, but no higher than a kerb"),
+    Reason("ground_of_flagged_bin", "kept: the map stands higher than the scan in its bin, but this is ground"),
+    Reason("bin_ratio", "removed: the map stands higher than the scan in its bin"),
+    Reason("unjudged", "kept: not finite, or more than a million voxels from the world's origin"),
+    Reason("far_from_map", "removed: its voxel was kept, but the port's map has no point within 0.05 m"),
+    Reason("near_map", "kept: its voxel was removed, but the port's map has a point within 0.05 m"),
+)
+HEIGHTS = (-1.3, 3.0)
+STATES = (
+    State("map_height", PolarGrid, "Height that the map spans in each bin, metres", value_range=(0.0, 4.3)),
+    State("scan_height", PolarGrid, "Height that the scan spans in each bin, metres", value_range=(0.0, 4.3)),
+    State("ratio", PolarGrid, "The scan's height over the map's, or its inverse; at most 1", value_range=(0.0, 1.0)),
+    State(
+        "status",
+        PolarGrid,
+        "2 too few points, 3 map not higher, 4 map higher but low, 6 map higher: flagged",
+        value_range=(2.0, 6.0),
+    ),
+    State("flagged", Voxels, "Where the map stands in flagged bins; ratio", value_range=(0.0, 0.3)),
+    State("removed", Points, "Map points removed because of this scan; metres above ground", value_range=HEIGHTS),
+    State("ground", Points, "Map points kept as ground of flagged bins; metres above ground", value_range=HEIGHTS),
+)
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    """What one scan says of the map near it.
+
+    Attributes:
+        foot: (3,) float64, metres, world frame: the ground below the sensor.
+        rows: (K,) int32: map points within range, ``bins`` (K,) int32 and ``why`` (K,) uint8: their bins and reasons.
+        inserted: (I, 3) float32, metres, world frame: the scan's points in flagged bins.
+        map_height, scan_height: (rings * sectors,) float64, metres; NaN for an empty bin.
+        verdict: (rings * sectors,) uint8: reasons of the points of each bin.
+    """
+
+    foot: F64
+    rows: NDArray[np.int32]
+    bins: NDArray[np.int32]
+    why: U8
+    inserted: F32
+    map_height: F64
+    scan_height: F64
+    verdict: U8
+
+
+class Erasor:
+    """ERASOR, with a label for every raw point."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "erasor", "ERASOR", "Lim et al., RA-L 2021", REASONS, STATES, needs_map=True
+    )
+    Params: ClassVar[type[Any]] = ErasorParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Thin the raw map and lay it out in tiles."""
+        self._probe, self._height = context.probe, self.params.sensor_height or context.sensor.height
+        if not self._height:
+            raise UsageError(
+                f"erasor needs the height of the sensor above the ground, which the sensor '{context.sensor.name}' "
+                "does not tell: give --sensor NAME or --set sensor_height=METRES"
+            )
+        points, voxels = _thinned(context.raw_map, self.params.map_voxel)
+        self._map = Tiles(points)
+        self._voxel = np.append(self._map.rank, -1).astype(np.int32)[voxels]  # (M,) of each raw point; -1: none
+        self._why = np.zeros(len(points), np.uint8)
+        self._first: dict[int, int] = {}  # of each scan by its index: its first raw point
+        self._seen = self._end = 0
+        self._tree: Any = None
+        # Kernels compile here, not in the first scan that is compared.
+        self._compare(Tiles(np.empty((0, 3), np.float32)), np.zeros((0, 3), np.float32), np.zeros(3))
+
+    def observe(self, scan: Scan) -> None:
+        """Note where the scan's points are in the raw map; compare every ``removal_interval``-th scan with the map."""
+        self._first[scan.index] = self._end
+        self._end += len(scan)
+        self._seen += 1
+        if self._seen % self.params.removal_interval == 0:
+            said = self._compare(self._map, scan.points, scan.position)
+            self._show(said)
+            self._remove(said)
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the map lost the point's voxel; as ``port``, where nothing of the map is near."""
+        if self.params.port:
+            return self._far_from_map(scan.points)
+        dynamic: Bool = self._reasons(scan) == REMOVED
+        return dynamic
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``."""
+        why = self._reasons(scan)
+        if self.params.port:
+            dynamic = self._far_from_map(scan.points)
+            why[dynamic & (why != REMOVED)] = FAR_FROM_MAP
+            why[~dynamic & (why == REMOVED)] = NEAR_MAP
+        return why
+
+    def cleaned_map(self) -> F32:
+        """(K, 3) float32, metres, world frame: centroids of the voxels that are left, and what ``port`` inserted."""
+        return self._map.points[~self._map.gone]
+
+    def _compare(self, tiles: Tiles, points: F32, position: F64) -> _Comparison:
+        """Steps "bins" to "ground" for one scan; changes nothing."""
+        p, foot = self.params, position - (0, 0, self._height)
+        query, _ = _thinned(points, p.query_voxel)
+        rows, bins = self._locate(tiles.points, tiles.spans(foot, p.max_range), tiles.gone, foot)
+        query_rows, query_bins = self._locate(query, np.array([[0, len(query)]]), np.zeros(len(query), np.bool_), foot)
+        map_height, _ = self._heights(tiles.points, rows, bins)
+        scan_height, scan_points = self._heights(query, query_rows, query_bins)
+        verdict = self._judge(map_height, scan_height, scan_points)
+        why = np.append(verdict, np.uint8(OUTSIDE))[bins]
+        flagged = np.flatnonzero(why == REMOVED)
+        flagged = flagged[np.argsort(bins[flagged], kind="stable")]
+        ground = self._fit_ground(tiles.points[rows[flagged]] - foot, bins[flagged])
+        why[flagged[ground]] = GROUND
+        inserted = query[query_rows[np.append(verdict, np.uint8(OUTSIDE))[query_bins] == REMOVED]]
+        return _Comparison(foot, rows, bins, why, inserted, map_height, scan_height, verdict)
+
+    def _judge(self, map_height: F64, scan_height: F64, scan_points: NDArray[np.int64]) -> U8:
+        """The scan ratio test (Lim et al., Section III-D)."""
+        ratio = _ratio(map_height, scan_height)
+        verdict = np.full(len(ratio), MAP_NOT_HIGHER, np.uint8)
+        higher = (ratio < self.params.scan_ratio) & (map_height >= scan_height)
+        verdict[higher] = np.where(map_height[higher] > self.params.min_difference, REMOVED, LOW_BIN)
+        verdict[(scan_points < self.params.min_points) | np.isnan(map_height)] = TOO_FEW
+        return verdict
+
+    def _fit_ground(self, points: F64, bins: NDArray[np.int32]) -> Bool:
+        """Region-wise ground plane fitting (Lim et al., Section III-E); the points of a bin follow each other."""
+        p = self.params
+        starts = np.flatnonzero(np.diff(bins, prepend=-1, append=-1))
+        ground: Bool = kernels.region_ground.fit(
+            kernels.frozen(points, np.float64),
+            kernels.frozen(starts, np.int64),
+            *(p.ground_skip, p.ground_lowest, p.ground_seed, p.ground_distance, p.ground_iterations, not p.port),
+        )
+        return ground
+
+    def _locate(self, points: F32, spans: NDArray[np.int64], gone: Bool, foot: F64) -> Any:
+        p = self.params
+        return kernels.polar.locate(
+            *(kernels.frozen(points, np.float32), kernels.frozen(spans, np.int64)),
+            *(kernels.frozen(gone, np.bool_), kernels.frozen(foot, np.float64)),
+            *(p.max_range, p.rings, p.sectors, p.min_height, p.max_height),
+        )
+
+    def _heights(self, points: F32, rows: NDArray[np.int32], bins: NDArray[np.int32]) -> Any:
+        n = self.params.rings * self.params.sectors
+        return kernels.polar.heights(kernels.frozen(points, np.float32), rows, bins, n)
+
+    def _remove(self, said: _Comparison) -> None:
+        self._why[said.rows] = np.maximum(self._why[said.rows], said.why)
+        self._map.gone[said.rows[said.why == REMOVED]] = True
+        if self.params.port:
+            self._map.append(said.inserted)
+            self._why = np.append(self._why, np.full(len(said.inserted), BEYOND, np.uint8))
+        self._tree = None
+
+    def _reasons(self, scan: Scan) -> U8:
+        voxels = self._voxel[self._first[scan.index] :][: len(scan)]
+        return np.append(self._why, np.uint8(UNJUDGED))[voxels]
+
+    def _far_from_map(self, points: F32) -> Bool:
+        """As the benchmark scores a map of centroids: is its nearest point farther than ``NEAR``?"""
+        from scipy.spatial import cKDTree
+
+        if self._tree is None:
+            self._tree = cKDTree(self.cleaned_map())
+        far = np.zeros(len(points), np.bool_)
+        finite = np.isfinite(points).all(1)
+        far[finite] = np.isinf(self._tree.query(points[finite], distance_upper_bound=np.nextafter(NEAR, 1))[0])
+        return far
+
+    def _show(self, said: _Comparison) -> None:
+        p, ratio = self.params, _ratio(said.map_height, said.scan_height)
+        status = np.where(np.isnan(said.map_height), np.nan, said.verdict)
+        grids = {"map_height": said.map_height, "scan_height": said.scan_height, "ratio": ratio, "status": status}
+        for name, values in grids.items():
+            shaped = values.reshape(p.rings, p.sectors).astype(np.float32)
+            self._probe.emit(name, PolarGrid(shaped, p.max_range))
+        for name, code in (("removed", REMOVED), ("ground", GROUND)):
+            if self._probe.wants(name):
+                points = self._map.points[said.rows[said.why == code]]
+                self._probe.emit(name, Points(points, (points[:, 2] - said.foot[2]).astype(np.float32)))
+        if self._probe.wants("flagged"):
+            chosen = (said.why == GROUND) | (said.why == REMOVED)
+            cubes = np.floor(self._map.points[said.rows[chosen]] / np.float32(PILLAR)).astype(np.int32)
+            keys, first = np.unique(cubes, axis=0, return_index=True)
+            values = ratio[said.bins[chosen][first]].astype(np.float32)
+            self._probe.emit("flagged", Voxels(keys, PILLAR, values))
+
+
+def _ratio(a: F64, b: F64) -> F64:
+    """The smaller over the larger; NaN where both are 0 or either is NaN."""
+    with np.errstate(invalid="ignore"):
+        ratio: F64 = np.minimum(a, b) / np.maximum(a, b)
+    return ratio
+
+
+def _thinned(points: F32 | None, size: float) -> tuple[F32, NDArray[np.int32]]:
+    """Centroids (V, 3) of the voxels that hold points, and the voxel of each point, -1 for none; size 0: the points."""
+    points = kernels.frozen(points, np.float32)
+    if size > 0:
+        voxels, n = kernels.centroids.number(points, size)
+        return kernels.frozen(kernels.centroids.means(points, voxels, n), np.float32), voxels
+    finite = np.isfinite(points).all(1)
+    voxels = np.where(finite, np.cumsum(finite) - 1, -1).astype(np.int32)
+    return points[finite], voxels
