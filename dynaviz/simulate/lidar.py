@@ -22,7 +22,13 @@ REFLECTING = (Kind.ROAD, Kind.SIDEWALK, Kind.TERRAIN, Kind.OTHER_GROUND)
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """One sweep's rays in the sensor frame: (N, 3) unit directions, (N, 3) origins in metres, (N,) number of the lidar."""
+    """One sweep's rays in the sensor frame.
+
+    Attributes:
+        directions: (N, 3) float64, of length 1.
+        origins: (N, 3) float64, metres.
+        lidar: (N,) uint8, number of the lidar in a merged pair.
+    """
 
     directions: F64
     origins: F64
@@ -75,7 +81,9 @@ def sweep(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
 
 def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
     """Azimuth and elevation in radians, firing by firing from the lowest beam up, as far as the field of view goes."""
-    assert sensor.azimuth_step and sensor.elevation and sensor.rings
+    assert sensor.azimuth_step
+    assert sensor.elevation
+    assert sensor.rings
     low, high = sensor.azimuth
     firings = np.arange(int((high - low) / sensor.azimuth_step))
     elevations = np.array(sensor.elevations) if sensor.elevations else np.linspace(*sensor.elevation, sensor.rings)
@@ -86,7 +94,8 @@ def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
 
 def _scattered(sensor: Sensor, frame: int) -> tuple[F64, F64]:
     """A pattern that never repeats: evenly spread over the field of view and filling gaps from sweep to sweep."""
-    assert sensor.points_per_sweep and sensor.elevation
+    assert sensor.points_per_sweep
+    assert sensor.elevation
     count = frame * sensor.points_per_sweep + np.arange(sensor.points_per_sweep)
     across, up = (count * share % 1 for share in GOLDEN)
     fields = (sensor.azimuth, sensor.elevation)
@@ -145,7 +154,8 @@ def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, 
     """What the sensor reports of the hits.
 
     Light comes back from as far as ``max_range`` from a bright surface seen squarely, less far from a dark one
-    or one that is grazed. One return in 200 gets lost. One in 2000 off the ground comes by a detour and is put beyond it.
+    or one that is grazed. Four in a hundred get lost. One in 2000 off the ground comes by a detour and is put
+    beyond it.
 
     Returns:
         (N,) range in metres with noise; (N,) bool, which rays return; (N,) class; (N,) intensity from 0 to 1.
@@ -154,10 +164,11 @@ def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, 
     assert sensor.max_range is not None
     reach = sensor.max_range * np.sqrt(hits.reflectance / 0.8) * np.clip(hits.facing, 1e-3, 1) ** 0.1
     reach = np.minimum(reach * rng.normal(1, 0.12, count), sensor.max_range)
-    seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > 0.005)
+    seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > 0.04)
     detour = (rng.random(count) < 0.0005) & np.isin(hits.kind, REFLECTING)
     longer = np.where(detour, rng.uniform(1.15, 1.8, count), 1.0)
     distance = hits.range * longer + rng.normal(0, sensor.range_noise or 0.0, count)
     kind = np.where(detour, Kind.OUTLIER, hits.kind).astype(np.uint16)
     intensity = np.clip(hits.reflectance * (0.4 + 0.6 * hits.facing) * rng.normal(1, 0.08, count), 0, 1)
-    return distance, seen & (distance >= sensor.min_range) & (distance <= sensor.max_range), kind, intensity.astype(np.float32)
+    seen &= (distance >= sensor.min_range) & (distance <= sensor.max_range)
+    return distance, seen, kind, intensity.astype(np.float32)

@@ -43,17 +43,22 @@ class Path:
         """Metres from end to end."""
         return float(self.distance[-1])
 
-    def at(self, distance: ArrayLike) -> tuple[F64, F64, F64]:
+    def at(self, distance: float | F64) -> tuple[F64, F64, F64]:
         """X, y (metres) and heading (radians) at distances along the path; its ends beyond them."""
         x, y, yaw = (np.interp(distance, self.distance, column) for column in (*self.xy.T, self.yaw))
         return x, y, yaw
 
-    def beside(self, distance: ArrayLike, left: ArrayLike) -> tuple[F64, F64, F64]:
+    def beside(self, distance: float | F64, left: float | F64) -> tuple[F64, F64, F64]:
         """X, y and heading of places to the left of the path (to the right where negative)."""
         x, y, yaw = self.at(distance)
         return x - left * np.sin(yaw), y + left * np.cos(yaw), yaw
 
-    def shifted(self, left: ArrayLike) -> Path:
+    def spot(self, distance: float, left: float = 0.0) -> tuple[float, float, float]:
+        """One place on or beside the path: x, y, heading."""
+        x, y, yaw = (float(value) for value in self.beside(distance, left))
+        return x, y, yaw
+
+    def shifted(self, left: float | F64) -> Path:
         """The path that runs beside this one, by one distance or one for each of its points."""
         x, y, _ = self.beside(self.distance, left)
         return Path(np.column_stack([x, y]))
@@ -103,7 +108,7 @@ class Ride:
         distance = self.schedule(time)
         if not 0 <= distance <= self.path.length:
             return None
-        x, y, yaw = (float(value) for value in self.path.at(distance))
+        x, y, yaw = self.path.spot(distance)
         return _upright(x, y, yaw, height) if self.upright else _leaning(x, y, yaw, height)
 
 

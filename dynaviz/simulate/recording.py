@@ -86,7 +86,15 @@ def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F
     points = geometry.transform(T_world_sensor, in_sensor)
     instances = np.where(kinds == Kind.OUTLIER, 0, hits.instance).astype(np.int32)
     return Shot(
-        index, time, points, intensity[back], rays.lidar[back], kinds[back], instances[back], T_world_sensor, T_scene_world
+        index,
+        time,
+        points,
+        intensity[back],
+        rays.lidar[back],
+        kinds[back],
+        instances[back],
+        T_world_sensor,
+        T_scene_world,
     )
 
 
@@ -149,13 +157,17 @@ def simulate(
         _write(beside, chosen, frames, seed, out.name, progress)
         beside.rename(out)
     except OSError as error:
-        raise DataError(out, f"cannot be written ({error.strerror})", hint="Free space or choose another folder") from error
+        raise DataError(
+            out, f"cannot be written ({error.strerror})", hint="Free space or choose another folder"
+        ) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return out
 
 
-def _write(folder: Path, preset: Preset, frames: int, seed: int, name: str, progress: Callable[[int, int], None]) -> None:
+def _write(
+    folder: Path, preset: Preset, frames: int, seed: int, name: str, progress: Callable[[int, int], None]
+) -> None:
     import tomli_w
 
     from dynaviz.io.pcd import PcdWriter, write_pcd
@@ -167,7 +179,11 @@ def _write(folder: Path, preset: Preset, frames: int, seed: int, name: str, prog
             xyz: dict[str, Any] = dict(zip("xyz", shot.points.T, strict=True))
             scan = {**xyz, "intensity": shot.intensity} | ({"lidar": shot.lidar} if merged else {})
             write_pcd(folder / "pcd" / f"{shot.index:06d}.pcd", scan, T_world_sensor=shot.T_world_sensor)
-            truth = {"intensity": shot.labels.astype(np.float32), "class": shot.kinds, "instance": shot.instances}
+            truth: dict[str, Any] = {
+                "intensity": shot.labels.astype(np.float32),
+                "class": shot.kinds,
+                "instance": shot.instances,
+            }
             cloud.append(**xyz, **truth)
             progress(shot.index + 1, frames)
     facts = {"name": name, "title": preset.title, "preset": preset.name, "sensor": preset.sensor, "seed": seed}

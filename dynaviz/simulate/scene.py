@@ -28,12 +28,16 @@ class Scene:
     """All there is to see. The scene frame has z up and the ground near z = 0.
 
     Attributes:
+        rng: chooses everything in it.
+        duration: of the recording, seconds.
         height: of the ground in metres at x, y in the scene frame.
         sensor: the way of the sensor's carrier.
         parts: what stands.
         movers: what moves; instance numbers are positions in this list from 1.
     """
 
+    rng: np.random.Generator
+    duration: float
     height: Height
     sensor: Ride
     parts: list[Part] = field(default_factory=list)
@@ -48,29 +52,29 @@ class Scene:
         z = float(self.height(np.array([x]), np.array([y]))[0])
         self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
 
-    def tree(self, rng: np.random.Generator, x: float, y: float) -> None:
-        """Plant a tree."""
-        height = rng.uniform(5.5, 9.0)
-        self.put(things.trunk(rng, height), Kind.TRUNK, x, y)
-        self.put(things.crown(rng, height), Kind.VEGETATION, x, y)
+    def tree(self, x: float, y: float, highest: float = 9.0) -> None:
+        """Plant a tree, 6.5 m high at least."""
+        height = self.rng.uniform(6.5, highest)
+        self.put(things.trunk(self.rng, height), Kind.TRUNK, x, y)
+        self.put(things.crown(self.rng, height), Kind.VEGETATION, x, y)
 
-    def house(self, rng: np.random.Generator, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
+    def house(self, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
         """Build a house whose front's middle is at x, y and whose front looks along yaw + 90 degrees."""
-        walls, panes = things.house(rng, width, depth, storeys)
-        self.put(walls, Kind.BUILDING, x, y, yaw, rng.uniform(0.3, 0.7))
+        walls, panes = things.house(self.rng, width, depth, storeys)
+        self.put(walls, Kind.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
         self.put(panes, Kind.BUILDING, x, y, yaw, 0.06)  # glass sends little back from afar
 
-    def move(self, kind: Kind, path: Path, schedule: Schedule, body: Mesh | Callable[[float], Mesh], rng: np.random.Generator) -> None:
+    def move(self, kind: Kind, path: Path, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
         """Let something move along a path."""
         shape = body if callable(body) else lambda _: body
         upright = kind in (Kind.MOVING_PERSON, Kind.MOVING_BICYCLIST)
-        reflectance = rng.uniform(0.12, 0.7)
+        reflectance = self.rng.uniform(0.12, 0.7)
         self.movers.append(Mover(kind, len(self.movers) + 1, Ride(path, schedule, upright), shape, reflectance))
 
-    def walk(self, path: Path, schedule: Schedule, rng: np.random.Generator) -> None:
+    def walk(self, path: Path, schedule: Schedule) -> None:
         """Let a person go along a path."""
-        height = rng.uniform(1.55, 1.9)
-        self.move(Kind.MOVING_PERSON, path, schedule, lambda way: things.person(way, height), rng)
+        height = self.rng.uniform(1.55, 1.9)
+        self.move(Kind.MOVING_PERSON, path, schedule, lambda way: things.person(way, height))
 
 
 def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64, F64], F64]:
@@ -79,10 +83,9 @@ def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64
     directions, phases = rng.uniform(0, 2 * np.pi, (2, len(lengths)))
 
     def height(x: F64, y: F64) -> F64:
-        waves = zip(lengths, directions, phases, strict=True)
-        return sum(  # type: ignore[return-value]
-            steepness * length * np.sin(2 * np.pi / length * (x * np.cos(a) + y * np.sin(a)) + phase)
-            for length, a, phase in waves
-        )
+        total = np.zeros(np.broadcast(x, y).shape)
+        for length, a, phase in zip(lengths, directions, phases, strict=True):
+            total += steepness * length * np.sin(2 * np.pi / length * (x * np.cos(a) + y * np.sin(a)) + phase)
+        return total
 
     return height

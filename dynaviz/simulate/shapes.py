@@ -63,7 +63,7 @@ def quads(corners: ArrayLike) -> Mesh:
     """
     vertices = np.asarray(corners, np.float64).reshape(-1, 3)
     first = 4 * np.arange(len(vertices) // 4)[:, None]
-    return Mesh(vertices, np.concatenate([first + [0, 1, 2], first + [0, 2, 3]]))
+    return Mesh(vertices, np.concatenate([first + np.array(three) for three in ((0, 1, 2), (0, 2, 3))]))
 
 
 def grid(points: F64) -> Mesh:

@@ -12,7 +12,9 @@ from dynaviz.simulate.scene import Scene, rolling
 from dynaviz.simulate.shapes import box, grid, join, tube
 
 HALF = 34.0  # of the square's side, metres; the street runs beyond its edge at y = -HALF
-LANES = (-37.0, -40.5)
+LANES = (-36.2, -39.5)
+FOUNTAIN = (-3.0, 2.0)
+GATE = 26.0  # where vehicles leave the square, x in metres
 
 
 def square(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
@@ -24,13 +26,15 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
         speed: of the sensor once it goes, m/s.
         traffic: how much of it; 1 is usual.
     """
-    route = Path([(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4)
-    scene = Scene(rolling(rng, 0.002), Ride(route, depart(2.0, speed, duration / 3, 1.0)))
+    route = Path(
+        [(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4
+    )
+    scene = Scene(rng, duration, rolling(rng, 0.002), Ride(route, depart(2.0, speed, duration / 3, 1.0)))
     _ground(scene)
-    _houses(scene, rng)
-    _furniture(scene, rng)
-    _crowd(scene, rng, duration, traffic)
-    _traffic(scene, rng, duration, traffic)
+    _houses(scene)
+    _furniture(scene)
+    _crowd(scene, traffic)
+    _traffic(scene, traffic)
     return scene
 
 
@@ -40,57 +44,77 @@ def _ground(scene: Scene) -> None:
         (Kind.ROAD, -HALF - 9, -HALF, 1.0),
         (Kind.TERRAIN, -HALF - 60, -HALF - 9, 3.0),
     ):
-        x, y = np.meshgrid(np.arange(-90, 90.1, 1.5), np.linspace(low, high, round((high - low) / step) + 1), indexing="ij")
+        x, y = np.meshgrid(
+            np.arange(-90, 90.1, 1.5), np.linspace(low, high, round((high - low) / step) + 1), indexing="ij"
+        )
         scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), kind)
 
 
-def _houses(scene: Scene, rng: np.random.Generator) -> None:
+def _houses(scene: Scene) -> None:
     """Three sides of houses, each with a lane between two of them that one looks through."""
-    for side, yaw in ((0, np.pi), (1, np.pi / 2), (2, -np.pi / 2)):
+    for side, yaw in ((0, np.pi), (1, -np.pi / 2), (2, np.pi / 2)):
         along = -HALF
         for plot in range(5):
-            width = rng.uniform(11, 14.5)
+            width = scene.rng.uniform(11, 14.5)
             middle = along + width / 2
             x, y = ((middle, HALF), (-HALF, middle), (HALF, middle))[side]
-            yaw_out = yaw if side == 0 else -yaw
             if plot != 3:
-                scene.house(rng, x, y, yaw_out, width, 10.0, int(rng.integers(3, 6)))
+                scene.house(x, y, yaw, width, 10.0, int(scene.rng.integers(3, 6)))
             along += width
 
 
-def _furniture(scene: Scene, rng: np.random.Generator) -> None:
+def _furniture(scene: Scene) -> None:
     basin = tube([(0, 0, -0.2), (0, 0, 0.6)], 3.0, 20)
-    scene.put(join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]), Kind.OTHER_STRUCTURE, -3, 2)
-    for x, y in ((-26, 5), (24, 20)):
+    scene.put(join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]), Kind.OTHER_STRUCTURE, *FOUNTAIN)
+    for x, y in ((-26.0, 5.0), (24.0, 20.0)):
         roof = box(4.4, 3.6, 0.15, at=(0, 0, 2.7))
-        scene.put(join([box(3.4, 2.6, 2.7), roof]), Kind.OTHER_STRUCTURE, x, y, rng.uniform(0, np.pi))
-    for count, x in enumerate(np.arange(-30, 31, 7.5)):
-        scene.tree(rng, x, -28 + rng.uniform(-1, 1))
-        scene.tree(rng, x + 3, 28 + rng.uniform(-1, 1))
-        scene.put(things.bench(), Kind.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
+        scene.put(join([box(3.4, 2.6, 2.7), roof]), Kind.OTHER_STRUCTURE, x, y, scene.rng.uniform(0, np.pi))
+    for count, x in enumerate(np.arange(-30, 25, 7.5)):
+        scene.tree(x + 3, 27.5 + scene.rng.uniform(-1, 1))
+        if x < GATE - 7:
+            scene.tree(x, -28 + scene.rng.uniform(-1, 1))
+            scene.put(things.bench(), Kind.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
         if count % 2:
-            scene.put(things.lamp(5, 0.8), Kind.POLE, x + 3.7, -31, np.pi / 2)
+            scene.put(things.lamp(5, 0.8), Kind.POLE, x - 3.7, -31, np.pi / 2)
             scene.put(things.lamp(5, 0.8), Kind.POLE, x, 24, -np.pi / 2)
-    for x in np.arange(-32, 33, 2.5):
+    for x in np.arange(-32, GATE - 4, 2.5):
         scene.put(tube([(0, 0, -0.2), (0, 0, 0.9)], 0.08), Kind.POLE, x, -32.8)
-    for x, y in rng.uniform((12, -22), (28, -8), (6, 2)):
-        scene.put(things.table(), Kind.OTHER_OBJECT, x, y, rng.uniform(0, np.pi))
+    for x, y in scene.rng.uniform((-30, -20), (-24, -3), (6, 2)):
+        scene.put(things.table(), Kind.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
     for x in np.arange(-4, 4, 0.8):
         scene.put(things.bicycle(), Kind.PARKED_BICYCLE, x, -29.8, np.pi / 2)
     for x in np.arange(-60, 61, 6.5):
-        if rng.random() < 0.6:
-            scene.put(things.car(rng), Kind.CAR, x, -HALF - 7.9, 0, rng.uniform(0.1, 0.7))
+        if scene.rng.random() < 0.6:
+            scene.put(things.car(scene.rng), Kind.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
 
 
-def _crowd(scene: Scene, rng: np.random.Generator, duration: float, traffic: float) -> None:
+def _crowd(scene: Scene, traffic: float) -> None:
     """People across the square in all directions and along the house fronts; some stand first."""
-    for count in range(round(36 * traffic)):
-        walk, pace = _walk(rng, close_to_wall=count % 4 == 0), rng.uniform(0.9, 1.6)
-        goes = depart(_start(rng, walk, pace, duration), pace, duration * rng.uniform(0.3, 0.7), 1.0)
-        scene.walk(walk, goes if count % 5 == 1 else cruise(_start(rng, walk, pace, duration), pace), rng)
+    for count in range(round(28 * traffic)):
+        pace = scene.rng.uniform(0.9, 1.6)
+        stands = scene.duration * scene.rng.uniform(0.3, 0.7) if count % 5 == 1 else None
+        scene.walk(*_way(scene, pace, scene.duration, stands, close_to_wall=count % 4 == 0))
     for _ in range(round(4 * traffic)):
-        walk = _walk(rng, close_to_wall=False)
-        scene.move(Kind.MOVING_BICYCLIST, walk, cruise(_start(rng, walk, 3.5, duration), 3.5), things.cyclist, rng)
+        scene.move(Kind.MOVING_BICYCLIST, *_way(scene, 3.5, scene.duration), things.cyclist)
+
+
+def _way(
+    scene: Scene,
+    pace: float,
+    duration: float,
+    stands: float | None = None,
+    close_to_wall: bool = False,
+) -> tuple[Path, Schedule]:
+    """A way through the square, chosen anew until it leads nobody into the sensor."""
+    while True:
+        path = _walk(scene.rng, close_to_wall)
+        start = float(scene.rng.uniform(0, max(1.0, path.length - 0.8 * pace * scene.duration)))
+        schedule = cruise(start, pace) if stands is None else depart(start, pace, stands, 1.0)
+        times = np.arange(0, scene.duration, 0.2)
+        here = np.array([path.at(schedule(time))[:2] for time in times])
+        sensor = np.array([scene.sensor.path.at(scene.sensor.schedule(time))[:2] for time in times])
+        if np.hypot(*(here - sensor).T).min() > 2.0:
+            return path, schedule
 
 
 def _walk(rng: np.random.Generator, close_to_wall: bool) -> Path:
@@ -104,26 +128,25 @@ def _walk(rng: np.random.Generator, close_to_wall: bool) -> Path:
         ends = inside * np.array([(np.cos(way), np.sin(way)), (np.cos(way + 2.6), np.sin(way + 2.6))])
         corners = np.array([ends[0], rng.uniform(-14, 14, 2), ends[1]])
     path = Path(corners, rounds=4)
+    if np.hypot(*(path.xy - FOUNTAIN).T).min() < 4.0:
+        return _walk(rng, close_to_wall)
     return path if rng.random() < 0.5 else path.reversed()
 
 
-def _start(rng: np.random.Generator, path: Path, pace: float, duration: float) -> float:
-    """So that most of the time is spent on the path."""
-    return float(rng.uniform(0, max(1.0, path.length - 0.8 * pace * duration)))
-
-
-def _traffic(scene: Scene, rng: np.random.Generator, duration: float, traffic: float) -> None:
-    """Cars and lorries on the street, a delivery van that leaves the square."""
+def _traffic(scene: Scene, traffic: float) -> None:
+    """Cars and lorries on the street, a car that leaves the square."""
     lanes = [Path([(-88, LANES[0]), (88, LANES[0])]), Path([(88, LANES[1]), (-88, LANES[1])])]
-    count = max(4, round(0.5 * duration * traffic))
+    count = max(4, round(0.5 * scene.duration * traffic))
     for index in range(count):
         pace = 9.0
-        start = 88 + rng.uniform(-20, 20) - pace * duration * (index + 0.5) / count
+        start = 88 + scene.rng.uniform(-20, 20) - pace * scene.duration * (index + 0.5) / count
         schedule: Schedule = cruise(start, pace)
-        lorry = index % 4 == 2
+        lorry = index == 2
         scene.move(
-            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR, lanes[index % 2], schedule,
-            things.truck(rng) if lorry else things.car(rng), rng,
+            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR,
+            lanes[index % 2],
+            schedule,
+            things.truck(scene.rng) if lorry else things.car(scene.rng),
         )
-    out = Path([(27, 3), (27, -8), (26, -24), (25, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
-    scene.move(Kind.MOVING_TRUCK, out, depart(5, 4.0, 0.4 * duration), things.truck(rng), rng)
+    out = Path([(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
+    scene.move(Kind.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), things.car(scene.rng))

@@ -9,11 +9,12 @@ from dynaviz.simulate import things
 from dynaviz.simulate.classes import Kind
 from dynaviz.simulate.movers import Path, Ride, arrive, cruise, depart
 from dynaviz.simulate.scene import Scene, rolling
-from dynaviz.simulate.shapes import grid
+from dynaviz.simulate.shapes import Mesh, box, grid
 
 ENDS = 85.0  # of street before and after the sensor's way, metres
 BEND, RADIUS = np.radians(50), 75.0
 LANE, BAY, KERB, WALL = 1.75, 4.6, 5.7, 9.2  # middle of a lane and of the parking bays, kerb, house fronts; metres
+PLACE = 6.2  # length of a parking place, metres
 STEP = 0.13  # height of the kerb, metres
 
 
@@ -24,6 +25,7 @@ class Street:
         self.length = way + 2 * ENDS
         self.middle = _middle(self.length)
         self.base = rolling(rng)
+        self.crossing = 3.0 + PLACE * round((ENDS + way + 11) / PLACE)  # a parking place left free on both sides
 
     def height(self, x: F64, y: F64) -> F64:
         """Of the ground, metres: the rolling country, and the step at the kerb."""
@@ -37,7 +39,7 @@ class Street:
 
     def station(self, path: Path, station: float, left: float) -> float:
         """How far along a lane a station of the street is."""
-        x, y, _ = self.middle.beside(station, left)
+        x, y, _ = self.middle.spot(station, left)
         return float(path.distance[np.argmin(np.hypot(path.xy[:, 0] - x, path.xy[:, 1] - y))])
 
 
@@ -65,13 +67,13 @@ def street(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     """
     road = Street(rng, duration * speed)
     lane = road.lane(-LANE)
-    scene = Scene(road.height, Ride(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
-    reserved = _parkers(scene, road, rng, duration, speed)
+    scene = Scene(rng, duration, road.height, Ride(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
+    reserved = _parkers(scene, road, speed)
     _ground(scene, road)
-    _fronts(scene, road, rng)
-    _kerbside(scene, road, rng, reserved)
-    _traffic(scene, road, rng, duration, speed, traffic)
-    _people(scene, road, rng, duration, speed, traffic)
+    _fronts(scene, road)
+    _kerbside(scene, road, reserved)
+    _traffic(scene, road, speed, traffic)
+    _people(scene, road, speed, traffic)
     return scene
 
 
@@ -87,64 +89,76 @@ def _ground(scene: Scene, road: Street) -> None:
             scene.add(_strip(road, stations, side, heights), kind)
 
 
-def _strip(road: Street, stations: F64, left: F64, heights: F64):  # type: ignore[no-untyped-def]
+def _strip(road: Street, stations: F64, left: F64, heights: F64) -> Mesh:
     x, y, _ = road.middle.beside(*np.meshgrid(stations, left, indexing="ij"))
     return grid(np.stack([x, y, road.base(x, y) + heights], -1))
 
 
-def _fronts(scene: Scene, road: Street, rng: np.random.Generator) -> None:
+def _fronts(scene: Scene, road: Street) -> None:
     """Row houses with gaps; on the left, halfway, there is open country with nothing behind it."""
     for side in (-1, 1):
         station, plot = 4.0, 0
         while station < road.length - 20:
-            width = rng.uniform(10, 17)
+            width = scene.rng.uniform(10, 17)
             middle, plot = station + width / 2, plot + 1
             if side > 0 and abs(middle - road.length / 2 - 8) < 20:
-                _open(scene, road, rng, middle, width)
+                _open(scene, road, middle, width)
             elif plot % 4 == 3:
-                _garden(scene, road, rng, middle, width, side)
+                _garden(scene, road, middle, width, side)
             else:
-                x, y, yaw = road.middle.beside(middle, side * WALL)
-                scene.house(rng, x, y, yaw + np.pi * (side > 0), width, rng.uniform(8, 11), int(rng.integers(2, 5)))
+                aside = WALL + width**2 / 500 * (side > 0)  # within the bend a straight front bulges into the pavement
+                x, y, yaw = road.middle.spot(middle, side * aside)
+                scene.house(
+                    x, y, yaw + np.pi * (side > 0), width, scene.rng.uniform(8, 11), int(scene.rng.integers(2, 5))
+                )
             station += width + 0.1
 
 
-def _garden(scene: Scene, road: Street, rng: np.random.Generator, middle: float, width: float, side: int) -> None:
+def _garden(scene: Scene, road: Street, middle: float, width: float, side: int) -> None:
     """A gap between houses: fence or wall in front, a hedge and trees behind."""
-    x, y, yaw = road.middle.beside(middle, side * (WALL + 0.2))
-    if rng.random() < 0.6:
+    x, y, yaw = road.middle.spot(middle, side * (WALL + 0.2))
+    if scene.rng.random() < 0.6:
         scene.put(things.fence(width), Kind.FENCE, x, y, yaw)
     else:
-        scene.put(things.box(width, 0.3, 1.9), Kind.OTHER_STRUCTURE, x, y, yaw)
-    x, y, yaw = road.middle.beside(middle, side * (WALL + 9))
-    scene.put(things.bush(rng, width, 1.2, 2.0), Kind.VEGETATION, x, y, yaw)
+        scene.put(box(width, 0.3, 1.9), Kind.OTHER_STRUCTURE, x, y, yaw)
+    x, y, yaw = road.middle.spot(middle, side * (WALL + 9))
+    scene.put(things.bush(scene.rng, width, 1.2, 2.0), Kind.VEGETATION, x, y, yaw)
     for along in (-0.25, 0.25):
-        x, y, _ = road.middle.beside(middle + along * width, side * (WALL + rng.uniform(3.5, 6.5)))
-        scene.tree(rng, x, y)
+        x, y, _ = road.middle.spot(middle + along * width, side * (WALL + scene.rng.uniform(3.5, 6.5)))
+        scene.tree(x, y)
 
 
-def _open(scene: Scene, road: Street, rng: np.random.Generator, middle: float, width: float) -> None:
+def _open(scene: Scene, road: Street, middle: float, width: float) -> None:
     for _ in range(2):
-        x, y, yaw = road.middle.beside(middle + rng.uniform(-width / 2, width / 2), WALL + rng.uniform(2, 25))
-        scene.put(things.bush(rng, 1.5, 1.5, rng.uniform(0.5, 1.2)), Kind.VEGETATION, x, y, yaw)
+        x, y, yaw = road.middle.spot(middle + scene.rng.uniform(-width / 2, width / 2), WALL + scene.rng.uniform(2, 25))
+        scene.put(things.bush(scene.rng, 1.5, 1.5, scene.rng.uniform(0.5, 1.2)), Kind.VEGETATION, x, y, yaw)
 
 
-def _kerbside(scene: Scene, road: Street, rng: np.random.Generator, reserved: list[tuple[float, int]]) -> None:
+def _kerbside(scene: Scene, road: Street, reserved: tuple[float, float]) -> None:
     """Parked cars, street trees, lamps, signs, bins, benches and parked bicycles."""
     for side in (-1, 1):
-        for count, station in enumerate(np.arange(3.0, road.length - 3, 6.2)):
-            free = all(abs(station - place) > 6.3 or taken != side for place, taken in reserved)
-            if free and rng.random() < 0.4:
-                x, y, yaw = road.middle.beside(station + rng.uniform(-0.4, 0.4), side * (BAY + rng.uniform(-0.1, 0.1)))
-                scene.put(things.car(rng), Kind.CAR, x, y, yaw + np.pi * (rng.random() < 0.3), rng.uniform(0.1, 0.7))
-            x, y, yaw = road.middle.beside(station + 3.1, side * (KERB + 0.6))
-            _furniture(scene, rng, (count + 2 * side) % 6, x, y, yaw - side * np.pi / 2)
+        for count, station in enumerate(np.arange(3.0, road.length - 3, PLACE)):
+            taken = (side < 0 and reserved[0] < station < reserved[1]) or abs(station - road.crossing) < 1
+            if not taken and scene.rng.random() < 0.55:
+                x, y, yaw = road.middle.spot(
+                    station + scene.rng.uniform(-0.4, 0.4), side * (BAY + scene.rng.uniform(-0.1, 0.1))
+                )
+                scene.put(
+                    things.car(scene.rng),
+                    Kind.CAR,
+                    x,
+                    y,
+                    yaw + np.pi * (scene.rng.random() < 0.3),
+                    scene.rng.uniform(0.1, 0.7),
+                )
+            x, y, yaw = road.middle.spot(station + 3.1, side * (KERB + 0.6))
+            _furniture(scene, (count + 2 * side) % 6, x, y, yaw - side * np.pi / 2)
 
 
-def _furniture(scene: Scene, rng: np.random.Generator, kind: int, x: float, y: float, inward: float) -> None:
+def _furniture(scene: Scene, kind: int, x: float, y: float, inward: float) -> None:
     """One of the things that stand on the edge of a pavement, looking at the carriageway."""
     if kind in (0, 3):
-        scene.tree(rng, x, y)
+        scene.tree(x, y, highest=7.5)
     elif kind == 1:
         scene.put(things.lamp(), Kind.POLE, x, y, inward)
     elif kind == 2:
@@ -152,23 +166,28 @@ def _furniture(scene: Scene, rng: np.random.Generator, kind: int, x: float, y: f
     elif kind == 4:
         scene.put(things.bicycle(), Kind.PARKED_BICYCLE, x, y, inward + np.pi / 2)
     else:
-        scene.put(things.box(0.5, 0.45, 1.1), Kind.OTHER_OBJECT, x, y, inward)
+        scene.put(box(0.5, 0.45, 1.1), Kind.OTHER_OBJECT, x, y, inward)
 
 
-def _parkers(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float) -> list[tuple[float, int]]:
-    """One car drives in and parks, one parked car drives off. Both are dynamic from the first scan to the last."""
-    halfway = ENDS + duration * speed / 2
-    into = halfway + max(8.0, 2.5 * speed)  # ahead of the sensor while it parks
+def _parkers(scene: Scene, road: Street, speed: float) -> tuple[float, float]:
+    """One car drives in and parks, one parked car drives off; gives the stations between which they need the bays."""
+    halfway = ENDS + scene.duration * speed / 2
+    into = halfway + max(12.0, 0.3 * scene.duration * speed)  # ahead of the sensor while it parks
     out_of = into + 13
     stations = np.arange(0, road.length, 0.5)
     swing_in = np.interp(stations, [into - 14, into - 4], [LANE, BAY])
     path = road.middle.shifted(-_eased(swing_in))
     end = road.station(path, into, -BAY)
-    scene.move(Kind.MOVING_CAR, path, arrive(end, 6.0, 0.45 * duration), things.car(rng), rng)
+    scene.move(Kind.MOVING_CAR, path, arrive(end, 6.0, 0.45 * scene.duration), things.car(scene.rng))
     swing_out = np.interp(stations, [out_of + 2, out_of + 12], [BAY, LANE])
     path = road.middle.shifted(-_eased(swing_out))
-    scene.move(Kind.MOVING_CAR, path, depart(road.station(path, out_of, -BAY), 7.0, 0.5 * duration), things.car(rng), rng)
-    return [(into, -1), (out_of, -1)]
+    scene.move(
+        Kind.MOVING_CAR,
+        path,
+        depart(road.station(path, out_of, -BAY), 7.0, 0.5 * scene.duration),
+        things.car(scene.rng),
+    )
+    return into - 16, out_of + 16
 
 
 def _eased(left: F64) -> F64:
@@ -177,38 +196,41 @@ def _eased(left: F64) -> F64:
     return LANE + (BAY - LANE) * share**2 * (3 - 2 * share)
 
 
-def _traffic(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float, traffic: float) -> None:
+def _traffic(scene: Scene, road: Street, speed: float, traffic: float) -> None:
     """Oncoming cars and lorries pass the sensor at times spread over the recording; others go ahead and behind."""
     oncoming, same, edge = road.lane(LANE), road.lane(-LANE), road.lane(-3.1)
-    cars, pace = max(2, round(0.2 * duration * traffic)), 8.0
+    cars, pace = max(2, round(0.2 * scene.duration * traffic)), 11.0
     for count in range(cars):
-        meet = duration * (count + rng.uniform(0.3, 0.7)) / cars
+        meet = scene.duration * (count + scene.rng.uniform(0.3, 0.7)) / cars
         start = road.station(oncoming, ENDS + speed * meet, LANE) - pace * meet
         lorry = count % 4 == 1
         scene.move(
-            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR, oncoming, cruise(start, pace),
-            things.truck(rng) if lorry else things.car(rng), rng,
+            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR,
+            oncoming,
+            cruise(start, pace),
+            things.truck(scene.rng) if lorry else things.car(scene.rng),
         )
     here = road.station(same, ENDS, -LANE)
-    scene.move(Kind.MOVING_CAR, same, cruise(here + 38, speed + 1.5), things.car(rng), rng)
-    scene.move(Kind.MOVING_CAR, same, cruise(here - 24, speed), things.car(rng), rng)
+    scene.move(Kind.MOVING_CAR, same, cruise(here + 38, speed + 1.5), things.car(scene.rng))
+    scene.move(Kind.MOVING_CAR, same, cruise(here - 24, speed), things.car(scene.rng))
     for gap, lead in ((11, 0.8), (26, -1.0)):
-        scene.move(Kind.MOVING_BICYCLIST, edge, cruise(road.station(edge, ENDS + gap, -3.1), speed + lead), things.cyclist, rng)
+        scene.move(
+            Kind.MOVING_BICYCLIST, edge, cruise(road.station(edge, ENDS + gap, -3.1), speed + lead), things.cyclist
+        )
 
 
-def _people(scene: Scene, road: Street, rng: np.random.Generator, duration: float, speed: float, traffic: float) -> None:
+def _people(scene: Scene, road: Street, speed: float, traffic: float) -> None:
     """People along the walls and under the trees both ways; one crosses; one stands half of the time, then goes."""
-    lefts = (6.9, -6.9, 7.7, -7.7, 8.6, -8.6)
-    for count in range(max(8, round(1.5 * duration * traffic))):
-        left, pace = lefts[count % 6], rng.uniform(1.1, 1.6)
+    lefts = (7.0, -7.0, 7.7, -7.7, 8.5, -8.5)
+    for count in range(max(8, round(1.5 * scene.duration * traffic))):
+        left, pace = lefts[count % 6], scene.rng.uniform(1.1, 1.6)
         path = road.middle.shifted(left + 0.12 * np.sin(road.middle.distance / 3.0))
         path = path if count % 4 < 2 else path.reversed()
-        meet = rng.uniform(0, duration)
-        start = road.station(path, ENDS + speed * meet + rng.uniform(2, 22), left) - pace * meet
-        scene.walk(path, cruise(start, pace), rng)
-    halfway = ENDS + duration * speed / 2
+        meet = scene.rng.uniform(0, scene.duration)
+        start = road.station(path, ENDS + speed * meet + scene.rng.uniform(2, 22), left) - pace * meet
+        scene.walk(path, cruise(start, pace))
+    halfway = ENDS + scene.duration * speed / 2
     standing = road.middle.shifted(-7.3)
-    scene.walk(standing, depart(road.station(standing, halfway + 6, -7.3), 1.4, duration / 2, 1.0), rng)
-    ends = [np.array(road.middle.beside(ENDS + duration * speed + 14, left)[:2]) for left in (8.0, -8.0)]
-    across = Path(np.linspace(*ends, 60))
-    scene.walk(across, cruise(max(0.0, across.length / 2 - 1.3 * duration * 0.5), 1.3), rng)
+    scene.walk(standing, depart(road.station(standing, halfway + 6, -7.3), 1.4, scene.duration / 2, 1.0))
+    across = Path([road.middle.spot(road.crossing, left)[:2] for left in np.linspace(8.0, -8.0, 60)])
+    scene.walk(across, cruise(max(0.0, across.length / 2 - 1.3 * scene.duration / 2), 1.3))

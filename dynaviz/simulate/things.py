@@ -7,6 +7,9 @@ import numpy as np
 from dynaviz.scan import F64
 from dynaviz.simulate.shapes import Mesh, box, boxes, ellipsoid, join, layers, leaves, quads, tube
 
+Face = list[tuple[float, float, float]]
+"""Corners of a flat face, metres."""
+
 STRIDE = 1.4
 """Metres a person covers with a left and a right step."""
 
@@ -32,13 +35,25 @@ def truck(rng: np.random.Generator) -> Mesh:
     cab = [(0.5, front - 1.9, front, 1.15), (1.6, front - 1.9, front, 1.2), (2.5, front - 1.9, front - 0.2, 1.15)]
     load = box(length - 2.2, 2.5, height - 0.95, at=(-1.1, 0, 0.95))
     chassis = box(length - 1.0, 0.9, 0.45, at=(-0.4, 0, 0.5))
-    return join([layers([*cab, (2.75, front - 1.9, front - 0.5, 1.0)]), load, chassis, _wheels((front - 1, rear + 1.5), 1.1, 0.48)])
+    return join(
+        [
+            layers([*cab, (2.75, front - 1.9, front - 0.5, 1.0)]),
+            load,
+            chassis,
+            _wheels((front - 1, rear + 1.5), 1.1, 0.48),
+        ]
+    )
 
 
 def forklift(_: np.random.Generator) -> Mesh:
     """A fork-lift truck with its mast and an empty fork."""
-    mast = boxes([(1.05, 0.3, 1.1), (1.05, -0.3, 1.1), (1.05, 0, 2.1)], [(0.1, 0.1, 2.2), (0.1, 0.1, 2.2), (0.1, 0.7, 0.1)])
-    roof = boxes([(0, 0, 2.05)] + [(x, y, 1.5) for x in (-0.6, 0.6) for y in (-0.4, 0.4)], [(1.4, 0.95, 0.05)] + 4 * [(0.06, 0.06, 1.1)])
+    mast = boxes(
+        [(1.05, 0.3, 1.1), (1.05, -0.3, 1.1), (1.05, 0, 2.1)], [(0.1, 0.1, 2.2), (0.1, 0.1, 2.2), (0.1, 0.7, 0.1)]
+    )
+    roof = boxes(
+        [(0, 0, 2.05)] + [(x, y, 1.5) for x in (-0.6, 0.6) for y in (-0.4, 0.4)],
+        [(1.4, 0.95, 0.05)] + 4 * [(0.06, 0.06, 1.1)],
+    )
     fork = boxes([(1.6, 0.25, 0.15), (1.6, -0.25, 0.15)], (1.1, 0.12, 0.05))
     hull = layers([(0.15, -1.0, 1.0, 0.5), (0.95, -1.0, 0.9, 0.5), (1.0, -0.9, 0.1, 0.45)])
     return join([hull, mast, roof, fork, box(0.3, 0.45, 0.8, at=(-0.3, 0, 1.0)), _wheels((0.6, -0.7), 0.45, 0.25)])
@@ -59,7 +74,9 @@ def person(way: float, height: float = 1.75) -> Mesh:
     return join(parts).scaled(height / 1.75, 1, height / 1.75)
 
 
-def _limb(top: tuple[float, float, float], angle: float, lengths: tuple[float, float], radii: tuple[float, ...], knee: float) -> Mesh:
+def _limb(
+    top: tuple[float, float, float], angle: float, lengths: tuple[float, float], radii: tuple[float, ...], knee: float
+) -> Mesh:
     """An upper and a lower part, hanging from ``top`` and swung forward by an angle; the knee bends the lower one."""
     points = [np.array(top)]
     for length, lean in zip(lengths, (angle, angle + knee * (1 - np.cos(angle))), strict=True):
@@ -70,7 +87,11 @@ def _limb(top: tuple[float, float, float], angle: float, lengths: tuple[float, f
 def cyclist(way: float) -> Mesh:
     """Someone on a bicycle, after ``way`` metres: the legs go round."""
     turn = 2 * np.pi * way / 5.0
-    parts = [bicycle(), ellipsoid(0.17, 0.2, 0.34, at=(-0.05, 0, 1.22)), ellipsoid(0.11, 0.09, 0.13, at=(0.12, 0, 1.66), sides=8)]
+    parts = [
+        bicycle(),
+        ellipsoid(0.17, 0.2, 0.34, at=(-0.05, 0, 1.22)),
+        ellipsoid(0.11, 0.09, 0.13, at=(0.12, 0, 1.66), sides=8),
+    ]
     for side in (-1, 1):
         pedal = np.array([0.05 + 0.17 * side * np.cos(turn), 0.1 * side, 0.3 - 0.17 * side * np.sin(turn)])
         knee = (np.array([-0.15, 0.1 * side, 0.95]) + pedal) / 2 + (0.28, 0, 0.1)
@@ -83,10 +104,11 @@ def bicycle() -> Mesh:
     """A bicycle without a rider; rays pass through its wheels."""
     around = np.linspace(0, 2 * np.pi, 17)
     rim = np.column_stack([0.34 * np.cos(around), np.zeros(17), 0.34 + 0.34 * np.sin(around)])
-    frame = [[(-0.52, 0, 0.34), (-0.15, 0, 0.9)], [(-0.52, 0, 0.34), (0.05, 0, 0.3)], [(0.05, 0, 0.3), (0.4, 0, 0.85)]]
-    frame += [[(-0.15, 0, 0.8), (0.4, 0, 0.85)], [(0.52, 0, 0.34), (0.4, 0, 1.05)], [(0.42, -0.25, 1.05), (0.42, 0.25, 1.05)]]
-    wheels = [tube(rim + (x, 0, 0), 0.025, 5) for x in (-0.52, 0.52)]
-    return join([*wheels, *(tube(bar, 0.02, 5) for bar in frame), box(0.25, 0.12, 0.06, at=(-0.17, 0, 0.92))])
+    bars = [((-0.52, 0, 0.34), (-0.15, 0, 0.9)), ((-0.52, 0, 0.34), (0.05, 0, 0.3)), ((0.05, 0, 0.3), (0.4, 0, 0.85))]
+    bars += [((-0.15, 0, 0.8), (0.4, 0, 0.85)), ((0.52, 0, 0.34), (0.4, 0, 1.05))]
+    frame = [tube(ends, 0.02, 5) for ends in bars] + [tube([(0.42, -0.25, 1.05), (0.42, 0.25, 1.05)], 0.02, 5)]
+    wheels = [tube(np.add(rim, (x, 0, 0)), 0.025, 5) for x in (-0.52, 0.52)]
+    return join([*wheels, *frame, box(0.25, 0.12, 0.06, at=(-0.17, 0, 0.92))])
 
 
 # Those that stand.
@@ -106,9 +128,10 @@ def _bough(start: F64, azimuth: float, height: float) -> Mesh:
 
 
 def crown(rng: np.random.Generator, height: float, count: int = 1600) -> Mesh:
-    """Leaves in five loose balls from a third of the height up."""
+    """Leaves in five loose balls, from above the heads up."""
     radius = 0.22 * height
-    balls = np.column_stack([rng.normal(0, 0.55 * radius, (5, 2)), rng.uniform(0.55 * height, 0.85 * height, 5)])
+    aside = np.clip(rng.normal(0, 0.55 * radius, (5, 2)), -0.8 * radius, 0.8 * radius)
+    balls = np.column_stack([aside, rng.uniform(0.6 * height, 0.85 * height, 5)])
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     shell = radius * rng.uniform(0.3, 1, (count, 1)) ** 0.5
@@ -124,19 +147,29 @@ def bush(rng: np.random.Generator, x: float, y: float, z: float) -> Mesh:
 def lamp(height: float = 6.0, arm: float = 1.5) -> Mesh:
     """A lamp post whose arm points along x."""
     post = tube([(0, 0, -0.3), (0, 0, 1.0), (0, 0, height)], (0.11, 0.09, 0.05))
-    return join([post, tube([(0, 0, height), (arm, 0, height + 0.2)], 0.04, 6), box(0.6, 0.25, 0.12, at=(arm, 0, height + 0.12))])
+    return join(
+        [
+            post,
+            tube([(0, 0, height), (arm, 0, height + 0.2)], 0.04, 6),
+            box(0.6, 0.25, 0.12, at=(arm, 0, height + 0.12)),
+        ]
+    )
 
 
 def sign(height: float = 2.4) -> Mesh:
     """A traffic sign on its pole."""
-    return join([tube([(0, 0, -0.3), (0, 0, height)], 0.035, 6), tube([(0.04, 0, height), (0.07, 0, height)], 0.32, 12)])
+    return join(
+        [tube([(0, 0, -0.3), (0, 0, height)], 0.035, 6), tube([(0.04, 0, height), (0.07, 0, height)], 0.32, 12)]
+    )
 
 
 def bench(length: float = 1.8) -> Mesh:
     """A bench with a back of two planks."""
     planks = [(0, 0, 0.45), (-0.22, 0, 0.65), (-0.25, 0, 0.82)]
     feet = [(0, y, 0.21) for y in (-0.4 * length, 0.4 * length)]
-    return boxes(planks + feet, [(0.45, length, 0.05), (0.04, length, 0.1), (0.04, length, 0.1)] + 2 * [(0.35, 0.08, 0.42)])
+    return boxes(
+        planks + feet, [(0.45, length, 0.05), (0.04, length, 0.1), (0.04, length, 0.1)] + 2 * [(0.35, 0.08, 0.42)]
+    )
 
 
 def table() -> Mesh:
@@ -148,7 +181,9 @@ def table() -> Mesh:
 
 def _chair() -> Mesh:
     legs = [(x, y, 0.22) for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
-    return boxes([(0, 0, 0.45), (0.22, 0, 0.7), *legs], [(0.45, 0.45, 0.04), (0.03, 0.45, 0.45)] + 4 * [(0.04, 0.04, 0.44)])
+    return boxes(
+        [(0, 0, 0.45), (0.22, 0, 0.7), *legs], [(0.45, 0.45, 0.04), (0.03, 0.45, 0.45)] + 4 * [(0.04, 0.04, 0.44)]
+    )
 
 
 def shelf(rng: np.random.Generator, length: float = 4.0, height: float = 2.6) -> Mesh:
@@ -156,7 +191,9 @@ def shelf(rng: np.random.Generator, length: float = 4.0, height: float = 2.6) ->
     boards = [(0, 0, z) for z in np.linspace(0.1, height, 4)]
     posts = [(x, y, height / 2) for x in np.linspace(-length / 2, length / 2, 3) for y in (-0.4, 0.4)]
     rack = boxes(boards + posts, 4 * [(length, 0.9, 0.05)] + 6 * [(0.08, 0.08, height)])
-    places = [(x, 0, z) for x in np.arange(-length / 2 + 0.4, length / 2 - 0.3, 0.8) for z in np.linspace(0.1, height, 4)[:3]]
+    places = [
+        (x, 0, z) for x in np.arange(-length / 2 + 0.4, length / 2 - 0.3, 0.8) for z in np.linspace(0.1, height, 4)[:3]
+    ]
     crates = [box(*rng.uniform((0.4, 0.4, 0.3), (0.75, 0.8, 0.65)), at=p) for p in places if rng.random() < 0.65]
     return join([rack, *crates])
 
@@ -165,7 +202,11 @@ def fence(length: float, height: float = 1.3) -> Mesh:
     """Posts, two rails and pickets along x; rays pass between."""
     pickets = np.arange(-length / 2, length / 2, 0.16)
     posts = np.arange(-length / 2, length / 2 + 0.1, 2.4)
-    stakes = [(x, 0, height / 2) for x in pickets] + [(x, 0.05, height / 2) for x in posts] + [(0, 0.03, 0.3), (0, 0.03, height - 0.25)]
+    stakes = (
+        [(x, 0, height / 2) for x in pickets]
+        + [(x, 0.05, height / 2) for x in posts]
+        + [(0, 0.03, 0.3), (0, 0.03, height - 0.25)]
+    )
     sizes = len(pickets) * [(0.07, 0.02, height)] + len(posts) * [(0.1, 0.1, height + 0.1)] + 2 * [(length, 0.04, 0.08)]
     return boxes(stakes, sizes)
 
@@ -178,12 +219,15 @@ def house(rng: np.random.Generator, width: float, depth: float, storeys: int) ->
     height = 3.2 * storeys + 0.6
     front, panes = _front(rng, width, height, storeys)
     w, d = width / 2, -depth
-    sides = [[(-w, d, -1), (-w, 0, -1), (-w, 0, height), (-w, d, height)], [(w, 0, -1), (w, d, -1), (w, d, height), (w, 0, height)]]
-    back = [(w, d, -1), (-w, d, -1), (-w, d, height), (w, d, height)]
+    sides: list[Face] = [
+        [(-w, d, -1), (-w, 0, -1), (-w, 0, height), (-w, d, height)],
+        [(w, 0, -1), (w, d, -1), (w, d, height), (w, 0, height)],
+    ]
+    back: Face = [(w, d, -1), (-w, d, -1), (-w, d, height), (w, d, height)]
     ridge = height + 0.35 * depth
-    roof = [[(-w, 0.4, height), (w, 0.4, height), (w, d / 2, ridge), (-w, d / 2, ridge)]]
+    roof: list[Face] = [[(-w, 0.4, height), (w, 0.4, height), (w, d / 2, ridge), (-w, d / 2, ridge)]]
     roof += [[(w, d - 0.4, height), (-w, d - 0.4, height), (-w, d / 2, ridge), (w, d / 2, ridge)]]
-    rooms = [[(-w, -4, 0), (w, -4, 0), (w, -4, height), (-w, -4, height)]]
+    rooms: list[Face] = [[(-w, -4, 0), (w, -4, 0), (w, -4, height), (-w, -4, height)]]
     rooms += [[(-w, -4, z), (w, -4, z), (w, 0, z), (-w, 0, z)] for z in 0.5 + 3.2 * np.arange(storeys)]
     cornice = box(width, 0.3, 0.25, at=(0, 0.15, height - 0.35))
     return join([front, quads([*sides, back, *roof, *rooms]), cornice, *_balconies(rng, width, storeys)]), panes
@@ -203,14 +247,17 @@ def _front(rng: np.random.Generator, width: float, height: float, storeys: int) 
     return quads(wall), quads([_upright(*w, -0.22) for w, s in zip(windows, shut, strict=True) if s or w is windows[0]])
 
 
-def _upright(x0: float, x1: float, z0: float, z1: float, y: float) -> list[tuple[float, float, float]]:
+def _upright(x0: float, x1: float, z0: float, z1: float, y: float) -> Face:
     return [(x1, y, z0), (x0, y, z0), (x0, y, z1), (x1, y, z1)]
 
 
-def _reveal(x0: float, x1: float, z0: float, z1: float, deep: float) -> list[list[tuple[float, float, float]]]:
+def _reveal(x0: float, x1: float, z0: float, z1: float, deep: float) -> list[Face]:
     """The four faces between a wall and a window set back in it."""
     ring = [(x0, z0), (x1, z0), (x1, z1), (x0, z1)]
-    return [[(a, 0, b), (c, 0, d), (c, -deep, d), (a, -deep, b)] for (a, b), (c, d) in zip(ring, ring[1:] + ring[:1], strict=True)]
+    return [
+        [(a, 0, b), (c, 0, d), (c, -deep, d), (a, -deep, b)]
+        for (a, b), (c, d) in zip(ring, ring[1:] + ring[:1], strict=True)
+    ]
 
 
 def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mesh]:
@@ -220,4 +267,6 @@ def _balconies(rng: np.random.Generator, width: float, storeys: int) -> list[Mes
 
 def _balcony() -> Mesh:
     bars = [(x, 1.05, 0.55) for x in np.arange(-1.2, 1.21, 0.15)]
-    return boxes([(0, 0.55, 0), (0, 1.05, 1.1), *bars], [(2.5, 1.1, 0.15), (2.5, 0.05, 0.05)] + len(bars) * [(0.02, 0.02, 1.1)])
+    return boxes(
+        [(0, 0.55, 0), (0, 1.05, 1.1), *bars], [(2.5, 1.1, 0.15), (2.5, 0.05, 0.05)] + len(bars) * [(0.02, 0.02, 1.1)]
+    )
