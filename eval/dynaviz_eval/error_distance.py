@@ -21,7 +21,7 @@ LIMIT = 2.0  # metres: beyond, only that a distance is larger
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: more than rounding can lose far from the origin
-_BLOCK = 2_000_000  # points of each side in memory at once
+_BLOCK = 3_000_000  # points of each side in memory at once
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)

@@ -68,27 +68,29 @@ class Spill:
 
     def sample(self, axis: int, step: int) -> F32:
         """One coordinate of every ``step``-th point of each frame, at least one a frame."""
-        return np.concatenate([self._read(extent)[::step, axis] for extent in self._extents])
+        # Copies, because a view would keep all points of its frame in memory.
+        return np.concatenate([self._read(extent)[::step, axis].copy() for extent in self._extents])
 
     def blocks(self, axis: int, low: float, high: float, size: int) -> Iterator[tuple[F32, NDArray[np.int64]]]:
-        """Points with low <= p[axis] < high and their frames, about ``size`` of them at a time."""
-        points: list[F32] = []
-        frames: list[NDArray[np.int64]] = []
-        held = 0
-        for extent in self._extents:
-            if extent.high[axis] < low or extent.low[axis] >= high:
-                continue
+        """Points with low <= p[axis] < high and their frames, about ``size`` of them at a time.
+
+        A block is valid until the next one: they share one buffer.
+        """
+        crossing = [e for e in self._extents if e.high[axis] >= low and e.low[axis] < high]
+        room = min(size + max((e.count for e in crossing), default=0), sum(e.count for e in crossing))
+        points, frames, held = np.empty((room, 3), np.float32), np.empty(room, np.int64), 0
+        for extent in crossing:
+            if held >= size:
+                yield points[:held], frames[:held]
+                held = 0
             chosen = self._read(extent)
             along = chosen[:, axis]
-            chosen = chosen[(along >= low) & (along < high)]
-            points.append(chosen)
-            frames.append(np.full(len(chosen), extent.frame))
+            chosen = np.compress((along >= low) & (along < high), chosen, 0)
+            points[held : held + len(chosen)] = chosen
+            frames[held : held + len(chosen)] = extent.frame
             held += len(chosen)
-            if held >= size:
-                yield np.concatenate(points), np.concatenate(frames)
-                points, frames, held = [], [], 0
         if held:
-            yield np.concatenate(points), np.concatenate(frames)
+            yield points[:held], frames[:held]
 
     def _read(self, extent: _Extent) -> F32:
         self._file.seek(extent.start)

@@ -4,6 +4,7 @@ import errno
 import gc
 import json
 import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,7 @@ def test_sections_equal_all_pairs_of_all_frames(info, make_labelled):
         assert histograms[kind].counts[2].tolist() == np.histogram(expected[of_frame == 2], EDGES)[0].tolist()
 
 
-@pytest.mark.parametrize("block", [1, 50, 333])
+@pytest.mark.parametrize("block", [20, 333])
 def test_slabs_and_blocks_change_nothing(block):
     wrong, right = spilled(clouds(6, 60, 1, 2.0)), spilled(clouds(7, 80, 2, 2.0))
     whole = distances(wrong, right, 6, block=10**9)
@@ -79,6 +80,22 @@ def test_slabs_and_blocks_change_nothing(block):
     assert whole[0].sum() == 360
     for a, b in zip(whole, cut, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_memory_does_not_grow_with_the_run():
+    def peak(frames):
+        rng = np.random.default_rng(0)
+        cloud = rng.uniform(-20, 20, (3000, 3))
+        wrong, right = spilled([cloud] * frames), spilled([cloud + 0.1] * frames)
+        distances(wrong, right, frames, block=3000)  # compiles, if need be
+        tracemalloc.start()
+        try:
+            distances(wrong, right, frames, block=3000)
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    assert peak(16) < 1.5 * peak(4)
 
 
 def test_what_is_far_is_only_counted(info, make_labelled):
