@@ -81,6 +81,10 @@ def _description(path: Path) -> str:
     """What is at a path, for somebody who expected something else there."""
     if path.is_file():
         return f"a file of {path.stat().st_size} bytes"
-    kinds = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in path.iterdir())
+    try:
+        entries = list(path.iterdir())
+    except OSError as error:
+        return f"a folder that cannot be listed ({error.strerror})"
+    kinds = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in entries)
     inside = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(3))
     return f"a folder ({inside})" if inside else "an empty folder"

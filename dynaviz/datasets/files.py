@@ -21,7 +21,8 @@ def numbered(folder: Path, suffix: str) -> dict[int, Path]:
     files: dict[int, Path] = {}
     for path in folder.glob(f"*{suffix}"):
         if not (path.stem.isascii() and path.stem.isdigit()):
-            raise DataError(path, "has a name that is no frame number", hint=f"Name the scans 000000{suffix} and so on")
+            hint = f"Name the scans 000000{suffix} and so on, and keep other {suffix} files elsewhere"
+            raise DataError(path, "has a name that is no frame number", hint=hint)
         if int(path.stem) in files:
             raise DataError(path, f"has the same number as {files[int(path.stem)].name}", hint="Remove one of them")
         files[int(path.stem)] = path

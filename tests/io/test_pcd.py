@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +151,35 @@ def test_nothing_appears_when_the_writer_fails(tmp_path: Path) -> None:
             raise RuntimeError("in between")
 
     with pytest.raises(RuntimeError, match="in between"):
+        write()
+    assert not list(tmp_path.iterdir())
+
+
+@contextlib.contextmanager
+def files_end_at(size: int) -> Iterator[None]:
+    """The disk is full, for this process, after so many bytes of a file."""
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("piecewise", [False, True])
+def test_a_full_disk_is_told_and_nothing_is_left(tmp_path: Path, piecewise: bool) -> None:
+    x = np.zeros(1_000_000, np.float32)
+
+    def write() -> None:
+        if not piecewise:
+            return write_pcd(tmp_path / "a.pcd", {"x": x})
+        with PcdWriter(tmp_path / "a.pcd", {"x": "f4"}) as writer:
+            for part in np.split(x, 1000):
+                writer.append(x=part)
+
+    with files_end_at(1_000_000), pytest.raises(DataError, match=r"a\.pcd: cannot be written \(File too large\)"):
         write()
     assert not list(tmp_path.iterdir())
 
