@@ -9,10 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz.errors import DynavizError
 from dynaviz.grid import KeySet, pack, unpack
 from dynaviz.scan import F64, Scan, Sequence, stream
 
 CELL = 0.8  # metres: 8 voxels of 0.1 m, the block that most grids are built of
+FAR = 100_000.0  # metres; voxels of 0.1 m have keys up to there
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,12 @@ class _Walker:
             if len(xyz):
                 self.low = np.minimum(self.low, xyz.min(0))
                 self.high = np.maximum(self.high, xyz.max(0))
+        farthest = max(-self.low.min(), self.high.max())
+        if farthest > FAR:
+            raise DynavizError(
+                f"frame {scan.index}: something lies {farthest / 1000:.3g} km from the world's origin, where float32 is too "
+                "coarse. Move the world's origin to where the sensor starts, or remove such points."
+            )
         self.cells.add(pack(finite, CELL))
 
     def extent(self) -> Extent:
@@ -74,6 +82,9 @@ def survey(sequence: Sequence, progress: Callable[[int], None] = lambda done: No
     Args:
         sequence: read frame by frame, never all in memory.
         progress: called with the number of frames done.
+
+    Raises:
+        DynavizError: for points or ray origins farther than ``FAR`` from the world's origin.
     """
     walker, digest, points = _Walker(), hashlib.sha256(), 0
     for done, scan in enumerate(stream(sequence), 1):

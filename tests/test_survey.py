@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import InMemory, room
 
+from dynaviz.errors import DynavizError
 from dynaviz.scan import Scan
 from dynaviz.survey import CELL, Extent, survey
 
@@ -48,6 +49,12 @@ def test_ray_origins_count_and_points_that_are_not_finite_do_not() -> None:
 def test_a_sequence_of_empty_scans_has_a_survey() -> None:
     seen = survey(InMemory([Scan(0, np.zeros((0, 3), np.float32), np.eye(4))]))
     assert (seen.frames, seen.points, len(seen.extent.cells)) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("far", [5.4e6, -1e30])
+def test_a_world_too_far_from_its_origin_is_told(far: float) -> None:
+    with pytest.raises(DynavizError, match=r"frame 3: something lies .* km from the world's origin"):
+        Extent.of(Scan(3, np.array([[0, far, 0]], np.float32), np.eye(4)))
 
 
 def test_the_same_content_has_the_same_digest() -> None:
