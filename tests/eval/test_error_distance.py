@@ -82,20 +82,17 @@ def test_slabs_and_blocks_change_nothing(block):
         np.testing.assert_array_equal(a, b)
 
 
-def test_memory_does_not_grow_with_the_run():
-    def peak(frames):
-        rng = np.random.default_rng(0)
-        cloud = rng.uniform(-20, 20, (3000, 3))
-        wrong, right = spilled([cloud] * frames), spilled([cloud + 0.1] * frames)
-        distances(wrong, right, frames, block=3000)  # compiles, if need be
-        tracemalloc.start()
-        try:
-            distances(wrong, right, frames, block=3000)
-            return tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    assert peak(16) < 1.5 * peak(4)
+def test_memory_is_that_of_a_block_not_of_the_run():
+    frame = np.random.default_rng(0).uniform(-20, 20, (20_000, 3)).astype(np.float32)
+    spill = spilled([frame] * 40)
+    tracemalloc.start()
+    try:
+        spill.sample(0, 64)
+        assert sum(len(points) for points, _ in spill.blocks(0, -10, 10, 20_000)) > 40 * 9000
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 8 * frame.nbytes  # of 40 that are on disk
 
 
 def test_what_is_far_is_only_counted(info, make_labelled):
