@@ -14,8 +14,7 @@ from dynaviz.survey import CELL, Extent
 
 I64 = NDArray[np.int64]
 
-BLOCK = 8  # voxels along the edge of a block
-VOXELS = BLOCK**3  # in a block
+VOXELS = 8**3  # in a block
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +60,7 @@ class BlockGrid:
         bounds = np.clip(np.floor(np.nan_to_num(bounds, posinf=0, neginf=0)), -reach, reach - 1).astype(np.int64)
         self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
         inside = (self._blocks >> 4 >= bounds[0]).all(1) & (self._blocks >> 4 <= bounds[1]).all(1)
-        self._blocks = self._blocks[inside]
+        self._blocks = kernels.frozen(self._blocks[inside], np.int64)
         self._directory = kernels.blocks.directory(self._blocks, self._base, self._shape)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are written from the first on, so what a scan does not need is never backed by memory.
@@ -90,8 +89,7 @@ class BlockGrid:
 
     def keys(self, voxels: I64) -> NDArray[np.int32]:
         """(N, 3) int32 indices, from the world's origin, of voxels given by number."""
-        inner = np.stack([voxels >> 6 & 7, voxels >> 3 & 7, voxels & 7], 1)
-        keys: NDArray[np.int32] = (self._blocks[voxels >> 9] * BLOCK + inner).astype(np.int32)
+        keys: NDArray[np.int32] = kernels.blocks.keys_of(kernels.frozen(voxels, np.int64), self._blocks)
         return keys
 
     def mark(self, scan: Scan, casts: Bool, hits: Bool) -> Marks:
@@ -99,7 +97,7 @@ class BlockGrid:
 
         Args:
             scan: where rays start and end.
-            casts: (N,) bool: points whose ray marks as crossed every voxel from the origin's to the last before their own.
+            casts: (N,) bool: points whose rays mark voxels as crossed, from the origin's to the last before their own.
             hits: (N,) bool: points that mark their own voxel as hit.
 
         Returns:
@@ -118,8 +116,8 @@ class BlockGrid:
 
 def voxels_of(blocks: NDArray[np.int32], bits: I64) -> I64:
     """Numbers of the voxels whose bit is set; blocks (B,), bits (B, 8) of those blocks."""
-    flat = np.flatnonzero(np.unpackbits(np.ascontiguousarray(bits, "<i8").view(np.uint8), bitorder="little"))
-    return blocks[flat // VOXELS].astype(np.int64) * VOXELS + flat % VOXELS
+    voxels: I64 = kernels.blocks.voxels_of(kernels.frozen(blocks, np.int32), kernels.frozen(bits, np.int64))
+    return voxels
 
 
 def _covering(cells: NDArray[np.int32], per_metre: float) -> I64:

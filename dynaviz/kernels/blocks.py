@@ -32,6 +32,41 @@ def directory(blocks, base, shape):
 
 
 @njit(cache=True, nogil=True)
+def voxels_of(blocks, bits):
+    """Voxels whose bit is set; bits (B, 8), bit v of word w is voxel 64 w + v of its block."""
+    count = 0
+    for n in range(len(blocks)):
+        for w in range(8):
+            word = bits[n, w]
+            while word:
+                word &= word - 1
+                count += 1
+    voxels = np.empty(count, np.int64)
+    count = 0
+    for n in range(len(blocks)):
+        for w in range(8):
+            word, first = bits[n, w], np.int64(blocks[n]) << 9 | w << 6
+            if word:
+                for v in range(64):
+                    if word >> v & 1:
+                        voxels[count] = first | v
+                        count += 1
+    return voxels
+
+
+@njit(cache=True, nogil=True)
+def keys_of(voxels, blocks):
+    """Indices (N, 3) from the world's origin of voxels, of the grid's blocks (B, 3)."""
+    keys = np.empty((len(voxels), 3), np.int32)
+    for i in range(len(voxels)):
+        block, place = voxels[i] >> 9, voxels[i] & 511
+        keys[i, 0] = blocks[block, 0] << 3 | place >> 6
+        keys[i, 1] = blocks[block, 1] << 3 | (place >> 3 & 7)
+        keys[i, 2] = blocks[block, 2] << 3 | (place & 7)
+    return keys
+
+
+@njit(cache=True, nogil=True)
 def locate(points, per_metre, base, shape, top, children):
     """Voxel of each point: block number * 512 + place in the block; -1 where the grid has no block."""
     found = np.full(len(points), np.int64(-1))

@@ -25,7 +25,8 @@ from dynaviz.errors import UsageError
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import F32, F64, U8, Bool, Scan
-from dynaviz_methods.tiles import Tiles
+from dynaviz_methods.polar import PolarBins
+from dynaviz_methods.tiles import Tiles, thinned
 
 NEAR = 0.05  # metres: the port's map stands for the points this near to one of its own
 PILLAR = 0.5  # metres: the cubes that show flagged bins
@@ -161,7 +162,10 @@ class Erasor:
                 f"erasor needs the height of the sensor above the ground, which the sensor '{context.sensor.name}' "
                 "does not tell: give --sensor NAME or --set sensor_height=METRES"
             )
-        points, voxels = _thinned(context.raw_map, self.params.map_voxel)
+        assert context.raw_map is not None  # as info.needs_map asks
+        p = self.params
+        self._bins = PolarBins(p.max_range, p.rings, p.sectors, p.min_height, p.max_height)
+        points, voxels = thinned(context.raw_map, p.map_voxel)
         self._map = Tiles(points)
         self._voxel = np.append(self._map.rank, -1).astype(np.int32)[voxels]  # (M,) of each raw point; -1: none
         self._why = np.zeros(len(points), np.uint8)
@@ -203,23 +207,24 @@ class Erasor:
 
     def _compare(self, tiles: Tiles, points: F32, position: F64) -> _Comparison:
         """Steps "bins" to "ground" for one scan; changes nothing."""
-        p, foot = self.params, position - (0, 0, self._height)
-        query, _ = _thinned(points, p.query_voxel)
-        rows, bins = self._locate(tiles.points, tiles.spans(foot, p.max_range), tiles.gone, foot)
-        query_rows, query_bins = self._locate(query, np.array([[0, len(query)]]), np.zeros(len(query), np.bool_), foot)
-        map_height, _ = self._heights(tiles.points, rows, bins)
-        scan_height, scan_points = self._heights(query, query_rows, query_bins)
+        foot = position - np.array((0, 0, self._height))
+        query, _ = thinned(points, self.params.query_voxel)
+        rows, bins = self._bins.locate(tiles.points, foot, tiles.spans(foot, self.params.max_range), tiles.gone)
+        query_rows, query_bins = self._bins.locate(query, foot)
+        map_height, _ = self._bins.heights(tiles.points, rows, bins)
+        scan_height, scan_points = self._bins.heights(query, query_rows, query_bins)
         verdict = self._judge(map_height, scan_height, scan_points)
-        why = np.append(verdict, np.uint8(OUTSIDE))[bins]
+        of_bin = np.append(verdict, np.uint8(OUTSIDE))  # bin -1, the last, is outside the band of heights
+        why = of_bin[bins]
         flagged = np.flatnonzero(why == REMOVED)
         flagged = flagged[np.argsort(bins[flagged], kind="stable")]
         ground = self._fit_ground(tiles.points[rows[flagged]] - foot, bins[flagged])
         why[flagged[ground]] = GROUND
-        inserted = query[query_rows[np.append(verdict, np.uint8(OUTSIDE))[query_bins] == REMOVED]]
+        inserted = query[query_rows[of_bin[query_bins] == REMOVED]]
         return _Comparison(foot, rows, bins, why, inserted, map_height, scan_height, verdict)
 
     def _judge(self, map_height: F64, scan_height: F64, scan_points: NDArray[np.int64]) -> U8:
-        """The scan ratio test (Lim et al., Section III-D)."""
+        """The scan ratio test."""
         ratio = _ratio(map_height, scan_height)
         verdict = np.full(len(ratio), MAP_NOT_HIGHER, np.uint8)
         higher = (ratio < self.params.scan_ratio) & (map_height >= scan_height)
@@ -228,7 +233,7 @@ class Erasor:
         return verdict
 
     def _fit_ground(self, points: F64, bins: NDArray[np.int32]) -> Bool:
-        """Region-wise ground plane fitting (Lim et al., Section III-E); the points of a bin follow each other."""
+        """Region-wise ground plane fitting ; the points of a bin follow each other."""
         p = self.params
         starts = np.flatnonzero(np.diff(bins, prepend=-1, append=-1))
         ground: Bool = kernels.region_ground.fit(
@@ -237,18 +242,6 @@ class Erasor:
             *(p.ground_skip, p.ground_lowest, p.ground_seed, p.ground_distance, p.ground_iterations, not p.port),
         )
         return ground
-
-    def _locate(self, points: F32, spans: NDArray[np.int64], gone: Bool, foot: F64) -> Any:
-        p = self.params
-        return kernels.polar.locate(
-            *(kernels.frozen(points, np.float32), kernels.frozen(spans, np.int64)),
-            *(kernels.frozen(gone, np.bool_), kernels.frozen(foot, np.float64)),
-            *(p.max_range, p.rings, p.sectors, p.min_height, p.max_height),
-        )
-
-    def _heights(self, points: F32, rows: NDArray[np.int32], bins: NDArray[np.int32]) -> Any:
-        n = self.params.rings * self.params.sectors
-        return kernels.polar.heights(kernels.frozen(points, np.float32), rows, bins, n)
 
     def _remove(self, said: _Comparison) -> None:
         self._why[said.rows] = np.maximum(self._why[said.rows], said.why)
@@ -274,12 +267,11 @@ class Erasor:
         return far
 
     def _show(self, said: _Comparison) -> None:
-        p, ratio = self.params, _ratio(said.map_height, said.scan_height)
+        ratio = _ratio(said.map_height, said.scan_height)
         status = np.where(np.isnan(said.map_height), np.nan, said.verdict)
         grids = {"map_height": said.map_height, "scan_height": said.scan_height, "ratio": ratio, "status": status}
         for name, values in grids.items():
-            shaped = values.reshape(p.rings, p.sectors).astype(np.float32)
-            self._probe.emit(name, PolarGrid(shaped, p.max_range))
+            self._probe.emit(name, self._bins.grid(values))
         for name, code in (("removed", REMOVED), ("ground", GROUND)):
             if self._probe.wants(name):
                 points = self._map.points[said.rows[said.why == code]]
@@ -297,14 +289,3 @@ def _ratio(a: F64, b: F64) -> F64:
     with np.errstate(invalid="ignore"):
         ratio: F64 = np.minimum(a, b) / np.maximum(a, b)
     return ratio
-
-
-def _thinned(points: F32 | None, size: float) -> tuple[F32, NDArray[np.int32]]:
-    """Centroids (V, 3) of the voxels that hold points, and the voxel of each point, -1 for none; size 0: the points."""
-    points = kernels.frozen(points, np.float32)
-    if size > 0:
-        voxels, n = kernels.centroids.number(points, size)
-        return kernels.frozen(kernels.centroids.means(points, voxels, n), np.float32), voxels
-    finite = np.isfinite(points).all(1)
-    voxels = np.where(finite, np.cumsum(finite) - 1, -1).astype(np.int32)
-    return points[finite], voxels

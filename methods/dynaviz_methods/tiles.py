@@ -1,13 +1,34 @@
-"""Map points tile by tile, so that a scan touches only the tiles within its reach."""
+"""A thinned map, laid out tile by tile so that a scan touches only the tiles within its reach."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz import kernels
 from dynaviz.scan import F32, F64
 
 TILE = 8.0  # metres
+
+
+def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
+    """A cloud of one point per voxel.
+
+    Args:
+        points: (N, 3) float32, metres.
+        size: edge of a voxel, metres; 0 keeps every point.
+
+    Returns:
+        centroids: (V, 3) float32, metres, of the points in each voxel.
+        voxels: (N,) int32: the centroid that stands for each point; -1 where it is not finite, or more than a million
+            voxels from the world's origin.
+    """
+    points = kernels.frozen(points, np.float32)
+    if size > 0:
+        voxels, n = kernels.centroids.number(points, size)
+        return kernels.centroids.means(points, kernels.frozen(voxels, np.int32), n), voxels
+    finite = np.isfinite(points).all(1)
+    return points[finite], np.where(finite, np.cumsum(finite) - 1, -1).astype(np.int32)
 
 
 class Tiles:
@@ -36,7 +57,8 @@ class Tiles:
     def spans(self, centre: F64, reach: float) -> NDArray[np.int64]:
         """(S, 2) int64: rows, from the first to before the second, of the tiles within reach of a place in x and y."""
         away = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
-        return self._spans[(away**2).sum(1) < reach**2]
+        near: NDArray[np.int64] = self._spans[(away**2).sum(1) < reach**2]
+        return near
 
     def append(self, points: F32) -> None:
         """Add points at the end as a tile of their own, however far they spread: for few points."""

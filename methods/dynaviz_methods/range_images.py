@@ -1,0 +1,48 @@
+"""Range images around a sensor, several resolutions at once: the layout that ``dynaviz.kernels.range_image`` fills.
+
+Rows go down with the elevation, columns up with the azimuth; pixel centres are at whole numbers (Kim and Kim, IROS 2020).
+All images lie one after the other in one flat array.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.probe import RangeImage
+from dynaviz.scan import F32, F64
+
+
+def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], azimuth: tuple[float, ...]) -> F64:
+    """Lay out images of the same view.
+
+    Args:
+        resolutions: pixels per degree of each image.
+        elevation: (lowest, highest), degrees above the horizon.
+        azimuth: (from, to), degrees, within -180 ... 180.
+
+    Returns:
+        (K, 7) float64: rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, and
+        the place of the first pixel in the flat array.
+    """
+    views, start = [], 0
+    (low, high), (begin, end) = np.radians(elevation), np.radians(azimuth)
+    for resolution in resolutions:
+        rows = max(1, round((elevation[1] - elevation[0]) * resolution))
+        columns = max(1, round((azimuth[1] - azimuth[0]) * resolution))
+        per_row, per_column = rows / (high - low), columns / (end - begin)
+        views.append((rows, columns, high * per_row, per_row, -begin * per_column, per_column, start))
+        start += rows * columns
+    return kernels.frozen(views, np.float64)
+
+
+def slices(views: F64) -> list[slice]:
+    """Where each image is in the flat array."""
+    return [slice(int(view[6]), int(view[6] + view[0] * view[1])) for view in views]
+
+
+def picture(flat: F32, view: F64) -> RangeImage:
+    """One of the images as it is seen from the sensor, what is on the left to the left; NaN where not finite."""
+    (pixels,) = slices(view[None])
+    image = flat[pixels].reshape(int(view[0]), int(view[1]))[:, ::-1]
+    return RangeImage(np.where(np.isfinite(image), image, np.float32(np.nan)))

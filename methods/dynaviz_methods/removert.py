@@ -1,0 +1,318 @@
+"""Removert: what stands nearer in the map's range image than in a scan's was not there when the scan was taken.
+
+Kim and Kim, IROS 2020. An offline method: the map of all scans comes first.
+
+    map: centroids of 0.05 m cells of the raw map
+    for each scan
+        for each resolution
+            range image of the scan: the nearest return of each pixel
+            a map point is dynamic if it is nearer than its pixel's return by more than the threshold times that range
+    a map point that was found dynamic, but not so in the coarser images of a revert step, is static after all
+    a raw point gets the label of its map point
+
+A map point is judged by its own range, whatever else falls into its pixel. It thus makes no difference that the paper
+takes one resolution after the other and goes on with what is left of the map: all are done in one pass.
+
+The public benchmark's port differs (preset ``port``): of each pixel only the nearest map point is judged, and by the
+absolute difference, so that a scan's nearer return accuses what stands behind it, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.errors import UsageError
+from dynaviz.grid import REACH, pack
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import Points, RangeImage, State
+from dynaviz.scan import F32, F64, U8, Bool, Scan
+from dynaviz_methods.range_images import image_views, picture, slices
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+I32 = NDArray[np.int32]
+
+SHOWN = 3  # resolutions with reasons and states of their own
+LARGEST = 200.0  # metres; the port takes a larger difference for a pixel without return
+
+
+@dataclass(frozen=True)
+class RemovertParams:
+    """Parameters of Removert.
+
+    Attributes:
+        resolutions: of the range images, pixels per degree; the first fits the sensor: one row for each of its rings.
+        revert_resolutions: of the images in which a dynamic point must be found dynamic again, pixels per degree; none
+            for no revert step. LT-mapper's step at 2.2 uses images of 0.95 * 2.2.
+        threshold: fraction of the scan's range by which a map point must be nearer.
+        voxel: edge of the map's cells, metres; 0 judges every raw point.
+        elevation: (lowest, highest) of the range images, degrees above the horizon; empty: the sensor's.
+        azimuth: (from, to) of the range images, degrees; empty: the sensor's.
+        world_aligned: whether images have the axes of the world instead of the sensor's.
+        nearest_only: judge the nearest map point of each pixel alone, by the absolute difference; points above or below
+            the image then fall into its first or last row.
+        scan_neighbours: nearest neighbours over which the step on the scan's side averages squared distances, the point
+            itself among them; 0 for no such step. With it, a point is static where the average in its scan and that in the
+            cleaned map differ by less than ``scan_difference``, whatever became of its map point.
+        scan_difference: square metres.
+    """
+
+    resolutions: tuple[float, ...] = (2.5, 2.0, 1.5)
+    revert_resolutions: tuple[float, ...] = ()
+    threshold: float = 0.05
+    voxel: float = 0.05
+    elevation: tuple[float, ...] = ()
+    azimuth: tuple[float, ...] = ()
+    world_aligned: bool = False
+    nearest_only: bool = False
+    scan_neighbours: int = 0
+    scan_difference: float = 0.1
+
+    def __post_init__(self) -> None:
+        every = (*self.resolutions, *self.revert_resolutions)
+        if not self.resolutions or len(every) > 8 or not all(r > 0 for r in every):
+            raise ValueError(f"resolutions = {every}: give one to eight positive numbers, those to revert included")
+        if not 0 < self.threshold < 1:
+            raise ValueError(f"threshold = {self.threshold}: give a fraction between 0 and 1")
+        for name in ("voxel", "scan_neighbours", "scan_difference"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: give 0 or a positive number")
+        for name, limit in (("elevation", 90), ("azimuth", 180)):
+            span = getattr(self, name)
+            if span and not (len(span) == 2 and -limit <= span[0] < span[1] <= limit):
+                raise ValueError(f"{name} = {span}: give two ascending numbers from {-limit} to {limit}")
+        if self.nearest_only and self.revert_resolutions:
+            raise ValueError("nearest_only knows no revert step: give no revert_resolutions with it")
+
+
+AGREES, NEARER, REVERTED, HIDDEN, OUT_OF_VIEW, LEFT_ALONE, SURROUNDED = 0, 1, 4, 5, 6, 7, 8
+REASONS = (
+    Reason("agrees", "kept: two scans or more see a surface there, and none looks past it"),
+    Reason("nearer_than_scan_at_res_1", "removed: a scan looks past it at the first resolution"),
+    Reason("nearer_than_scan_at_res_2", "removed: a scan looks past it, at the second resolution and not at the first"),
+    Reason("nearer_than_scan_at_res_3", "removed: a scan looks past it, but only at the third resolution or later"),
+    Reason("reverted", "kept: a scan looks past it, but none does at a resolution of the revert step"),
+    Reason("hidden", "kept: at most one scan sees a surface there; others see something nearer, or nothing"),
+    Reason("out_of_view", "kept unjudged: in no image, or in no pixel with a return, or without a place in the map"),
+    Reason("left_alone", "removed on the scan's side: its neighbours in the scan are gone from the cleaned map"),
+    Reason("surrounded", "kept on the scan's side: the cleaned map around it is as dense as the scan"),
+)
+
+IMAGES = (
+    ("scan", "Range of the nearest return of the scan", (0.0, 80.0)),
+    ("map", "Range of the nearest map point", (0.0, 80.0)),
+    ("difference", "Range of the scan less that of the map", (-5.0, 5.0)),
+    ("flagged", "The same difference, where it says that the nearest map point moved", (-5.0, 5.0)),
+)
+STATES = (
+    *(
+        State(f"{name}_{k}", RangeImage, f"{meaning}; metres, resolution {k}", value_range=value_range)
+        for k in range(1, SHOWN + 1)
+        for name, meaning, value_range in IMAGES
+    ),
+    State("accused", Points, "Map points that this scan is the first to judge dynamic; range, metres", (), (0.0, 80.0)),
+)
+
+
+class Removert:
+    """Removert; raw points get the label of their map point."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "removert", "Removert", "Kim and Kim, IROS 2020", REASONS, STATES, needs_map=True
+    )
+    Params: ClassVar[type[Any]] = RemovertParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+        self._verdicts = verdicts(len(params.resolutions), len(params.revert_resolutions))
+
+    def begin(self, context: Context) -> None:
+        """Build the map.
+
+        Raises:
+            UsageError: where neither the sensor nor a parameter tells the vertical field of view.
+        """
+        params, sensor = self.params, context.sensor
+        elevation = params.elevation or sensor.elevation
+        if elevation is None:
+            raise UsageError(
+                "removert needs the vertical field of view: give --sensor NAME or --set elevation=[LOWEST,HIGHEST]"
+            )
+        self._probe = context.probe
+        resolutions = (*params.resolutions, *params.revert_resolutions)
+        self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
+        points, self._map_points = build_map(cast(F32, context.raw_map), params.voxel)
+        self._map = kernels.frozen(points.T, np.float32)
+        # An entry more than there are map points: raw points without one are at -1.
+        self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
+        self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
+        self._places: dict[int, slice] = {}  # of each scan in the raw map
+        self._end = 0  # in the raw map, of the scans observed so far
+        self._tree: cKDTree | None = None  # of the cleaned map
+
+    def observe(self, scan: Scan) -> None:
+        """Compare the scan's range images with the map, at all resolutions."""
+        self._places[scan.index] = slice(self._end, self._end + len(scan))
+        self._end += len(scan)
+        self._tree = None
+        before = self._dynamic(self._past) if self._probe.wants("accused") else None
+        scan_ranges, _ = self._nearest(scan, scan.points.T)
+        if self.params.nearest_only or self._draws():
+            map_ranges, nearest = self._nearest(scan, self._map)
+            flagged = self._flagged(scan_ranges, map_ranges)
+            self._draw(scan_ranges, map_ranges, flagged)
+        if self.params.nearest_only:
+            self._judge_nearest(nearest, flagged, np.isfinite(scan_ranges))
+        else:
+            self._judge_all(scan, scan_ranges)
+        if before is not None:
+            self._draw_accused(scan, before)
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the map point is dynamic, or where the scan-side step says so."""
+        by_map = self._dynamic(self._of(scan, self._past))
+        return self._scan_side(scan) if self.params.scan_neighbours else by_map
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``."""
+        past, met = self._of(scan, self._past), self._of(scan, self._met)
+        by_map, dynamic, reasons = self._dynamic(past), self.label(scan), self._verdicts[past]
+        kept = reasons == AGREES
+        reasons[kept & (met & AGAIN == 0)] = HIDDEN
+        reasons[kept & (met & IN_VIEW == 0)] = OUT_OF_VIEW
+        reasons[dynamic & ~by_map] = LEFT_ALONE
+        reasons[by_map & ~dynamic] = SURROUNDED
+        return reasons
+
+    def _nearest(self, scan: Scan, xyz: F32) -> tuple[F32, I32]:
+        """Ranges and indices of the points nearest to the scan's sensor, in all pixels of all images."""
+        xyz = kernels.frozen(xyz, np.float32)
+        ranges, indices = kernels.range_image.nearest(xyz, *self._camera(scan), kernels.threads_in_use())
+        return ranges, indices
+
+    def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:
+        """Of the images: their centre, their axes, their views, and whether border rows hold what is beyond them."""
+        axes = np.eye(3) if self.params.world_aligned else scan.T_world_sensor[:3, :3].T
+        centre = kernels.frozen(scan.position, np.float64)
+        return centre, kernels.frozen(axes, np.float64), self._views, self.params.nearest_only
+
+    def _judge_all(self, scan: Scan, scan_ranges: F32) -> None:
+        """Judge every map point by its own range."""
+        threshold = np.float32(self.params.threshold)
+        limits = np.where(np.isfinite(scan_ranges), scan_ranges - threshold * scan_ranges, 0)
+        spread = (1 + threshold) / (1 - threshold)
+        limits = kernels.frozen(limits, np.float32)
+        kernels.range_image.judge(self._map, *self._camera(scan), limits, spread, self._past, self._met)
+
+    def _judge_nearest(self, nearest: I32, flagged: Bool, seen: Bool) -> None:
+        """Judge the map point that is nearest in its pixel, and no other."""
+        self._met[:-1] |= IN_VIEW
+        images = slices(self._views)
+        for k, image in enumerate(images):
+            self._past[nearest[image][flagged[image]]] |= np.uint8(1 << k)
+        agreeing = nearest[images[0]][(seen & ~flagged & (nearest >= 0))[images[0]]]
+        self._met[agreeing] |= ONCE | (self._met[agreeing] & ONCE) << 1
+
+    def _flagged(self, scan_ranges: F32, map_ranges: F32) -> Bool:
+        """(P,) bool: pixels whose nearest map point is judged dynamic; ranges are infinite where there is nothing."""
+        with np.errstate(invalid="ignore"):
+            difference = scan_ranges - map_ranges
+        if self.params.nearest_only:
+            difference = np.abs(difference)
+            difference[difference >= LARGEST] = 0
+        flagged: Bool = np.isfinite(difference) & (difference > np.float32(self.params.threshold) * scan_ranges)
+        return flagged
+
+    def _dynamic(self, past: U8) -> Bool:
+        verdict = self._verdicts[past]
+        dynamic: Bool = (verdict >= NEARER) & (verdict < REVERTED)
+        return dynamic
+
+    def _of(self, scan: Scan, of_map: U8) -> U8:
+        """(N,) uint8: what is noted of the map points of a scan's points."""
+        noted: U8 = of_map[self._map_points[self._places[scan.index]]]
+        return noted
+
+    def _scan_side(self, scan: Scan) -> Bool:
+        """(N,) bool: points around which the cleaned map is not as dense as the scan."""
+        from scipy.spatial import cKDTree
+
+        dynamic = np.zeros(len(scan), np.bool_)
+        placed = np.flatnonzero(self._map_points[self._places[scan.index]] >= 0)
+        if len(placed):
+            if self._tree is None:
+                self._tree = cKDTree(self._map[:, ~self._dynamic(self._past[:-1])].T)
+            points, neighbours = scan.points[placed], min(self.params.scan_neighbours, len(placed))
+            own, cleaned = (_mean_square(tree, points, neighbours) for tree in (cKDTree(points), self._tree))
+            dynamic[placed] = np.abs(cleaned - own) >= self.params.scan_difference
+        return dynamic
+
+    def _draws(self) -> bool:
+        return any(self._probe.wants(state.name) for state in STATES if state.kind is RangeImage)
+
+    def _draw(self, scan_ranges: F32, map_ranges: F32, flagged: Bool) -> None:
+        """Show the images of the first resolutions."""
+        with np.errstate(invalid="ignore"):
+            difference = scan_ranges - map_ranges
+        values = scan_ranges, map_ranges, difference, np.where(flagged, difference, np.nan)
+        shown = min(SHOWN, len(self.params.resolutions))
+        for k, view in enumerate(self._views[:shown], 1):
+            for (name, *_), flat in zip(IMAGES, values, strict=True):
+                self._probe.emit(f"{name}_{k}", picture(flat, view))
+
+    def _draw_accused(self, scan: Scan, before: Bool) -> None:
+        accused = self._map[:, (self._dynamic(self._past) & ~before)[:-1]].T
+        ranges = np.linalg.norm(accused - scan.position, axis=1).astype(np.float32)
+        self._probe.emit("accused", Points(np.ascontiguousarray(accused), ranges))
+
+
+IN_VIEW, ONCE, AGAIN = 1, 2, 4  # bits of kernels.range_image.judge: a pixel with a return; a surface, a second time
+
+
+def verdicts(resolutions: int, revert_resolutions: int) -> U8:
+    """(256,) uint8: the reason that follows from the resolutions, as bits, at which scans look past a point."""
+    past = np.arange(256)
+    revert = ((1 << revert_resolutions) - 1) << resolutions
+    reasons = np.full(256, AGREES, np.uint8)
+    for k in reversed(range(resolutions)):
+        reasons[past >> k & 1 == 1] = NEARER + min(k, SHOWN - 1)
+    reasons[(reasons != AGREES) & (past & revert != revert)] = REVERTED
+    return reasons
+
+
+def _mean_square(tree: cKDTree, points: F32, neighbours: int) -> F64:
+    """(N,) float64, square metres: of the distances to the nearest neighbours; infinite where there are too few."""
+    distances, _ = tree.query(points, list(range(1, neighbours + 1)), workers=kernels.threads_in_use())
+    mean: F64 = np.square(distances).mean(1)
+    return mean
+
+
+def build_map(raw: F32, voxel: float) -> tuple[F32, I32]:
+    """The points to judge.
+
+    Args:
+        raw: (M, 3) float32, metres; any values.
+        voxel: edge of the cells, metres; 0 for none.
+
+    Returns:
+        points: (C, 3) float32, metres: centroids of the cells that hold points; or all finite points.
+        map_points: (M,) int32: for each raw point the one that stands for it; -1 for points that are not finite or
+            more than a million cells from the world's origin.
+    """
+    reach = REACH * voxel if voxel else np.inf
+    placed = (np.abs(raw) < reach).all(1)
+    map_points = np.full(len(raw), -1, np.int32)
+    if not voxel:
+        points = raw[placed]
+        map_points[placed] = np.arange(len(points))
+        return points, map_points
+    _, cells, counts = np.unique(pack(raw[placed], voxel), return_inverse=True, return_counts=True)
+    map_points[placed] = cells
+    sums = (np.bincount(cells, raw[placed, axis], len(counts)) for axis in range(3))
+    return np.stack([total / counts for total in sums], 1).astype(np.float32), map_points
