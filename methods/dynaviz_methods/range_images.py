@@ -1,7 +1,7 @@
 """Range images around a sensor, several resolutions at once: the layout that ``dynaviz.kernels.range_image`` fills.
 
-Rows go down with the elevation, columns up with the azimuth; pixel centres are at whole numbers (Kim and Kim, IROS 2020).
-All images lie one after the other in one flat array.
+Rows count downwards from the highest elevation, columns with growing azimuth, and whole numbers are the centres of
+pixels (Kim and Kim, IROS 2020). All images lie one after the other in one flat array.
 """
 
 from __future__ import annotations

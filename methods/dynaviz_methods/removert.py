@@ -58,8 +58,8 @@ class RemovertParams:
         nearest_only: judge the nearest map point of each pixel alone, by the absolute difference; points above or below
             the image then fall into its first or last row.
         scan_neighbours: nearest neighbours over which the step on the scan's side averages squared distances, the point
-            itself among them; 0 for no such step. With it, a point is static where the average in its scan and that in the
-            cleaned map differ by less than ``scan_difference``, whatever became of its map point.
+            itself among them; 0 for no such step. With it, a point is static where the average in its scan and that in
+            the cleaned map differ by less than ``scan_difference``, whatever became of its map point.
         scan_difference: square metres.
     """
 
@@ -205,9 +205,9 @@ class Removert:
     def _judge_all(self, scan: Scan, scan_ranges: F32) -> None:
         """Judge every map point by its own range."""
         threshold = np.float32(self.params.threshold)
-        limits = np.where(np.isfinite(scan_ranges), scan_ranges - threshold * scan_ranges, 0)
+        surface = np.where(np.isfinite(scan_ranges), scan_ranges, np.float32(0))
+        limits = kernels.frozen(surface - threshold * surface, np.float32)
         spread = (1 + threshold) / (1 - threshold)
-        limits = kernels.frozen(limits, np.float32)
         kernels.range_image.judge(self._map, *self._camera(scan), limits, spread, self._past, self._met)
 
     def _judge_nearest(self, nearest: I32, flagged: Bool, seen: Bool) -> None:

@@ -1,0 +1,172 @@
+"""Range images: the nearest of many points in each pixel, and points that scans look past.
+
+Points come as (3, M) float32, metres, world frame, so that the arithmetic runs on several of them at once. Angles are
+float32 at first; a point so near a pixel's border that this could matter is projected again in float64. Its pixel is
+thus the one that float64 gives.
+
+Several images, of the same view at different resolutions, are one flat array; ``views`` has a row for each:
+rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, place of its first pixel.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+_CHUNK = 1024  # points whose pixels are found at once
+_STEEP = np.float32(0.1)  # below this sine of the angle to the vertical, azimuths need float64
+_ANGLE_ERROR = 4e-6  # radians; more than float32 loses
+_DOUBT = -2  # in place of a pixel: ask float64
+_F0, _F1 = np.float32(0), np.float32(1)
+_HALF, _PI, _HALF_PI = np.float32(0.5), np.float32(math.pi), np.float32(math.pi / 2)
+# arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
+_A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15 = (
+    np.float32(a)
+    for a in (
+        -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393,
+        -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257,
+    )
+)  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _angle(y, x):
+    """The polar angle of (x, y) in float32, without branches."""
+    a, b = abs(x), abs(y)
+    high, low = max(a, b), min(a, b)
+    t = low / max(high, np.float32(1e-30))
+    s = t * t
+    p = _A13 + s * _A15
+    p = _A11 + s * p
+    p = _A9 + s * p
+    p = _A7 + s * p
+    p = _A5 + s * p
+    p = _A3 + s * p
+    p = _A1 + s * p
+    p = t * (_F1 + s * p)
+    p = _HALF_PI - p if b > a else p
+    p = _PI - p if x < _F0 else p
+    return -p if y < _F0 else p
+
+
+@njit(cache=True, nogil=True)
+def _exact_pixel(xyz, i, position, axes, view, clamp):
+    """The pixel of one point in float64."""
+    dx, dy, dz = xyz[0, i] - position[0], xyz[1, i] - position[1], xyz[2, i] - position[2]
+    x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
+    y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+    z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+    row = math.floor(view[2] - math.atan2(z, math.hypot(x, y)) * view[3] + 0.5)
+    column = math.floor(view[4] + math.atan2(y, x) * view[5] + 0.5)
+    if not clamp and not (0 <= row <= view[0] and 0 <= column <= view[1]):
+        return -1
+    row, column = min(max(row, 0), view[0] - 1), min(max(column, 0), view[1] - 1)
+    return np.int32(view[6] + row * view[1] + column)
+
+
+@njit(cache=True, nogil=True)
+def _buffers(images):
+    """Room for the pixels, ranges and angles of a chunk."""
+    return np.empty((images, _CHUNK), np.int32), np.empty(_CHUNK, np.float32), np.empty((3, _CHUNK), np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, polar):
+    """Ranges and pixels of points first ... last - 1 into the buffers.
+
+    A pixel is -1 where the point is out of view, not finite, or at the very position; with ``clamp`` what is out of
+    view falls into the border instead. The long loops have no branches, so that the compiler can vectorise them.
+    """
+    n = last - first
+    px, py, pz = position[0], position[1], position[2]
+    r00, r01, r02 = np.float32(axes[0, 0]), np.float32(axes[0, 1]), np.float32(axes[0, 2])
+    r10, r11, r12 = np.float32(axes[1, 0]), np.float32(axes[1, 1]), np.float32(axes[1, 2])
+    r20, r21, r22 = np.float32(axes[2, 0]), np.float32(axes[2, 1]), np.float32(axes[2, 2])
+    for i in range(n):
+        dx = np.float32(xyz[0, first + i] - px)
+        dy = np.float32(xyz[1, first + i] - py)
+        dz = np.float32(xyz[2, first + i] - pz)
+        x = r00 * dx + r01 * dy + r02 * dz
+        y = r10 * dx + r11 * dy + r12 * dz
+        z = r20 * dx + r21 * dy + r22 * dz
+        flat = np.sqrt(x * x + y * y)
+        r = np.sqrt(dx * dx + dy * dy + dz * dz)
+        ranges[i] = r
+        polar[0, i] = _angle(y, x)
+        polar[1, i] = _angle(z, flat)
+        polar[2, i] = flat - _STEEP * r
+    for k in range(len(views)):
+        rows, columns = np.float32(views[k, 0]), np.float32(views[k, 1])
+        row0, per_row = np.float32(views[k, 2]), np.float32(views[k, 3])
+        column0, per_column = np.float32(views[k, 4]), np.float32(views[k, 5])
+        doubt = np.float32(_ANGLE_ERROR * max(views[k, 3], views[k, 5]) + 4e-7 * max(views[k, 0], views[k, 1]))
+        start, width = np.int32(views[k, 6]), np.int32(views[k, 1])
+        for i in range(n):
+            row = row0 - polar[1, i] * per_row + _HALF
+            column = column0 + polar[0, i] * per_column + _HALF
+            row_below, column_below = np.floor(row), np.floor(column)
+            row_part, column_part = row - row_below, column - column_below
+            lowest = min(min(row_part, _F1 - row_part), min(column_part, _F1 - column_part))
+            inside = (row_below >= _F0) & (row_below <= rows) & (column_below >= _F0) & (column_below <= columns)
+            row_below = min(max(row_below, _F0), rows - _F1)
+            column_below = min(max(column_below, _F0), columns - _F1)
+            pixel = start + np.int32(row_below) * width + np.int32(column_below)
+            pixel = pixel if inside | clamp else np.int32(-1)
+            pixel = np.int32(_DOUBT) if (lowest < doubt) | (polar[2, i] < _F0) else pixel
+            pixels[k, i] = pixel if (ranges[i] > _F0) & (ranges[i] < np.float32(np.inf)) else np.int32(-1)
+        for i in range(n):
+            if pixels[k, i] == _DOUBT:
+                pixels[k, i] = _exact_pixel(xyz, first + i, position, axes, views[k], clamp)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def nearest(xyz, position, axes, views, clamp, lanes):
+    """The nearest point of each pixel: ranges (P,) float32, infinite where none is, and indices (P,) int32, else -1.
+
+    Of points at the same range the first counts, however many lanes share the work.
+    """
+    m, last = xyz.shape[1], len(views) - 1
+    size = int(views[last, 6] + views[last, 0] * views[last, 1])
+    ranges = np.full((lanes, size), np.float32(np.inf))
+    indices = np.full((lanes, size), np.int32(-1))
+    for lane in prange(lanes):
+        pixels, near, polar = _buffers(len(views))
+        end = m * (lane + 1) // lanes
+        for first in range(m * lane // lanes, end, _CHUNK):
+            n = min(_CHUNK, end - first)
+            _project(xyz, first, first + n, position, axes, views, clamp, pixels, near, polar)
+            for k in range(len(views)):
+                for i in range(n):
+                    pixel = pixels[k, i]
+                    if pixel >= 0 and near[i] < ranges[lane, pixel]:
+                        ranges[lane, pixel], indices[lane, pixel] = near[i], first + i
+    for lane in range(1, lanes):
+        for pixel in range(size):
+            if ranges[lane, pixel] < ranges[0, pixel]:
+                ranges[0, pixel], indices[0, pixel] = ranges[lane, pixel], indices[lane, pixel]
+    return ranges[0], indices[0]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def judge(xyz, position, axes, views, clamp, limits, spread, past, met):
+    """Note for each point, in (M,) uint8 arrays, what one scan says of it.
+
+    limits (P,) float32: the scan looks past points that are nearer than this; 0 in pixels without return. From there
+    up to limits * spread points are on the scan's surface. past: bit k is set where the scan looks past the point at
+    resolution k. met, at the first resolution: bit 0 is set where the pixel has a return, bit 1 where the point is on
+    the surface, bit 2 where it was on another scan's before.
+    """
+    m = xyz.shape[1]
+    for chunk in prange((m + _CHUNK - 1) // _CHUNK):
+        pixels, near, polar = _buffers(len(views))
+        first = chunk * _CHUNK
+        n = min(_CHUNK, m - first)
+        _project(xyz, first, first + n, position, axes, views, clamp, pixels, near, polar)
+        for k in range(len(views)):
+            for i in range(n):
+                limit = limits[pixels[k, i]] if pixels[k, i] >= 0 else _F0
+                if near[i] < limit:
+                    past[first + i] |= np.uint8(1 << k)
+                if k == 0 and limit > 0:
+                    on_surface = limit <= near[i] <= limit * spread
+                    met[first + i] |= np.uint8(1 | (2 | (met[first + i] & 2) << 1 if on_surface else 0))
