@@ -71,6 +71,17 @@ def test_heights_follow_the_ground_and_survive_points_below_it():
     assert (heights[-30:] < -3).all()
 
 
+def test_ground_is_the_fifth_lowest_point_around():
+    points = np.random.default_rng(2).normal(0, 2, (500, 3)).astype(np.float32)
+    cells = np.floor(points[:, :2]).astype(int)
+    expected = []
+    for point, cell in zip(points, cells, strict=True):
+        around = np.sort(points[(np.abs(cells - cell) <= 1).all(1), 2])
+        expected.append(point[2] - around[min(len(around) // 4, 4)])
+    assert len({len(points[(np.abs(cells - c) <= 1).all(1)]) < 20 for c in cells}) == 2  # dense and sparse places
+    np.testing.assert_array_equal(heights_above_ground(points), np.array(expected, np.float32))
+
+
 def test_heights_do_not_depend_on_where_the_world_begins():
     ground = np.round(slope(np.random.default_rng(1), 3000) * 64) / 64  # exact in float32, here and far away
     moved = heights_above_ground(ground + np.array([4096, -1024, 50]))
