@@ -67,8 +67,8 @@ class _Walker:
         farthest = max(-self.low.min(), self.high.max())
         if farthest > FAR:
             raise DynavizError(
-                f"frame {scan.index}: something lies {farthest / 1000:.3g} km from the world's origin, where float32 is "
-                "too coarse. Move the world's origin to where the sensor starts, or remove such points."
+                f"frame {scan.index}: something lies {farthest / 1000:.3g} km from the world's origin, where float32 "
+                "is too coarse. Move the world's origin to where the sensor starts, or remove such points."
             )
         self.cells.add(pack(finite, CELL))
 

@@ -17,7 +17,7 @@ def decompress(source, out):
     n = len(source)
     while i < n:
         at = i
-        control = np.int64(source[i])
+        control = int(source[i])
         i += 1
         if control < _RUN:
             length = control + 1
@@ -31,11 +31,11 @@ def decompress(source, out):
             if length == 9:
                 if i >= n:
                     return at
-                length += np.int64(source[i])
+                length += int(source[i])
                 i += 1
             if i >= n:
                 return at
-            back = o - ((control & 31) << 8) - np.int64(source[i]) - 1
+            back = o - ((control & 31) << 8) - int(source[i]) - 1
             i += 1
             if back < 0 or o + length > len(out):
                 return at
@@ -56,11 +56,11 @@ def compress(source, out):
     run = 0
     while i < n:
         length = 0
-        back = np.int64(0)
+        back = 0
         if i + 2 < n:
             triple = (np.uint32(source[i]) << 16) | (np.uint32(source[i + 1]) << 8) | np.uint32(source[i + 2])
             slot = (triple * np.uint32(2654435761) & np.uint32(0xFFFFFFFF)) >> np.uint32(32 - _BITS)
-            seen = table[slot]
+            seen = int(table[slot])
             table[slot] = i
             if seen >= 0 and i - seen <= _FAR:
                 most = min(_LONG, n - i)
