@@ -152,12 +152,13 @@ def execute(
             for step in passing:
                 step(frame, scan)
 
+    peak = peak_rss_mb()  # before the metrics finish: what they need then is not the method's
     result = Result(
         method=run.method.info.name,
         parameters=dataclasses.asdict(run.params),
         sequence={"name": run.sequence.name, "digest": seen.digest, "frames": seen.frames, "points": seen.points},
         sections={key: value for metric in run.metrics for key, value in metric.finish().items()},
-        runtime={**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()},
+        runtime={**clock.summary(), "threads": threads, "peak_rss_mb": peak},
         online=run.online,
         seed=run.seed,
         labels_sha256=answer.sha256(),
