@@ -184,7 +184,8 @@ def main() -> None:
         kernels.set_threads(1)
         alone, same = run(method, scans, extent)
         kernels.set_threads(None)
-        print(f"  on one thread {alone.mean() / seconds.mean():.2f} times as long; same labels: {(same == labels).all()}")
+        ratio = alone.mean() / seconds.mean()
+        print(f"  on one thread {ratio:.2f} times as long; same labels: {(same == labels).all()}")
 
     print("\noctomap on more and more frames")
     for frames in sorted({len(scans) // 4, len(scans) // 2, len(scans)} - {0}):

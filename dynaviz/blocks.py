@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.grid import REACH, unpack
 from dynaviz.scan import F32, Bool, Scan
 from dynaviz.survey import CELL, Extent
 
@@ -54,13 +55,11 @@ class BlockGrid:
             raise ValueError(f"resolution must be positive, not {resolution}")
         self.resolution = resolution
         self._per_metre = 1.0 / resolution
-        self._blocks = _covering(extent.cells, self._per_metre)
-        reach = kernels.blocks.REACH // 128
-        bounds = np.array([extent.low, extent.high]) * self._per_metre / 128
-        bounds = np.clip(np.floor(np.nan_to_num(bounds, posinf=0, neginf=0)), -reach, reach - 1).astype(np.int64)
+        reach = kernels.blocks.REACH // 128  # super-blocks
+        exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)
+        bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
         self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
-        inside = (self._blocks >> 4 >= bounds[0]).all(1) & (self._blocks >> 4 <= bounds[1]).all(1)
-        self._blocks = kernels.frozen(self._blocks[inside], np.int64)
+        self._blocks = kernels.frozen(_covering(extent.cells, self._per_metre, bounds), np.int64)
         self._directory = kernels.blocks.directory(self._blocks, self._base, self._shape)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are written from the first on, so what a scan does not need is never backed by memory.
@@ -120,15 +119,19 @@ def voxels_of(blocks: NDArray[np.int32], bits: I64) -> I64:
     return voxels
 
 
-def _covering(cells: NDArray[np.int32], per_metre: float) -> I64:
-    """(B, 3) int64: all blocks that a float32 point in one of the extent's cells can lie in."""
+def _covering(cells: NDArray[np.int32], per_metre: float, bounds: I64) -> NDArray[np.int32]:
+    """(B, 3): all blocks that a float32 point in one of the cells can lie in, within bounds of super-blocks (2, 3)."""
     low = _lowest(cells.astype(np.int64))
     high = np.nextafter(_lowest(cells.astype(np.int64) + 1), np.float32(-np.inf))
     # The products are formed as for points: as these grow, so do they, and no rounding can lead out of the range.
     first, last = (np.floor(p.astype(np.float64) * per_metre).astype(np.int64) >> 3 for p in (low, high))
     spans = [range(s + 1) for s in (last - first).max(0, initial=0)]
-    shifted = [np.minimum(first + np.array(s, np.int64), last) for s in product(*spans)]
-    return np.unique(np.concatenate(shifted), axis=0)
+    packed: list[I64] = [np.empty(0, np.int64)]
+    for shift in product(*spans):
+        blocks = np.minimum(first + np.array(shift), last)
+        blocks = blocks[((blocks >> 4 >= bounds[0]) & (blocks >> 4 <= bounds[1])).all(1)]
+        packed.append(((blocks + REACH) << np.array([42, 21, 0])).sum(1))
+    return unpack(np.unique(np.concatenate(packed)))
 
 
 def _lowest(cells: I64) -> F32:
