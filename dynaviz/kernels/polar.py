@@ -1,4 +1,4 @@
-"""Bins around the sensor: rings of equal width times sectors of equal angle, and the heights that points span in them."""
+"""Bins around the sensor, rings times sectors, and the heights that points span in them."""
 
 import math
 
@@ -52,9 +52,7 @@ def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
 
 @njit(cache=True, nogil=True)
 def heights(points, rows, bins, n):
-    """For each of n bins the difference between its highest and lowest point, (n,) float64 (NaN without points), and
-    how many points it holds, (n,) int64.
-    """
+    """(n,) float64: highest minus lowest point of each of n bins, NaN without points; and (n,) int64: its points."""
     low = np.full(n, np.inf)
     high = np.full(n, -np.inf)
     counts = np.zeros(n, np.int64)

@@ -188,7 +188,7 @@ class Erasor:
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the map lost the point's voxel; as ``port``, where nothing of the map is near."""
         if self.params.port:
-            return self._far_from_map(scan.points)
+            return self._far_from_map(scan)
         dynamic: Bool = self._reasons(scan) == REMOVED
         return dynamic
 
@@ -196,7 +196,7 @@ class Erasor:
         """(N,) uint8, codes of ``REASONS``."""
         why = self._reasons(scan)
         if self.params.port:
-            dynamic = self._far_from_map(scan.points)
+            dynamic = self._far_from_map(scan)
             why[dynamic & (why != REMOVED)] = FAR_FROM_MAP
             why[~dynamic & (why == REMOVED)] = NEAR_MAP
         return why
@@ -255,15 +255,16 @@ class Erasor:
         voxels = self._voxel[self._first[scan.index] :][: len(scan)]
         return np.append(self._why, np.uint8(UNJUDGED))[voxels]
 
-    def _far_from_map(self, points: F32) -> Bool:
+    def _far_from_map(self, scan: Scan) -> Bool:
         """As the benchmark scores a map of centroids: is its nearest point farther than ``NEAR``?"""
         from scipy.spatial import cKDTree
 
         if self._tree is None:
             self._tree = cKDTree(self.cleaned_map())
-        far = np.zeros(len(points), np.bool_)
-        finite = np.isfinite(points).all(1)
-        far[finite] = np.isinf(self._tree.query(points[finite], distance_upper_bound=np.nextafter(NEAR, 1))[0])
+        far = np.zeros(len(scan), np.bool_)
+        judged = np.flatnonzero(self._reasons(scan) != UNJUDGED)
+        nearest, _ = self._tree.query(scan.points[judged], distance_upper_bound=np.nextafter(NEAR, 1))
+        far[judged] = np.isinf(nearest)
         return far
 
     def _show(self, said: _Comparison) -> None:
