@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import InMemory
+from worlds import InMemory
 
 from dynaviz.bits import PackedBits
 from dynaviz.method import Context, MethodInfo, Reason

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import InMemory, room
+from worlds import InMemory, room
 
 from dynaviz.errors import DynavizError
 from dynaviz.scan import Scan

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import room
+from worlds import room
 
 from dynaviz.cli import main
 from dynaviz.io.pcd import write_pcd

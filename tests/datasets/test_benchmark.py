@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import room
+from worlds import room
 
 from dynaviz import geometry
 from dynaviz.datasets import open_sequence

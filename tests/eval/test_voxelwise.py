@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import room
+from worlds import room
 
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled

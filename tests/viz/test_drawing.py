@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from conftest import pose, room
+from worlds import pose, room
 from guess import Guess
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import InMemory, room
+from worlds import InMemory, room
 from guess import guess_run, record
 from rerun.chunk import RrdReader
 
@@ -241,7 +241,7 @@ def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_pa
 KILLED = """
 import os, signal, sys
 sys.path[:0] = {folders!r}
-from conftest import room
+from worlds import room
 from guess import guess_run
 from dynaviz.run import Listener, execute
 from dynaviz.viz.recorder import Recorder

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from conftest import InMemory, room
+from worlds import InMemory, room
 from guess import Guess, guess_run, record
 from rerun.experimental import ViewerClient
 
