@@ -106,8 +106,8 @@ def _answering(process: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> 
     while process.poll() is None and time.monotonic() < end:
         if listens(port):
             client = ViewerClient.connect(url(port))
-            with contextlib.suppress(Exception):  # it listens before it can answer
-                client.get_state()
+            with contextlib.suppress(Exception):  # it listens before it knows whether it can draw
+                client.take_screenshot()
                 return client
         time.sleep(0.05)
     said.seek(0)
