@@ -94,6 +94,11 @@ class OctoMapGFParams(OctoMapGParams):
         _positive(self, "noise_neighbours")
 
 
+def logit(probability: float) -> float:
+    """Log-odds of a probability."""
+    return math.log(probability / (1 - probability))
+
+
 def _positive(params: OctoMapParams, *names: str) -> None:
     for name in names:
         if not getattr(params, name) > 0:
@@ -109,7 +114,7 @@ REASONS = (
     Reason("ground_plane", "kept: on the ground plane of its scan"),
     Reason("noise_cell", "kept: noise in its scan, which marks its voxel occupied without a ray"),
 )
-ODDS_RANGE = (math.log(0.12 / 0.88), math.log(0.97 / 0.03))
+ODDS_RANGE = (logit(OctoMapParams.clamp_min), logit(OctoMapParams.clamp_max))
 STATES = (
     State("crossed", Voxels, "Voxels with points that rays of this scan crossed; log-odds", value_range=ODDS_RANGE),
     State("hit", Voxels, "Voxels that this scan marked occupied; log-odds", value_range=ODDS_RANGE),
@@ -139,7 +144,7 @@ class OctoMap:
         self._log_odds = np.zeros((rows, VOXELS), np.float32)
         self._ever = np.zeros((rows, 16), np.int64)  # bits as in Marks, of all scans so far
         probabilities = (self.params.prob_miss, self.params.prob_hit, self.params.clamp_min, self.params.clamp_max)
-        self._logits = tuple(np.float32(math.log(p / (1 - p))) for p in probabilities)
+        self._logits = tuple(np.float32(logit(p)) for p in probabilities)
         self._ground: dict[int, U8] = {}  # packed bits of each scan: the decision is per point
         self._noise: dict[int, U8] = {}
 
@@ -201,9 +206,7 @@ class OctoMapG(OctoMap):
         ground = np.zeros(len(scan), np.bool_)
         chosen = np.flatnonzero(among & np.isfinite(scan.points).all(1))
         random = np.random.default_rng((self._context.seed, scan.index))
-        near, plane = ground_plane(
-            scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random
-        )
+        near, plane = ground_plane(scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random)
         ground[chosen[near]] = True
         self._ground[scan.index] = np.packbits(ground)
         self._probe.emit("ground", Mask(ground))
@@ -218,9 +221,7 @@ class OctoMapG(OctoMap):
 class OctoMapGF(OctoMapG):
     """OctoMap with ground estimation and noise filter: noise marks its voxels, but casts no rays."""
 
-    info: ClassVar[MethodInfo] = MethodInfo(
-        "octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES
-    )
+    info: ClassVar[MethodInfo] = MethodInfo("octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES)
     Params: ClassVar[type[Any]] = OctoMapGFParams
 
     def _find_noise(self, scan: Scan) -> Bool:
