@@ -20,6 +20,7 @@ from dynaviz.run import Listener, Run
 from dynaviz.scan import Outcome, Scan
 from dynaviz.survey import Survey
 from dynaviz.viz import answers, paths, sink, states, viewer
+from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
 from dynaviz.viz.report import Tally, before, report
 from dynaviz.viz.scene import Scene
@@ -53,13 +54,14 @@ class Recorder(Listener):
         self._sink: sink.Sink | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
-        self._tally, self._styled = Tally(), set[str]()
+        self._tally = Tally()
 
     def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, *error: Any) -> None:
         if self._sink is not None:
+            self._curves.write()
             self._sink.close()
 
     def sha256(self) -> str:
@@ -87,6 +89,7 @@ class Recorder(Listener):
         self._sink = sink.Sink(
             self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
         )
+        self._curves = Curves(self._sink)
         self._scene = Scene(self._sink, survey.extent, self.mode == "full") if drawn else None
         params = dataclasses.asdict(run.params)
         self._sink.properties(**self._facts(run, survey, params), complete=False)
@@ -119,13 +122,14 @@ class Recorder(Listener):
         self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
         wrong = self._tally.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
         for kind, count in zip(("false_negatives", "false_positives"), wrong, strict=True):
-            self._curve(f"{paths.WRONG}/{kind}", count)
+            self._curves.add(f"{paths.WRONG}/{kind}", labelled.frame, scan.stamp_ns, count)
         for name, value in curves.items():
-            self._curve(paths.curve(name), value)
+            self._curves.add(paths.curve(name), labelled.frame, scan.stamp_ns, value)
         self._open.flush()
 
     def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
         """Write what is known only at the end, close the file, and give it its name."""
+        self._curves.write()
         if self._scene is not None:
             self._scene.finish()
         for name, histogram in histograms.items():
@@ -178,12 +182,6 @@ class Recorder(Listener):
                 self._open.log(paths.state(self._info.name, state), drawn)
         self._queue.clear()
 
-    def _curve(self, path: str, value: float) -> None:
-        if path not in self._styled:
-            self._styled.add(path)
-            self._open.log(path, _style(path), static=True)
-        self._open.log(path, rr.Scalars(float(value)))
-
     def _histogram(self, path: str, histogram: FrameHistograms) -> None:
         """The run's histogram and its 10 % line as one picture, the frames' own to scrub through."""
         edges, total = histogram.edges.copy(), histogram.counts.sum(0)
@@ -204,7 +202,7 @@ class Recorder(Listener):
         self._open.log(paths.WORST, style, static=True)
         if worst:
             frames, wrong = zip(*worst, strict=True)
-            self._open.columns(paths.WORST, frames, rr.Scalars.columns(scalars=wrong))
+            self._open.columns(paths.WORST, frames, [None], rr.Scalars.columns(scalars=wrong))
 
     def _report(self, text: str) -> None:
         self._open.log(paths.REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
@@ -214,16 +212,6 @@ class Recorder(Listener):
 
 
 _MARK = paths.COLOURS[Outcome.FALSE_NEGATIVE]
-_WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.FALSE_POSITIVE}
-
-
-def _style(path: str) -> rr.SeriesLines:
-    """Name and colour of a curve, from its path."""
-    words = path.split("/")[1:]
-    if words[-1] in _WRONG:
-        return rr.SeriesLines(names=words[-1].replace("_", " "), colors=paths.COLOURS[_WRONG[words[-1]]], widths=1.5)
-    name = words[0] if words[1:] == ["so_far"] else " ".join(words).replace("_", " ")
-    return rr.SeriesLines(names=name, colors=paths.SERIES.get(words[0]) if words else None, widths=1.5)
 
 
 def _bars(counts: Any, edges: Any, histogram: FrameHistograms) -> rr.BarChart:

@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import uuid
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +76,13 @@ class Sink:
         for stream in self._streams:
             stream.log(path, *what, static=static)
 
-    def columns(self, path: str, frames: Any, columns: Any) -> None:
+    def columns(self, path: str, frames: Sequence[int], stamps: Sequence[int | None], columns: Any) -> None:
         """Log a value for each of many frames at once."""
+        times = [rr.TimeColumn(paths.FRAME, sequence=frames)]
+        if None not in stamps:
+            times.append(rr.TimeColumn(paths.SENSOR_TIME, timestamp=np.array(stamps, "datetime64[ns]")))
         for stream in self._streams:
-            stream.send_columns(path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=columns)
+            stream.send_columns(path, indexes=times, columns=columns)
 
     def properties(self, **values: Any) -> None:
         """Set the recording's properties, those that are not empty; later ones replace earlier ones."""
