@@ -73,6 +73,7 @@ def _sequence_facts(path: str) -> dict[str, str]:
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
         "digest": seen.digest,
+        **getattr(sequence, "facts", {}),
     }
 
 
