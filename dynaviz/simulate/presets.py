@@ -38,7 +38,7 @@ _ALL = (
     Preset("hall_vlp16", "hall, VLP-16", "hall", "vlp16", 200, 1.0),
     Preset("square_mid360", "square with a crowd, Livox Mid-360", "square", "mid360", 200, 1.5),
     Preset("square_vlp32c", "square with a crowd, two VLP-32C", "square", "vlp32c_pair", 120, 3.0),
-    Preset("street_hdl64", "street, HDL-64E", "street", "hdl64e", 180, 9.0, traffic=0.6, pose_noise=(0.015, 0.05)),
+    Preset("street_hdl64", "street, HDL-64E", "street", "hdl64e", 200, 9.0, traffic=0.6, pose_noise=(0.015, 0.05)),
     Preset("street_vlp16", "street, VLP-16", "street", "vlp16", 200, 2.5),
 )
 

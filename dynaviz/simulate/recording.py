@@ -100,9 +100,7 @@ def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F
 
 def _sensor_pose(scene: Scene, sensor: Sensor, time: float) -> F64:
     T = scene.sensor.pose(time, scene.height)
-    if T is None:
-        raise UsageError(f"the sensor's way ends after {time:.1f} s: ask for fewer frames (--frames)")
-    T = T.copy()
+    assert T is not None  # the scene has seen to it
     T[:3, 3] += T[:3, 2] * (sensor.height or 0.0)
     return T
 

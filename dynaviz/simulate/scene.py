@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dynaviz.errors import UsageError
 from dynaviz.scan import F64
 from dynaviz.simulate import things
 from dynaviz.simulate.classes import REFLECTANCE, Kind
@@ -42,6 +43,11 @@ class Scene:
     sensor: Ride
     parts: list[Part] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Refuse a recording that outlasts the sensor's way, before anything is built for it."""
+        if self.sensor.pose(self.duration, self.height) is None:
+            raise UsageError(f"the sensor's way takes less than {self.duration:.0f} s: ask for fewer frames (--frames)")
 
     def add(self, mesh: Mesh, kind: Kind, reflectance: float | None = None) -> None:
         """Put something that stands, already in the scene frame."""

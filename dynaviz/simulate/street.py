@@ -139,7 +139,7 @@ def _kerbside(scene: Scene, road: Street, reserved: tuple[float, float]) -> None
     for side in (-1, 1):
         for count, station in enumerate(np.arange(3.0, road.length - 3, PLACE)):
             taken = (side < 0 and reserved[0] < station < reserved[1]) or abs(station - road.crossing) < 1
-            if not taken and scene.rng.random() < 0.55:
+            if not taken and scene.rng.random() < 0.5:
                 x, y, yaw = road.middle.spot(
                     station + scene.rng.uniform(-0.4, 0.4), side * (BAY + scene.rng.uniform(-0.1, 0.1))
                 )

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynaviz.simulate.movers import Path, Ride, arrive, cruise, depart
+
+
+def flat(x, y):
+    return np.zeros(np.broadcast(x, y).shape)
+
+
+def slope(x, y):
+    return 0.1 * x
+
+
+@given(st.floats(-50, 50), st.floats(0.5, 15), st.floats(0, 20))
+def test_schedules_go_forward_and_stand_where_they_say(place, speed, time):
+    times = np.linspace(-5, 30, 200)
+    leaving, coming = depart(place, speed, time), arrive(place, speed, time)
+    for schedule in (leaving, coming, cruise(place, speed)):
+        steps = np.diff([schedule(t) for t in times])
+        assert (steps >= 0).all()
+        assert steps.max() <= speed * (times[1] - times[0]) + 1e-9
+    assert leaving(time - 1) == leaving(time) == coming(time) == coming(time + 9) == place
+    assert leaving(time + 1) > place > coming(time - 1)
+
+
+def test_a_path_measures_its_length_and_cuts_corners():
+    corner = Path([(0, 0), (10, 0), (10, 10)], rounds=4)
+    assert corner.xy[0] == pytest.approx((0, 0))
+    assert corner.xy[-1] == pytest.approx((10, 10))
+    assert 10 * np.sqrt(2) < corner.length < 20
+    assert np.abs(np.diff(corner.yaw)).max() < 0.35
+
+
+@given(st.floats(-3, 3))
+def test_beside_a_circle_is_another_circle(left):
+    around = np.linspace(0, np.pi, 400)
+    circle = Path(20 * np.column_stack([np.cos(around), np.sin(around)]))
+    beside = circle.shifted(left)
+    np.testing.assert_allclose(np.hypot(*beside.xy[1:-1].T), 20 - left, atol=1e-3)
+
+
+def test_a_ride_is_absent_beyond_its_path():
+    ride = Ride(Path([(0, 0), (10, 0)]), cruise(-5, 1))
+    assert ride.pose(4, flat) is None
+    assert ride.pose(16, flat) is None
+    pose = ride.pose(10, flat)
+    assert pose is not None
+    np.testing.assert_allclose(pose, [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("upright", [True, False])
+def test_wheels_lean_with_the_slope_and_people_do_not(upright):
+    pose = Ride(Path([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
+    assert pose is not None
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
+    up = (0, 0, 1) if upright else np.array([-0.1, 0, 1]) / np.sqrt(1.01)
+    np.testing.assert_allclose(pose[:3, 2], up, atol=1e-12)
+    assert pose[2, 3] == pytest.approx(0.1 * pose[0, 3])

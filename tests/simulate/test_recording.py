@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+
+from dynaviz import geometry
+from dynaviz.errors import DataError, UsageError
+from dynaviz.sensors import load_sensor
+from dynaviz.simulate import PRESETS, shoot, simulate
+from dynaviz.simulate.classes import CLASS_NAMES, Kind
+from dynaviz.simulate.recording import build
+
+FRAMES = 12
+
+
+@pytest.fixture(scope="module")
+def street():
+    """The demo without pose errors: its scene and its sweeps."""
+    preset = dataclasses.replace(PRESETS["demo"], pose_noise=(0.0, 0.0))
+    scene = build(preset, FRAMES)
+    return scene, list(shoot(scene, preset, FRAMES))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return simulate("demo", tmp_path_factory.mktemp("made") / "demo", frames=3)
+
+
+def in_body(scene, mover, shot):
+    """Points in the frame of a mover, and the (2, 3) box it fills there; None while it is not in the scene."""
+    T = mover.ride.pose(shot.time, scene.height)
+    if T is None:
+        return None
+    points = geometry.apply(geometry.inverse(T) @ shot.T_scene_world, shot.points)
+    return points, mover.body(mover.ride.schedule(shot.time)).bounds
+
+
+def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
+    scene, shots = street
+    seen = set()
+    for shot in shots:
+        for mover in scene.movers:
+            found, own = in_body(scene, mover, shot), shot.instances == mover.instance
+            if found is None:
+                assert not own.any()
+                continue
+            points, (low, high) = found
+            assert ((points[own] > low - 0.12) & (points[own] < high + 0.12)).all()  # six times the range noise
+            within = ((points > low + (0.1, 0.1, 0.2)) & (points < high - 0.1)).all(1)
+            assert (shot.labels[within] == 1).all()
+            assert (shot.kinds[own] == mover.kind).all()
+            if own.any():
+                seen.add(mover.kind)
+        np.testing.assert_array_equal(shot.labels == 1, shot.instances > 0)
+    assert seen == {Kind.MOVING_CAR, Kind.MOVING_TRUCK, Kind.MOVING_BICYCLIST, Kind.MOVING_PERSON}
+
+
+def standing(mover, times):
+    """Which of the times it stands at."""
+    way = np.array([mover.ride.schedule(t) for t in [*times, times[-1] + 0.1]])
+    return np.diff(way) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("kind", "when"), [(Kind.MOVING_PERSON, "first"), (Kind.MOVING_CAR, "first"), (Kind.MOVING_CAR, "last")]
+)
+def test_who_stands_for_a_while_is_dynamic_all_the_time(street, kind, when):
+    scene, shots = street
+    times = [shot.time for shot in shots]
+    half = slice(0, 5) if when == "first" else slice(-5, None)
+    stays = [standing(m, times) for m in scene.movers]
+    chosen = [m for m, still in zip(scene.movers, stays, strict=True) if m.kind == kind and still[half].all()]
+    chosen = [m for m in chosen if not standing(m, times).all()]
+    assert len(chosen) == 1
+    counts = [(shot.instances == chosen[0].instance).sum() for shot in shots]
+    assert min(counts) > 0
+    for shot in shots:
+        assert (shot.labels[shot.instances == chosen[0].instance] == 1).all()
+
+
+def test_reflections_lie_below_the_ground_and_are_static(street):
+    scene, shots = street
+    echoes = 0
+    for shot in shots:
+        odd = shot.kinds == Kind.OUTLIER
+        x, y, z = geometry.apply(shot.T_scene_world, shot.points[odd]).T
+        assert (z < scene.height(x, y)).all()
+        assert not shot.labels[odd].any()
+        echoes += int(odd.sum())
+    assert echoes > 0
+
+
+def test_the_world_is_the_first_sensor_frame_above_the_ground(street):
+    _, shots = street
+    np.testing.assert_allclose(shots[0].T_world_sensor, np.eye(4), atol=1e-12)
+    road = shots[0].points[(shots[0].kinds == Kind.ROAD) & (np.linalg.norm(shots[0].points, axis=1) < 6)]
+    assert np.median(road[:, 2]) == pytest.approx(-load_sensor("vlp16").height, abs=0.1)
+
+
+def test_pose_errors_are_of_the_size_asked_for():
+    preset = dataclasses.replace(PRESETS["hall_vlp16"], pose_noise=(0.02, 0.1))
+    exact = dataclasses.replace(preset, pose_noise=(0.0, 0.0))
+    scene = build(preset, 40)
+    errors = [
+        geometry.inverse(a.T_world_sensor) @ b.T_world_sensor
+        for a, b in zip(shoot(scene, exact, 40), shoot(scene, preset, 40), strict=True)
+    ]
+    assert 0.01 < np.std([e[:3, 3] for e in errors]) < 0.03
+    assert 0.05 < np.degrees(np.std([e[np.tril_indices(3, -1)] for e in errors])) < 0.15
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_renders(name):
+    preset = PRESETS[name]
+    first, second = shoot(build(preset, 2), preset, 2)
+    for shot in (first, second):
+        ranges = np.linalg.norm(shot.points - shot.T_world_sensor[:3, 3], axis=1)
+        sensor = load_sensor(preset.sensor)
+        assert np.isfinite(shot.points).all()
+        assert sensor.min_range - 0.5 < ranges.min()
+        assert ranges.max() < sensor.max_range + 0.5
+        assert 0.001 < shot.labels.mean() < 0.5  # in so short a time all traffic meets the sensor at once
+        assert set(np.unique(shot.kinds).tolist()) <= set(CLASS_NAMES)
+    assert not np.array_equal(first.points[:100], second.points[:100])
+
+
+def test_other_programs_can_read_it(folder):
+    import open3d as o3d
+
+    cloud = o3d.t.io.read_point_cloud(str(folder / "gt_cloud.pcd"))
+    scans = [o3d.t.io.read_point_cloud(str(path)) for path in sorted((folder / "pcd").iterdir())]
+    assert [path.name for path in sorted((folder / "pcd").iterdir())] == ["000000.pcd", "000001.pcd", "000002.pcd"]
+    np.testing.assert_array_equal(
+        cloud.point.positions.numpy(), np.concatenate([scan.point.positions.numpy() for scan in scans])
+    )
+    dynamic = cloud.point["class"].numpy() >= 252
+    np.testing.assert_array_equal(cloud.point["intensity"].numpy(), dynamic.astype(np.float32))
+    np.testing.assert_array_equal(cloud.point["instance"].numpy() > 0, dynamic)
+    assert 0 < dynamic.mean() < 0.5
+
+
+def test_the_viewpoint_is_where_the_sensor_was(folder):
+    header = (folder / "pcd" / "000002.pcd").read_bytes().split(b"DATA")[0].decode()
+    fields = {words[0]: words[1:] for line in header.splitlines() if (words := line.split())}
+    position = np.array(fields["VIEWPOINT"][:3], float)
+    assert fields["FIELDS"] == ["x", "y", "z", "intensity"]
+    assert np.linalg.norm(position - (0.6, 0, 0)) < 0.15  # 3 m/s for 0.2 s
+
+
+def test_the_pair_says_which_lidar_measured_a_point(tmp_path):
+    from dynaviz.io.pcd import read_pcd
+
+    scan = read_pcd(simulate("square_vlp32c", tmp_path / "pair", frames=1) / "pcd" / "000000.pcd")
+    np.testing.assert_array_equal(np.unique(scan["lidar"]), [0, 1])
+    assert scan["lidar"].dtype == np.uint8
+
+
+def test_it_says_what_it_is(folder):
+    facts = tomllib.loads((folder / "sequence.toml").read_text())
+    assert facts["preset"] == facts["name"] == "demo"
+    assert (facts["sensor"], facts["seed"], facts["frames"], facts["rate"]) == ("vlp16", 0, 3, 10.0)
+    assert facts["classes"]["10"] == "car"
+    assert facts["classes"]["252"] == "moving-car"
+
+
+def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, folder):
+    code = "import sys; from dynaviz.simulate import simulate; simulate('demo', sys.argv[1], frames=3)"
+    limit = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+    pin = "import os; hasattr(os, 'sched_setaffinity') and os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
+    subprocess.run([sys.executable, "-c", pin + code, str(tmp_path / "demo")], env=os.environ | limit, check=True)
+    for path in (p for p in folder.rglob("*") if p.is_file()):
+        assert (tmp_path / "demo" / path.relative_to(folder)).read_bytes() == path.read_bytes(), path.name
+
+
+def test_another_seed_is_another_scene():
+    ways = [[m.reflectance for m in build(PRESETS["demo"], 5, seed).movers] for seed in (0, 1)]
+    assert ways[0] != ways[1]
+
+
+def test_errors_say_what_to_do_and_leave_nothing_behind(tmp_path, folder):
+    with pytest.raises(UsageError, match=r"no preset 'nowhere'.*street_hdl64"):
+        simulate("nowhere", tmp_path / "a")
+    with pytest.raises(UsageError, match="at least one frame"):
+        simulate("demo", tmp_path / "a", frames=0)
+    with pytest.raises(UsageError, match="fewer frames"):
+        simulate("square_mid360", tmp_path / "a", frames=100_000)
+    with pytest.raises(DataError, match="exists already"):
+        simulate("demo", folder)
+
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate("hall_mid360", tmp_path / "a", frames=2, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_counts_the_sweeps(tmp_path):
+    told = []
+    simulate("hall_mid360", tmp_path / "hall", frames=2, progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 2), (2, 2)]
+
+
+def test_importing_it_is_light():
+    code = "import sys, dynaviz.simulate; print([m for m in ('open3d', 'scipy', 'numba', 'rerun') if m in sys.modules])"
+    assert (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    )
