@@ -17,7 +17,7 @@ def number(points, size):
     numbers = np.empty(len(points), np.int32)
     slots = np.full(1 << 12, np.int32(-1))
     keys = np.empty(1 << 11, np.int64)
-    mask = len(slots) - 1
+    shift, mask = np.uint64(64 - 12), len(slots) - 1  # the top bits of a product depend on all of the key
     inverse = np.float32(1.0 / size)
     voxels = 0
     for i in range(len(points)):
@@ -31,7 +31,7 @@ def number(points, size):
         if key < 0:
             numbers[i] = -1
             continue
-        s = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)) & mask
+        s = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> shift)
         while slots[s] >= 0 and keys[slots[s]] != key:
             s = (s + 1) & mask
         if slots[s] < 0:
@@ -44,9 +44,9 @@ def number(points, size):
             more[:voxels] = keys
             keys = more
             slots = np.full(4 * voxels, np.int32(-1))
-            mask = len(slots) - 1
+            shift, mask = shift - np.uint64(1), len(slots) - 1
             for v in range(voxels):
-                s = np.int64((np.uint64(keys[v]) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(20)) & mask
+                s = np.int64((np.uint64(keys[v]) * np.uint64(0x9E3779B97F4A7C15)) >> shift)
                 while slots[s] >= 0:
                     s = (s + 1) & mask
                 slots[s] = v
