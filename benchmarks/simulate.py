@@ -1,4 +1,4 @@
-"""Seconds, points a frame and share of dynamic points of every preset: ``python benchmarks/simulate.py [PRESET ...]``."""
+"""Time, points a frame and share of dynamic points of each preset: ``python benchmarks/simulate.py [PRESET ...]``."""
 
 from __future__ import annotations
 

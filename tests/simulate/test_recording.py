@@ -52,7 +52,7 @@ def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
                 continue
             points, (low, high) = found
             assert ((points[own] > low - 0.12) & (points[own] < high + 0.12)).all()  # six times the range noise
-            within = ((points > low + (0.1, 0.1, 0.2)) & (points < high - 0.1)).all(1)
+            within = ((points > np.add(low, (0.1, 0.1, 0.2))) & (points < high - 0.1)).all(1)
             assert (shot.labels[within] == 1).all()
             assert (shot.kinds[own] == mover.kind).all()
             if own.any():
