@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from worlds import pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from worlds import pose
 
 from dynaviz.metric import Labelled
 from dynaviz.scan import Label, Scan

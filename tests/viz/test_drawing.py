@@ -6,10 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
-from worlds import pose, room
 from guess import Guess
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from worlds import pose, room
 
 from dynaviz.grid import pack
 from dynaviz.probe import Plane, Points, PolarGrid, State, Voxels

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worlds import InMemory, room
 from guess import guess_run, record
 from rerun.chunk import RrdReader
+from worlds import InMemory, room
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.grid import pack

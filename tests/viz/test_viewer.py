@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from worlds import InMemory, room
 from guess import Guess, guess_run, record
 from rerun.experimental import ViewerClient
+from worlds import InMemory, room
 
 from dynaviz.errors import DataError, MissingDependency, UsageError
 from dynaviz.run import Listener, execute

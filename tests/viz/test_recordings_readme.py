@@ -1,0 +1,35 @@
+"""The page on recordings says what is so."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from conftest import InMemory
+from guess import record
+
+from dynaviz.viz import paths
+from dynaviz.viz.reader import Recording
+
+PAGE = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
+
+
+def test_the_example_works(
+    little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(little_room, tmp_path / "run.rrd")
+    monkeypatch.chdir(tmp_path)
+    example = re.search(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert example
+    exec(example[1], {})
+    assert "{'outside'}" in capsys.readouterr().out
+
+
+def test_every_constant_path_and_every_property_is_described(little_room: InMemory, tmp_path: Path) -> None:
+    told = set(re.findall(r"`([^`]+)`", PAGE))
+    for name in ("SCAN", "MAP", "MAP_WRONG", "REMOVED", "REMOVED_WRONG", "TRAJECTORY", "SENSOR", "RINGS", "FAILURES"):
+        assert getattr(paths, name) in told
+    for name in ("ANSWERS", "WORST", "REPORT", "LOG"):
+        assert getattr(paths, name) in told
+    assert set(Recording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= told
