@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -29,15 +26,11 @@ def run(scans, params):
 
 
 @pytest.fixture(scope="module", params=["mini", "kitti_tracking_0012"])
-def golden(request, shared, tmp_path_factory):
+def golden(request, shared):
     """Scans, their ground truth, the public port's map, and ours after the same scans."""
     if not (shared / "golden").is_dir():
         pytest.skip("needs golden/ in the folder of real data")
-    folder = shared / "golden/mini"
-    if request.param != "mini":
-        out = tmp_path_factory.mktemp("real")
-        subprocess.run([sys.executable, shared / "data/unpack.py", out], check=True, stdout=subprocess.DEVNULL)
-        folder = out / "unified" / request.param
+    folder = shared / "golden/mini" if request.param == "mini" else request.getfixturevalue(request.param)
     clouds = [read_pcd(path) for path in sorted((folder / "pcd").glob("*.pcd"))]
     scans = [Scan(k, cloud.xyz, cloud.T_world_sensor) for k, cloud in enumerate(clouds)]
     truth = read_pcd(folder / "gt_cloud.pcd")["intensity"]
