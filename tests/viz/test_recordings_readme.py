@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import InMemory
 from guess import record
+from worlds import InMemory
 
 from dynaviz.viz import paths
 from dynaviz.viz.reader import Recording
