@@ -308,11 +308,11 @@ def build_map(raw: F32, voxel: float) -> tuple[F32, I32]:
     reach = REACH * voxel if voxel else np.inf
     placed = (np.abs(raw) < reach).all(1)
     map_points = np.full(len(raw), -1, np.int32)
+    points = raw[placed]
     if not voxel:
-        points = raw[placed]
         map_points[placed] = np.arange(len(points))
         return points, map_points
-    _, cells, counts = np.unique(pack(raw[placed], voxel), return_inverse=True, return_counts=True)
+    _, cells, counts = np.unique(pack(points, voxel), return_inverse=True, return_counts=True)
     map_points[placed] = cells
-    sums = (np.bincount(cells, raw[placed, axis], len(counts)) for axis in range(3))
+    sums = (np.bincount(cells, points[:, axis], len(counts)) for axis in range(3))
     return np.stack([total / counts for total in sums], 1).astype(np.float32), map_points
