@@ -37,7 +37,7 @@ def demo(
     from dynaviz.tables import result_table
 
     with progress("simulating a street") as tell:
-        folder = simulate("demo", out / "sequence", progress=lambda done, total: tell("frames", done, total))
+        folder = simulate("demo", out / "street", progress=lambda done, total: tell("frames", done, total))
     results = []
     for handle in registry.handles("methods"):
         with progress(handle.name) as tell:

@@ -13,7 +13,7 @@ from dynaviz.scan import F64
 from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
 
-SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in paths.SERIES]
+SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 
 
 def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
@@ -71,8 +71,8 @@ def _numbers(info: MethodInfo) -> Any:
         rrb.TextDocumentView(name="report", origin=paths.REPORT),
         rrb.TextLogView(name="log", origin=paths.LOG),
     )
-    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST], rrb.Corner2D.RightTop)
-    return rrb.Vertical(scores, wrong, distance, words, row_shares=[4, 4, 4, 9])
+    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST], rrb.Corner2D.LeftTop)
+    return rrb.Vertical(scores, wrong, distance, words, row_shares=[5, 5, 4, 8])
 
 
 _KINDS = ("false_negative", "false_positive")
@@ -123,7 +123,7 @@ def _eye(extent: Extent) -> rrb.EyeControls3D:
     """An oblique look from above on the bulk of the map, its long side across the picture."""
     centre, along, length = _bulk(extent)
     side = np.array([along[1], -along[0], 0.0])
-    position = centre + 0.75 * length * (0.75 * side + np.array([0.0, 0.0, 0.85]))
+    position = centre + 0.62 * length * (0.75 * side + np.array([0.0, 0.0, 0.85]))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from dynaviz.grid import REACH, KeySet, pack, thin
 from dynaviz.metric import Labelled
@@ -31,8 +32,10 @@ CAPS = {  # points in the map of the whole run: about 550 000 at most, which a s
     Outcome.UNLABELLED_REMOVED: 30_000,
     Outcome.FALSE_POSITIVE: 40_000,
 }
-RADII = np.array([-1.2, -2.0, -3.0, -3.0, -1.2, -1.6], np.float32)
-"""By outcome, as the viewer takes them: negative radii are points on the screen, so wrong ones stand out from afar."""
+RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
+"""By outcome, in points on the screen, so that a few wrong ones stand out from afar."""
+SMALLEST = 1.2
+FEW = 500  # points; of more, each is drawn smaller, or a method's many small errors would hide its few large ones
 RINGS = (10.0, 20.0)  # metres; the viewer's eye follows them, and their size sets its distance
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
@@ -108,7 +111,7 @@ class Scene:
             points = [self._maps[o].points() + self._middle for o in kinds]
             classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
             self._sink.log(
-                path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=RADII[classes]), static=True
+                path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=_radii(classes)), static=True
             )
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
@@ -116,7 +119,7 @@ class Scene:
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         classes = labelled.outcome[chosen].astype(np.uint16)
         xyz = labelled.scan.points[chosen]
-        self._sink.log(paths.SCAN, rr.Points3D(xyz, class_ids=classes, radii=RADII[classes]))
+        self._sink.log(paths.SCAN, rr.Points3D(xyz, class_ids=classes, radii=_radii(classes)))
         if len(chosen) and stands_for is not None:
             details = {
                 "point": chosen.astype(np.uint32),
@@ -124,6 +127,14 @@ class Scene:
                 "reason": labelled.reasons[chosen],
             }
             self._sink.log(paths.SCAN, rr.DynamicArchetype("dynaviz.Scan", components=details))
+
+
+def _radii(classes: NDArray[np.uint16]) -> F32:
+    """A radius for each point, smaller the more of its class there are; negative, as the viewer takes screen sizes."""
+    counts = np.bincount(classes, minlength=len(RADII))
+    shrunk = RADII * (np.maximum(counts, FEW) / FEW) ** -0.25
+    sizes: F32 = -np.maximum(shrunk, SMALLEST).astype(np.float32)
+    return sizes[classes]
 
 
 def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:

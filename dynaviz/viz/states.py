@@ -18,6 +18,7 @@ THIN = 0.2  # metres: then, one point per voxel of this edge
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that stands for a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
+DARK = 0.2  # of the colour scale, left to where there is nothing: the lowest value must not look like it
 
 # Viridis at nine even steps: dark to bright for every eye.
 VIRIDIS = np.array(
@@ -102,7 +103,7 @@ def _voxels(value: Voxels, state: State, scan: Scan, most: int | None) -> Any:
         return rr.VoxelGridMap(keys, edges, colors=np.tile(np.array(paths.CLASSES[2], np.uint8), (len(keys), 1)))
     values = value.values[near]
     low, high = state.value_range or _range(values)
-    return rr.VoxelGridMap(keys, edges, values=values, value_range=[low, high], colormap="viridis")
+    return rr.VoxelGridMap(keys, edges, values=values, value_range=[low, high], colormap="cyantoyellow")
 
 
 def _disc(plane: Plane) -> Any:
@@ -121,8 +122,11 @@ def _disc(plane: Plane) -> Any:
 def _picture(values: F32, state: State) -> Any:
     """Two bytes a pixel, and dark where there is nothing."""
     low, high = state.value_range or _range(values)
-    small = np.nan_to_num(values, nan=low, posinf=high, neginf=low).astype(np.float16)
-    return rr.DepthImage(small, meter=1.0, colormap="viridis", depth_range=[low, high], magnification_filter="nearest")
+    nothing = low - DARK / (1 - DARK) * (high - low)
+    small = np.where(np.isnan(values), nothing, np.clip(values, low, high)).astype(np.float16)
+    return rr.DepthImage(
+        small, meter=1.0, colormap="viridis", depth_range=[nothing, high], magnification_filter="nearest"
+    )
 
 
 def _coloured(values: F32, value_range: tuple[float, float] | None) -> NDArray[np.uint8]:
