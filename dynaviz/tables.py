@@ -13,20 +13,24 @@ if TYPE_CHECKING:
 
 
 def result_table(results: Sequence[Result], title: str | None = None) -> Table:
-    """One row a result; the best AA of each sequence and scoring is bold.
+    """One row a result, in 80 columns; the best AA of each sequence and scoring is bold.
 
     Percentages have two decimals as in the papers, ``n/a`` where they are undefined. Scores of different scorings
-    (``mask``, ``nn``) do not compare, so the scoring has its own column.
+    (``mask``, ``nn``) do not compare, so where there are several the scoring has its own column.
     """
+    from rich import box
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, caption="AA = √(SA · DA), HA = 2 · SA · DA / (SA + DA); kept and removed in points")
-    table.add_column("sequence")
+    scorings = sorted({result.scoring for result in results})
+    table = Table(title=title, caption=_caption(results, scorings), caption_justify="left")
+    table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
+    table.add_column("sequence", overflow="fold")
     table.add_column("method", no_wrap=True)
-    for name in ("SA [%] ↑", "DA [%] ↑", "AA [%] ↑", "HA [%] ↑", "static kept", "dynamic removed", "s/frame"):
-        table.add_column(name, justify="right")
-    table.add_column("scoring")
+    for name in ("SA ↑", "DA ↑", "AA ↑", "HA ↑", "FP", "FN", "s/frame"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if len(scorings) > 1:
+        table.add_column("scoring")
     best: dict[tuple[object, str], float] = {}
     for result in results:
         best[_group(result)] = max(best.get(_group(result), -math.inf), _aa(result))
@@ -40,12 +44,23 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
             _percent(result, "DA"),
             f"[bold]{aa}[/bold]" if champion else aa,
             _percent(result, "HA"),
-            _share(result, "static_kept", "static_removed"),
-            _share(result, "dynamic_removed", "dynamic_kept"),
+            _count(result, "static_removed"),
+            _count(result, "dynamic_kept"),
             _runtime(result),
-            result.scoring,
+            *([result.scoring] if len(scorings) > 1 else []),
         )
     return table
+
+
+def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
+    lines = [
+        "SA, DA: static points kept, dynamic points removed, in %; AA = √(SA · DA),",
+        "HA = 2 · SA · DA / (SA + DA)",
+        "FP: static points removed, FN: dynamic points kept",
+        *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
+        *(["* while its states were recorded"] if any(result.instrumented for result in results) else []),
+    ]
+    return "\n".join(lines)
 
 
 def _group(result: Result) -> tuple[object, str]:
@@ -64,12 +79,8 @@ def _percent(result: Result, name: str) -> str:
     return "n/a" if value is None else f"{value:.2f}"
 
 
-def _share(result: Result, part: str, rest: str) -> str:
-    """A count of a total, as ``1 234 / 5 678``."""
-    if part not in result.counts:
-        return "n/a"
-    count, total = result.counts[part], result.counts[part] + result.counts[rest]
-    return f"{count:,} / {total:,}".replace(",", " ")
+def _count(result: Result, part: str) -> str:
+    return f"{result.counts[part]:,}" if part in result.counts else "n/a"
 
 
 def _runtime(result: Result) -> str:
@@ -77,4 +88,4 @@ def _runtime(result: Result) -> str:
     mean, std = result.runtime.get("mean_s"), result.runtime.get("std_s")
     if mean is None:
         return "n/a"
-    return f"{mean:.3f}" + ("" if std is None else f" ± {std:.3f}") + (" (recorded)" if result.instrumented else "")
+    return f"{mean:.3f}" + ("" if std is None else f" ±{std:.3f}") + ("*" if result.instrumented else "")

@@ -48,11 +48,11 @@ def _show_result(result: Result) -> None:
     show(result)
     reasons = result.sections.get("reasons", {})
     for outcome, meaning in (("false_positive", "static points removed"), ("false_negative", "dynamic points kept")):
-        table = Table("reason", "points", title=f"{meaning}, by reason", title_justify="left", box=None)
+        table = Table("reason", "points", box=None)
         for name, count in sorted(reasons.get(outcome, {}).items(), key=lambda pair: -pair[1]):
             table.add_row(name, f"{count:,}")
         if table.row_count:
-            show("", table)
+            show(f"\n{meaning}, by reason", table)
 
 
 def _sequence_facts(path: str) -> dict[str, str]:
