@@ -53,7 +53,7 @@ def shot(
     with viewer.headless(size) as client:
         start = time.monotonic()
         push(source.path, client)
-        view_id = None if view is None else _id_of(view, client)
+        view_id = None if view is None else _alone(view, client)
         if view is None:
             time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
         for frame, picture in zip(frames, pictures, strict=True):
@@ -82,8 +82,12 @@ def push(path: Path, client: ViewerClient) -> None:
         time.sleep(0.1)
 
 
-def _id_of(view: str, client: ViewerClient) -> str:
-    ids = {shown.name: shown.view_id for shown in client.get_state().views}
+def _alone(view: str, client: ViewerClient) -> str:
+    """Give a view the whole window, for one behind another's tab has no picture; returns its id."""
+    ids = {shown.name: str(shown.view_id) for shown in client.get_state().views}
     if view not in ids:
         raise UsageError(f"--view-name {view}: choose from {', '.join(sorted(ids))}")
-    return str(ids[view])
+    blueprint = client.get_blueprint().blueprint
+    blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
+    client.set_blueprint(blueprint, of="recording")
+    return ids[view]

@@ -125,7 +125,7 @@ def _picture(values: F32, state: State) -> Any:
     nothing = low - DARK / (1 - DARK) * (high - low)
     small = np.where(np.isnan(values), nothing, np.clip(values, low, high)).astype(np.float16)
     return rr.DepthImage(
-        small, meter=1.0, colormap="viridis", depth_range=[nothing, high], magnification_filter="nearest"
+        small, meter=1.0, colormap="inferno", depth_range=[nothing, high], magnification_filter="nearest"
     )
 
 

@@ -58,6 +58,8 @@ def test_pictures(client: ViewerClient, recording: Path, tmp_path: Path) -> None
     assert [p.name for p in made] == ["map-0000.png", "map-0002.png"]
     colours = {tuple(c) for c in pixels(made[1]).reshape(-1, 3)}
     assert len(colours) > 100
+    behind_a_tab = shot(recording, tmp_path / "reasons.png", view="reasons", size=(640, 400))
+    assert len({tuple(c) for c in pixels(behind_a_tab[0]).reshape(-1, 3)}) > 10
     with pytest.raises(UsageError, match=r"--frame 3: .* has the frames 0 to 2"):
         shot(recording, tmp_path / "no.png", frames=(3,))
     with pytest.raises(UsageError, match=r"--view-name nothing: choose from .*map"):
