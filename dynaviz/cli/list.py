@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -57,7 +58,7 @@ def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
         yield from ((name, load_sensor(name).title, "dynaviz") for name in sensor_names())
     elif kind == "presets":
         for name, files in sorted(registry.preset_files().items()):
-            yield name, "published parameters", ", ".join(sorted({file.parent.parent.name for file in files}))
+            yield name, _remark(files[0]), ", ".join(sorted({file.parent.parent.name for file in files}))
     elif kind == "scenes":
         from dynaviz.simulate import PRESETS
 
@@ -69,6 +70,11 @@ def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
             except PluginError as error:
                 text = f"[red]{escape(str(error))}[/]"
             yield handle.name, text, f"{handle.distribution} {handle.version}"
+
+
+def _remark(preset: Path) -> str:
+    """The first remark in a file of parameters, to its first colon."""
+    return preset.read_text("utf-8").partition("\n")[0].lstrip("# ").partition(":")[0]
 
 
 def _title(plugin: object) -> str:
