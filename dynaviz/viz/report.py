@@ -100,8 +100,8 @@ def _reasons(info: MethodInfo, tally: Tally) -> str:
     rows = []
     for code, reason in enumerate(info.reasons):
         if tally.crossed[:, code].any():
-            rows.append((reason.name, *(f"{tally.crossed[o, code]:,}" for o in outcomes), reason.meaning))
-    head = ("reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
+            rows.append((code, reason.name, *(f"{tally.crossed[o, code]:,}" for o in outcomes), reason.meaning))
+    head = ("code", "reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
     return "### Why points got their labels\n\n" + _table([head, *rows]) if rows else ""
 
 

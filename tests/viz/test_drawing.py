@@ -144,7 +144,7 @@ def test_the_report_says_what_a_reader_needs() -> None:
         "| 99.50 % | n/a |",
         "| static kept | 1,234 |",
         "| 2 | 102 | 9 | 0 |",
-        "| band | 28 | 29 | lies in the band |",
+        "| 1 | band | 28 | 29 | lies in the band |",
         "| orange | false negative: dynamic, but kept |",
         '| note | "a\\|b" |',
         "| seconds per frame | 0.500 ± 0.250 |",
