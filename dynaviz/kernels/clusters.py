@@ -1,0 +1,137 @@
+"""Clusters of points in voxels that touch, and in what lies near them.
+
+Voxels are numbers, block * 512 + place; ``neighbours`` (B, 27) numbers the blocks around each. A cluster is known by
+the first point that it grew from, so that nothing depends on how voxels are numbered.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(slots, key):
+    """Where a key is in a table of a power of two, or would be put."""
+    mask = len(slots) - 1
+    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(20)) & mask
+    while slots[s] >= 0 and slots[s] != key:
+        s = (s + 1) & mask
+    return s
+
+
+@njit(cache=True, nogil=True)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True, nogil=True)
+def _unite(parent, i, j):
+    """The earlier one stands for both."""
+    i, j = _root(parent, i), _root(parent, j)
+    parent[max(i, j)] = min(i, j)
+
+
+@njit(cache=True, nogil=True)
+def _beside(voxel, side, neighbours):
+    """The voxel at one of six sides; -1 where there is no block."""
+    axis, ahead = side >> 1, side & 1
+    shift = 6 - 3 * axis
+    block, place = voxel >> 9, voxel & 511
+    along = place >> shift & 7
+    if along == (7 if ahead else 0):
+        step = 9 if axis == 0 else (3 if axis == 1 else 1)
+        block = np.int64(neighbours[block, 13 + (step if ahead else -step)])
+        return block << 9 | place ^ 7 << shift if block >= 0 else np.int64(-1)
+    return voxel + (1 << shift if ahead else -(1 << shift))
+
+
+@njit(cache=True, nogil=True)
+def _table(entries):
+    size = 16
+    while size < 2 * entries:
+        size *= 2
+    return np.full(size, np.int64(-1)), np.empty(size, np.int64)
+
+
+@njit(cache=True, nogil=True)
+def grow(voxels, seeds, neighbours):
+    """Cluster of each point (N,) by voxels that touch at a side; -1 for points in none.
+
+    Voxels with a seed (N,) bool grow on; voxels with other points are taken, by the earliest of the clusters at their
+    sides, but do not grow. A cluster's number is the place of its first seed among the seeds.
+    """
+    n = seeds.sum()
+    slots, ranks = _table(n)
+    own, parent, count = np.empty(n, np.int64), np.arange(n), 0
+    for i in range(len(voxels)):
+        if seeds[i]:
+            s = _slot(slots, voxels[i])
+            if slots[s] < 0:
+                slots[s], ranks[s], own[count] = voxels[i], count, voxels[i]
+                count += 1
+    for k in range(count):
+        for side in range(6):
+            other = _beside(own[k], side, neighbours)
+            if other >= 0:
+                s = _slot(slots, other)
+                if slots[s] >= 0:
+                    _unite(parent, k, ranks[s])
+    taken, roots = _table(7 * count)
+    for k in range(count):
+        for side in range(-1, 6):  # first itself
+            voxel = own[k] if side < 0 else _beside(own[k], side, neighbours)
+            if voxel >= 0:
+                s, root = _slot(taken, voxel), _root(parent, k)
+                if side < 0 or taken[s] < 0:
+                    taken[s], roots[s] = voxel, root
+                elif slots[_slot(slots, voxel)] < 0:
+                    roots[s] = min(roots[s], root)
+    clusters = np.full(len(voxels), np.int32(-1))
+    for i in range(len(voxels)):
+        if voxels[i] >= 0:
+            s = _slot(taken, voxels[i])
+            if taken[s] >= 0:
+                clusters[i] = roots[s]
+    return clusters
+
+
+@njit(cache=True, nogil=True)
+def merge(points, clusters, distance):
+    """The same clusters (N,), of which those with points nearer than a distance are one: its earliest."""
+    n = len(points)
+    merged, parent = clusters.copy(), np.arange(clusters.max() + 1 if n else 0)
+    per_metre = 1.0 / distance
+    slots, heads = _table(n)
+    after, alike = np.empty(n, np.int64), np.ones(len(slots), np.bool_)  # alike: all points of a cell in one cluster
+    for i in range(n):
+        x = np.int64(math.floor(points[i, 0] * per_metre)) + (1 << 20)
+        y = np.int64(math.floor(points[i, 1] * per_metre)) + (1 << 20)
+        z = np.int64(math.floor(points[i, 2] * per_metre)) + (1 << 20)
+        for j in range(27):  # the points before this one
+            key = (x + j // 9 - 1) << 42 | (y + j // 3 % 3 - 1) << 21 | (z + j % 3 - 1)
+            s = _slot(slots, key)
+            if slots[s] < 0:
+                continue
+            k = heads[s]
+            if alike[s] and _root(parent, clusters[k]) == _root(parent, clusters[i]):
+                continue
+            while k >= 0:
+                if _root(parent, clusters[k]) != _root(parent, clusters[i]):
+                    dx, dy, dz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
+                    if dx * dx + dy * dy + dz * dz < distance * distance:
+                        _unite(parent, clusters[k], clusters[i])
+                k = after[k]
+        s = _slot(slots, x << 42 | y << 21 | z)
+        if slots[s] < 0:
+            slots[s], after[i] = x << 42 | y << 21 | z, -1
+        else:
+            after[i] = heads[s]
+            alike[s] &= clusters[heads[s]] == clusters[i]
+        heads[s] = i
+    for i in range(n):
+        merged[i] = _root(parent, clusters[i])
+    return merged

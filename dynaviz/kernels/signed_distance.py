@@ -1,0 +1,203 @@
+"""A projective signed distance field: voxels seen against a range image.
+
+An image is described by ``view``: rows, columns, elevation of the first row, rows per radian, columns per radian. Rows
+go from the highest elevation down, columns from azimuth -pi on; a pixel holds what is nearer to it than to any other.
+
+State exists where ``needed`` (B, 8) has a bit: bit v of word w is voxel 64 w + v of a block. A block's voxels follow
+each other from ``first[block]`` on, in the order of their bits.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+TILE_ROWS, TILE_COLUMNS = 4, 32  # pixels of which only the farthest range is kept, to pass over hidden blocks
+_FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
+_ONE = np.uint64(1)
+_F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
+_PI, _HALF_PI = np.float32(math.pi), np.float32(math.pi / 2)
+# arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
+_A1, _A3, _A5, _A7, _A9, _A11, _A13, _A15 = (
+    np.float32(a)
+    for a in (
+        -0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393,
+        -0.0752896400, 0.0429096138, -0.0161657367, 0.0028662257,
+    )
+)  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _angle(y, x):
+    """The polar angle of (x, y) in float32, without branches."""
+    a, b = abs(x), abs(y)
+    t = min(a, b) / max(max(a, b), np.float32(1e-30))
+    s = t * t
+    p = _A11 + s * (_A13 + s * _A15)
+    p = _A5 + s * (_A7 + s * (_A9 + s * p))
+    p = t * (_F1 + s * (_A1 + s * (_A3 + s * p)))
+    p = _HALF_PI - p if b > a else p
+    p = _PI - p if x < _F0 else p
+    return -p if y < _F0 else p
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def pixels(points, position, axes, nearest, farthest, view):
+    """Pixel of each point (-1: not in view), its range, and whether that lies within (nearest, farthest)."""
+    n, rows, columns = len(points), int(view[0]), int(view[1])
+    found, ranges, inside = np.full(n, np.int32(-1)), np.empty(n, np.float32), np.zeros(n, np.bool_)
+    for i in prange(n):
+        dx, dy, dz = points[i, 0] - position[0], points[i, 1] - position[1], points[i, 2] - position[2]
+        r = math.sqrt(dx * dx + dy * dy + dz * dz)
+        ranges[i] = r
+        if not (nearest <= r <= farthest and 0 < r < np.inf):
+            continue
+        inside[i] = True
+        x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
+        y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+        z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+        row = math.floor((view[2] - math.atan2(z, math.hypot(x, y))) * view[3] + 0.5)
+        if 0 <= row < rows:
+            column = math.floor((math.atan2(y, x) + math.pi) * view[4] + 0.5) % columns
+            found[i] = row * columns + column
+    return found, ranges, inside
+
+
+@njit(cache=True, nogil=True)
+def image(pixels, ranges, rows, columns):
+    """The nearest range in each pixel, 0 where there is none; and the farthest of those in each tile."""
+    nearest = np.zeros(rows * columns, np.float32)
+    for i in range(len(pixels)):
+        p = pixels[i]
+        if p >= 0 and (nearest[p] == _F0 or ranges[i] < nearest[p]):
+            nearest[p] = ranges[i]
+    tiles = np.zeros((-(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)), np.float32)
+    for row in range(rows):
+        for column in range(columns):
+            r, c = row // TILE_ROWS, column // TILE_COLUMNS
+            tiles[r, c] = max(tiles[r, c], nearest[row * columns + column])
+    return nearest, tiles
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def in_view(blocks, edge, position, axes, view, tiles, truncation):
+    """Whether a block (B, 3), of the given edge, might hold a voxel that the image tells of; errs towards True."""
+    radius, seen = 0.8661 * edge, np.zeros(len(blocks), np.bool_)
+    highest, columns = tiles.max(), int(view[1])
+    for b in prange(len(blocks)):
+        dx = (blocks[b, 0] + 0.5) * edge - position[0]
+        dy = (blocks[b, 1] + 0.5) * edge - position[1]
+        dz = (blocks[b, 2] + 0.5) * edge - position[2]
+        r = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if r - radius > highest + truncation:
+            continue
+        if r <= 1.01 * radius:
+            seen[b] = True
+            continue
+        x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
+        y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+        z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+        half, elevation = math.asin(radius / r) + 1e-4, math.atan2(z, math.hypot(x, y))
+        row_from = math.floor((view[2] - elevation - half) * view[3]) - 1
+        row_to = math.floor((view[2] - elevation + half) * view[3]) + 1
+        if row_to < 0 or row_from >= view[0]:
+            continue
+        row_from, row_to = max(row_from, 0), min(row_to, int(view[0]) - 1)
+        steep, width = abs(elevation) + half, columns // 2
+        if steep < 1.5:  # half the width of a cone of angle half, seen at that elevation
+            sine = math.sin(half) / math.cos(steep)
+            if sine < 1:
+                width = min(width, int(math.asin(sine) * view[4]) + 2)
+        column = int((math.atan2(y, x) + math.pi) * view[4]) % columns
+        farthest = _F0
+        first, last = column - width, column + width
+        for r0 in range(row_from // TILE_ROWS, row_to // TILE_ROWS + 1):
+            c = first
+            while True:
+                farthest = max(farthest, tiles[r0, c % columns // TILE_COLUMNS])
+                if c >= last:
+                    break
+                # on to the next tile; tiles begin anew where the columns do
+                at = c % columns
+                c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
+        seen[b] = farthest > _F0 and r - radius <= farthest + truncation
+    return seen
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _places(needed, places):
+    """The voxels of a block that have state, in order; returns their number."""
+    n = 0
+    for w in range(8):
+        if needed[w] == _FULL:
+            for v in range(64):
+                places[n + v] = 64 * w + v
+            n += 64
+        elif needed[w]:
+            for v in range(64):
+                if needed[w] >> np.uint64(v) & _ONE:
+                    places[n] = 64 * w + v
+                    n += 1
+    return n
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(corner, offsets, places, n, view, ranges, pixel):
+    """Ranges and pixels (-1: not in view) of a block's voxels; no branches, so that the compiler can vectorise."""
+    x0, y0, z0 = np.float32(corner[0]), np.float32(corner[1]), np.float32(corner[2])
+    rows, columns = np.int32(view[0]), np.int32(view[1])
+    top, per_row, per_column = np.float32(view[2]), np.float32(view[3]), np.float32(view[4])
+    for i in range(n):
+        p = places[i]
+        x, y, z = x0 + offsets[0, p], y0 + offsets[1, p], z0 + offsets[2, p]
+        flat = np.sqrt(x * x + y * y)
+        ranges[i] = np.sqrt(x * x + y * y + z * z)
+        row = np.int32(np.floor((top - _angle(z, flat)) * per_row + _HALF))
+        column = np.int32((_angle(y, x) + _PI) * per_column + _HALF)
+        column = column - columns if column >= columns else column
+        pixel[i] = row * columns + column if (row >= 0) & (row < rows) else np.int32(-1)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def integrate(
+    active, blocks, size, position, axes, offsets, view, image, truncation, near_below, most,
+    needed, first, distance, weight, observed, near, updated, lanes,
+):  # fmt: skip
+    """Average each voxel of the active blocks with what the image says of it.
+
+    offsets: (3, 512) float32, metres, in the sensor's axes: from a block's corner to its voxels' centres.
+    Sets bits of voxels ``observed`` ever, ``near`` (below that distance), and ``updated`` now.
+    """
+    trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.float32(most)
+    for lane in prange(lanes):
+        places, pixel, ranges = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.float32)
+        corner = np.empty(3, np.float64)
+        for a in range(lane, len(active), lanes):
+            b = active[a]
+            dx = blocks[b, 0] * 8 * size - position[0]
+            dy = blocks[b, 1] * 8 * size - position[1]
+            dz = blocks[b, 2] * 8 * size - position[2]
+            for axis in range(3):
+                corner[axis] = axes[axis, 0] * dx + axes[axis, 1] * dy + axes[axis, 2] * dz
+            n = _places(needed[b], places)
+            _project(corner, offsets, places, n, view, ranges, pixel)
+            start = first[b]
+            for i in range(n):
+                if pixel[i] < 0:
+                    continue
+                depth = image[pixel[i]]
+                behind = depth - ranges[i]
+                if depth == _F0 or behind < -trunc:
+                    continue
+                old = np.float32(weight[start + i])
+                mean = (distance[start + i] * old + min(behind, trunc)) / (old + _F1)
+                distance[start + i] = mean
+                weight[start + i] = min(old + _F1, heaviest)
+                w, bit = places[i] >> 6, _ONE << np.uint64(places[i] & 63)
+                updated[b, w] |= bit
+                if mean < below:
+                    near[b, w] |= bit
+                else:
+                    near[b, w] &= ~bit
+            for w in range(8):
+                observed[b, w] |= updated[b, w]

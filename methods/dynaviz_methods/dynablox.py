@@ -1,0 +1,235 @@
+"""Dynablox: a point in a voxel that was free for long is of something that moves.
+
+Schmid et al. 2023, as the benchmark runs it. The algorithm, online:
+
+    for each scan
+        a  moving:     points in voxels that are free for ever; clusters grow from their voxels over those that touch at
+                       a side and hold points, as long as they are free; those nearer than cluster_distance are one;
+                       a dynamic one has at least min_cluster and at most max_cluster points
+        b  free:       a voxel is occupied that has a point, or that the last scan saw at less than occupied_distance;
+                       free for ever, once seen by the last scan and clear, as are its 26 neighbours: observed,
+                       not nearer than occupied_distance, and occupied last more than burn_in frames ago
+                       revoked, with its 26 neighbours, once occupied for revoke_after frames on end
+        c  distances:  the scan as a range image; each voxel in view is averaged with the difference of ranges along its
+                       ray, cut off at truncation; what is farther behind a surface is not seen
+    a point is dynamic if its voxel was free for ever when it came; with clusters, if it is in a dynamic one
+
+Frames of occupancy are on end where the last was at most temporal_buffer frames before. Points nearer than min_range or
+farther than max_range, points that are not finite, and points more than 32768 voxels from the world's origin take no
+part and are kept. Labels are decided when a scan is observed, and kept as three bits a point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.errors import UsageError
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
+from dynaviz.scan import U8, Bool, Scan
+from dynaviz.sensors import Sensor
+from dynaviz_methods.free_space import I64, FreeSpace, View
+
+SHOWN = 25.0  # metres around the sensor
+
+
+@dataclass(frozen=True)
+class DynabloxParams:
+    """Parameters of Dynablox; the defaults are the benchmark's for KITTI, but for the range image's.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        min_range: nearer points take no part, metres.
+        max_range: farther points take no part, metres; 0: all do.
+        image_rows: rows of the range image; 0: one for each ring of the sensor.
+        image_columns: columns of the range image, all around.
+        field_of_view: height of the range image, degrees, half of it above the horizon; 0: from the sensor's lowest
+            to its highest ring.
+        truncation: largest distance that is averaged; also how far behind a surface voxels are seen, metres.
+        max_weight: most observations that a voxel's average stands for.
+        occupied_distance: voxels nearer to a surface than this are occupied, metres.
+        burn_in: frames since a voxel and its neighbours were last occupied before it is free for ever.
+        temporal_buffer: frames since a voxel was last occupied for its occupancy to count on.
+        revoke_after: frames of occupancy after which a voxel and its neighbours are free no more.
+        cluster_distance: clusters nearer than this are one, metres.
+        min_cluster: fewer points are no dynamic cluster.
+        max_cluster: more points are no dynamic cluster.
+        clusters: whether points of dynamic clusters are removed, and no others; else all in voxels free for ever.
+    """
+
+    resolution: float = 0.1
+    min_range: float = 0.3
+    max_range: float = 0.0
+    image_rows: int = 0
+    image_columns: int = 2048
+    field_of_view: float = 0.0
+    truncation: float = 0.4
+    max_weight: int = 1000
+    occupied_distance: float = 0.3
+    burn_in: int = 5
+    temporal_buffer: int = 2
+    revoke_after: int = 150
+    cluster_distance: float = 0.2
+    min_cluster: int = 20
+    max_cluster: int = 200_000
+    clusters: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("resolution", "truncation", "occupied_distance", "cluster_distance"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
+        for name in ("min_range", "max_range", "field_of_view", "image_rows", "temporal_buffer", "burn_in"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")
+        for name in ("image_columns", "revoke_after", "max_weight", "min_cluster"):
+            if not 1 <= getattr(self, name) <= 65534:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a number from 1 to 65534")
+        if self.max_range and not self.min_range < self.max_range:
+            raise ValueError(f"max_range = {self.max_range}: give more than min_range = {self.min_range}, or 0 for all")
+        if self.image_rows == 1 or self.field_of_view >= 180:
+            raise ValueError(
+                f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows, "
+                "in less than 180 degrees"
+            )
+        if self.occupied_distance > self.truncation:
+            raise ValueError(
+                f"occupied_distance = {self.occupied_distance}: no distance exceeds truncation = {self.truncation}, so "
+                "give at most that"
+            )
+        if self.temporal_buffer > self.burn_in:
+            raise ValueError(
+                f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}, or a voxel may "
+                "count on while it becomes free"
+            )
+        if self.max_cluster < self.min_cluster:
+            raise ValueError(f"max_cluster = {self.max_cluster}: give at least min_cluster = {self.min_cluster}")
+
+
+NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)
+REASONS = (
+    Reason("never_free", "kept: its voxel had not been free for long"),
+    Reason("ever_free", "removed: its voxel was free for long before something came, a dynamic cluster"),
+    Reason(
+        "ever_free_small_cluster", "removed, but kept with clusters: its voxel was free for long; few points cluster"
+    ),
+    Reason("ever_free_large_cluster", "removed, but kept with clusters: its voxel was free for long; a huge cluster"),
+    Reason("beside_ever_free", "kept, but removed with clusters: of a dynamic cluster, in a voxel not free for long"),
+    Reason("revoked", "kept: its voxel was free for long, but then something stayed in or beside it"),
+    Reason("out_of_range", "kept unjudged: nearer than min_range, farther than max_range, or not finite"),
+    Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin"),
+)
+STATES = (
+    State("range_image", RangeImage, "Range of the nearest point in each pixel, metres", value_range=(0.0, 50.0)),
+    State("became_free", Voxels, "Voxels near the sensor that this scan made free for ever"),
+    State("revoked", Voxels, "Voxels near the sensor that are free no more: something stayed"),
+    State(
+        "intruded", Voxels, "Free voxels with points of this scan: what moves; number of points", value_range=(1, 50)
+    ),
+    State(
+        "clusters",
+        PointClasses,
+        "Points by cluster: the free voxels of a dynamic one, what it touches, and clusters of too few or too many",
+        legend=("none", "dynamic", "touched", "too small", "too large"),
+    ),
+    State("free_voxels", Scalar, "How many voxels are free for ever, of those where points can lie"),
+)
+CLASS = np.zeros(len(REASONS), np.uint8)  # of a reason, in the legend
+CLASS[[FREE, BESIDE, FREE_SMALL, FREE_LARGE]] = 1, 2, 3, 4
+
+
+class Dynablox:
+    """Dynablox, asked for each point when it comes."""
+
+    info: ClassVar[MethodInfo] = MethodInfo("dynablox", "Dynablox", "Schmid et al., RA-L 2023", REASONS, STATES)
+    Params: ClassVar[type[Any]] = DynabloxParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Lay out the map where points will lie."""
+        self._probe = context.probe
+        self._map = FreeSpace(context.extent, self.params, view_of(self.params, context.sensor))
+        self._reasons: dict[int, U8] = {}  # three bits a point, packed: the decision is per point
+        self._free_voxels = 0
+        removed = (FREE, BESIDE) if self.params.clusters else (FREE, FREE_SMALL, FREE_LARGE)
+        self._removed = np.isin(np.arange(len(REASONS)), removed)
+
+    def observe(self, scan: Scan) -> None:
+        """Decide on the scan's points by the scans before; then learn from it."""
+        inside = self._map.look(scan)
+        voxels = np.where(inside, self._map.locate(scan.points), -1)
+        why = self._judge(scan, inside, voxels)
+        self._reasons[scan.index] = np.packbits(why[:, None] >> np.arange(3, dtype=np.uint8) & 1)
+        intruded = voxels[(why >= FREE) & (why <= FREE_LARGE)]
+        new, lost = self._map.learn(voxels)
+        self._map.integrate()
+        self._show(scan, why, intruded, new, lost)
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the point's voxel was free for ever when it came, or as clusters decide."""
+        dynamic: Bool = self._removed[self.explain(scan)]
+        return dynamic
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``, as decided when the scan was observed."""
+        bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
+        why: U8 = bits @ np.array([1, 2, 4], np.uint8)
+        return why
+
+    def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
+        """(N,) uint8, codes of ``REASONS``."""
+        why = np.full(len(scan), NEVER_FREE, np.uint8)
+        why[kernels.ever_free.get(voxels, self._map.revoked)] = REVOKED
+        why[voxels < 0] = OUT_OF_REACH
+        why[~inside] = OUT_OF_RANGE
+        free = kernels.ever_free.get(voxels, self._map.free)
+        if free.any():
+            clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
+            members = np.flatnonzero(clusters >= 0)
+            merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
+            size = np.bincount(merged)[merged]
+            of_free = free[members]
+            why[members[of_free]] = FREE
+            why[members[of_free & (size < self.params.min_cluster)]] = FREE_SMALL
+            why[members[of_free & (size > self.params.max_cluster)]] = FREE_LARGE
+            dynamic = (size >= self.params.min_cluster) & (size <= self.params.max_cluster)
+            why[members[~of_free & dynamic]] = BESIDE
+        return why
+
+    def _show(self, scan: Scan, why: U8, intruded: I64, new: I64, lost: I64) -> None:
+        self._free_voxels += len(new) - len(lost)
+        wants, emit = self._probe.wants, self._probe.emit
+        emit("free_voxels", Scalar(self._free_voxels))
+        if wants("range_image"):
+            emit("range_image", RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))))
+        for name, voxels in (("became_free", new), ("revoked", lost)):
+            if wants(name):
+                shown = self._map.voxels(voxels)
+                away = (shown.keys + 0.5) * shown.size - scan.position
+                emit(name, Voxels(shown.keys[(away**2).sum(1) < SHOWN**2], shown.size))
+        if wants("intruded"):
+            voxels, counts = np.unique(intruded, return_counts=True)
+            emit("intruded", self._map.voxels(voxels, counts.astype(np.float32)))
+        if wants("clusters"):
+            emit("clusters", PointClasses(CLASS[why]))
+
+
+def view_of(params: DynabloxParams, sensor: Sensor) -> View:
+    """The range image that parameters and sensor make.
+
+    Raises:
+        UsageError: where neither tells its rows or its height.
+    """
+    rows, half = params.image_rows or sensor.rings, params.field_of_view / 2
+    low, high = (-half, half) if half else sensor.elevation or (0.0, 0.0)
+    if not rows or rows < 2 or not low < high:
+        raise UsageError(
+            f"dynablox needs the rows and the height of a range image, which the sensor '{sensor.name}' does not tell: "
+            "give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
+        )
+    return View(rows, params.image_columns, high, low)

@@ -1,0 +1,189 @@
+"""Voxels that were free for long, learned scan by scan from a projective signed distance field: Dynablox' map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.probe import Voxels
+from dynaviz.scan import F32, Bool, Scan
+from dynaviz.survey import CELL, Extent
+
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+U64 = NDArray[np.uint64]
+
+AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # in the order of a block's neighbours
+KEY = np.array([1 << 42, 1 << 21, 1])  # blocks as one number each, in the order of the grid
+LONG_AGO = -(2**30)
+
+
+@dataclass(frozen=True)
+class View:
+    """The range image: rows from the highest elevation to the lowest, columns all around the sensor.
+
+    Attributes:
+        rows, columns: pixels.
+        top, bottom: elevation of the centres of the first and the last row, degrees.
+    """
+
+    rows: int
+    columns: int
+    top: float
+    bottom: float
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float, float]:
+        """As the kernels take them."""
+        per_row = math.degrees((self.rows - 1) / (self.top - self.bottom))
+        return float(self.rows), float(self.columns), math.radians(self.top), per_row, self.columns / (2 * math.pi)
+
+
+class FreeSpace:
+    """Signed distances, and which voxels they and the points leave free; state only where points can lie, and beside.
+
+    Per scan: ``look``, ``locate`` points, ``learn`` what is free from the scans before and those points, ``integrate``.
+
+    Attributes:
+        free: (B, 8) uint64: bits of the voxels that are free for ever.
+        revoked: (B, 8) uint64: bits of those that were, until something stayed.
+        neighbours: (B, 27) int32: numbers of the blocks around each block; -1: none.
+        image: (rows, columns) float32, metres: the last scan's range image, 0 where nothing returned.
+    """
+
+    def __init__(self, extent: Extent, params: Any, view: View) -> None:
+        self._params, self._view, self._frame = params, view, -1
+        blocks = self._lay_out(extent)
+        n, voxels = blocks, int(self._first[-1])
+        self._distance, self._weight = np.zeros(voxels, np.float32), np.zeros(voxels, np.uint16)
+        self._counts = np.zeros(voxels, np.uint16)
+        self.free, self.revoked, self._observed, self._near, self._clear, self._updated, self._hit, self._reached = (
+            np.zeros((n, 8), np.uint64) for _ in range(8)
+        )
+        self._recent = np.zeros((n, params.burn_in + 1, 8), np.uint64)
+        self._stamps = np.full((n, params.burn_in + 1), LONG_AGO, np.int32)
+        self._seen: list[I32] = []  # blocks looked at in each of the last frames
+        self._in_view = np.empty(0, np.int32)
+        self.image = np.zeros((view.rows, view.columns), np.float32)
+
+    def _lay_out(self, extent: Extent) -> int:
+        """Blocks where points can lie, and blocks around them for the sake of the voxels beside; their number."""
+        size = self._params.resolution
+        reach = math.ceil(size / CELL)
+        shifts = np.array(list(product(range(-reach, reach + 1), repeat=3)), np.int32)
+        cells = np.unique((extent.cells[:, None] + shifts).reshape(-1, 3), axis=0)
+        self.grid = BlockGrid(Extent(extent.low - reach * CELL, extent.high + reach * CELL, cells), size)
+        self._blocks, inner = _blocks_of(self.grid), _blocks_of(BlockGrid(extent, size))
+        keys = self._blocks @ KEY
+        self._inner = np.isin(keys, inner @ KEY)
+        self.neighbours = np.stack([_find(keys, keys + shift @ KEY) for shift in AROUND], 1).reshape(-1, 27)
+        full = np.where(self._inner, ~np.uint64(0), np.uint64(0))
+        self._needed = kernels.ever_free.spread(np.repeat(full[:, None], 8, 1), self.neighbours)
+        self._first = np.append(0, np.cumsum(np.bitwise_count(self._needed).sum(1, dtype=np.int64)))
+        return len(keys)
+
+    def locate(self, points: F32) -> I64:
+        """(N,) int64: the voxel of each point, metres, world frame; -1 where there is none."""
+        voxels = self.grid.locate(points)
+        voxels[~np.append(self._inner, False)[voxels // VOXELS]] = -1
+        return voxels
+
+    def learn(self, voxels: I64) -> tuple[I64, I64]:
+        """One more frame: what is occupied, for how long, and what is free therefore.
+
+        Args:
+            voxels: (K,) int64: voxels with points of this scan; -1 for none.
+
+        Returns:
+            Voxels that became free, and voxels that are free no more.
+        """
+        p, k, lanes = self._params, kernels.ever_free, kernels.threads_in_use()
+        self._frame += 1
+        now = _union(self._in_view, k.put(voxels, self._hit))
+        # What was last occupied more than burn_in frames ago may be clear now. So may be all at the end of the first
+        # burn-in: what was never occupied counts as occupied just before the first frame.
+        forgotten = self._seen if self._frame == p.burn_in else self._seen[: self._frame > p.burn_in]
+        active = _union(now, *forgotten)
+        k.occupy(
+            *(active, self._frame, p.burn_in, p.temporal_buffer, p.revoke_after),
+            *(self._hit, self._updated, self._observed, self._near, self._recent, self._stamps),
+            *(self._needed, self._first, self._counts, self._clear, self._reached),
+        )
+        inner = now[self._inner[now]]
+        new, lost = np.zeros((len(inner), 8), np.uint64), np.zeros((0, 8), np.uint64)
+        k.release(inner, self.neighbours, self._updated, self._clear, self.free, new, lanes)
+        reaching = now[self._reached[now].any(1)]
+        losing = np.unique(self.neighbours[reaching])
+        losing = losing[losing >= 0]
+        if len(losing):
+            lost = np.zeros((len(losing), 8), np.uint64)
+            k.revoke(losing, self.neighbours, self._reached, self.free, lost, lanes)
+            self._reached[reaching] = 0
+        self.revoked[inner] &= ~new
+        self.revoked[losing] |= lost
+        self._hit[now] = 0
+        self._updated[now] = 0
+        self._seen = [*self._seen, now][-p.burn_in - 1 :]
+        return _voxels_of(inner, new), _voxels_of(losing, lost)
+
+    def look(self, scan: Scan) -> Bool:
+        """Make the range image of a scan; (N,) bool: points within range."""
+        p = self._params
+        self._position, self._axes = scan.position.copy(), np.ascontiguousarray(scan.T_world_sensor[:3, :3].T)
+        farthest = p.max_range or math.inf
+        pixels, ranges, inside = kernels.signed_distance.pixels(
+            scan.points, self._position, self._axes, p.min_range, farthest, self._view.numbers
+        )
+        image, self._tiles = kernels.signed_distance.image(pixels, ranges, self._view.rows, self._view.columns)
+        self.image = image.reshape(self.image.shape)
+        within: Bool = inside
+        return within
+
+    def integrate(self) -> None:
+        """Average the signed distances of all voxels in view with those that the range image tells."""
+        p, view, k = self._params, self._view.numbers, kernels.signed_distance
+        pose = self._position, self._axes
+        seen = k.in_view(self._blocks, 8 * p.resolution, *pose, view, self._tiles, p.truncation)
+        self._in_view = np.flatnonzero(seen).astype(np.int32)
+        k.integrate(
+            *(self._in_view, self._blocks, p.resolution, *pose, self._offsets(), view, self.image.ravel()),
+            *(p.truncation, p.occupied_distance, p.max_weight, self._needed, self._first),
+            *(self._distance, self._weight, self._observed, self._near, self._updated, kernels.threads_in_use()),
+        )
+
+    def voxels(self, numbers: I64, values: F32 | None = None) -> Voxels:
+        """Voxels to show."""
+        return Voxels(self.grid.keys(numbers), self.grid.resolution, values)
+
+    def _offsets(self) -> F32:
+        """(3, 512) float32, metres, the sensor's axes: from a block's corner to the centres of its voxels."""
+        places = np.stack(np.unravel_index(np.arange(VOXELS), (8, 8, 8)))
+        return np.ascontiguousarray(self._axes @ (places + 0.5) * self._params.resolution, np.float32)
+
+
+def _blocks_of(grid: BlockGrid) -> I64:
+    """(B, 3) int64: indices of a grid's blocks from the world's origin, in its order."""
+    return grid.keys(VOXELS * np.arange(len(grid))).astype(np.int64) >> 3
+
+
+def _find(keys: I64, wanted: I64) -> I32:
+    """Where wanted keys are among sorted ones; -1 where they are not."""
+    if not len(keys):
+        return np.empty(0, np.int32)
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[at] == wanted, at, -1).astype(np.int32)
+
+
+def _union(*blocks: I32) -> I32:
+    return np.unique(np.concatenate(blocks))
+
+
+def _voxels_of(blocks: I32, bits: U64) -> I64:
+    return voxels_of(blocks, bits.view(np.int64))
