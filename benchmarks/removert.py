@@ -21,19 +21,19 @@ from octomap import read, street, timed
 
 from dynaviz import kernels
 from dynaviz.method import Context
+from dynaviz.params import resolve
 from dynaviz.scan import Scan
 from dynaviz.sensors import load_sensor
 from dynaviz.survey import Extent
 from dynaviz_methods.range_images import image_views, slices
-from dynaviz_methods.removert import Removert, RemovertParams, build_map
+from dynaviz_methods.removert import Removert, RemovertParams
+from dynaviz_methods.tiles import thinned
 
 SENSOR = load_sensor("hdl64e")
 VARIANTS = {
     "default": RemovertParams(),
     "revert": RemovertParams(revert_resolutions=(2.09,)),
-    "port": RemovertParams(
-        resolutions=(2.5, 2.2, 2.0), voxel=0.0, elevation=(-25.0, 25.0), world_aligned=True, nearest_only=True
-    ),
+    "port": resolve(Removert, preset="port").params,
 }
 PLAIN_FRAMES = 3
 
@@ -87,7 +87,7 @@ def main() -> None:
     arguments = parser.parse_args()
     scans = read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames or 60)
     raw_map = np.concatenate([scan.points for scan in scans])
-    points, _ = build_map(raw_map, 0.05)
+    points, _ = thinned(raw_map, 0.05)
     print(f"{len(scans)} frames of {np.mean([len(s) for s in scans]):.0f} points; {kernels.set_threads(None)} threads")
     print(f"raw map {len(raw_map) / 1e6:.1f} M points, map of 0.05 m cells {len(points) / 1e6:.1f} M")
 

@@ -15,7 +15,7 @@ from numba import njit, prange
 
 _CHUNK = 1024  # points whose pixels are found at once
 _STEEP = np.float32(0.1)  # below this sine of the angle to the vertical, azimuths need float64
-_ANGLE_ERROR = 2e-6  # radians; thrice what float32 loses, at least
+_ANGLE_ERROR = 2e-6  # radians; twice what float32 loses, at least
 _DOUBT = -2  # in place of a pixel: ask float64
 _F0, _F1 = np.float32(0), np.float32(1)
 _HALF, _PI, _HALF_PI = np.float32(0.5), np.float32(math.pi), np.float32(math.pi / 2)
@@ -94,7 +94,8 @@ def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, pol
         ranges[i] = r
         polar[0, i] = _angle(y, x)
         polar[1, i] = _angle(z, flat)
-        polar[2, i] = flat - _STEEP * r
+        # Below 0 where azimuths are not sure, or where an error leads to the other end of the image.
+        polar[2, i] = min(flat - _STEEP * r, _PI - np.float32(_ANGLE_ERROR) - abs(polar[0, i]))
     for k in range(len(views)):
         rows, columns = np.float32(views[k, 0]), np.float32(views[k, 1])
         row0, per_row = np.float32(views[k, 2]), np.float32(views[k, 3])

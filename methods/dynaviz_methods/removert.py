@@ -20,18 +20,18 @@ absolute difference, so that a scan's nearer return accuses what stands behind i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.errors import UsageError
-from dynaviz.grid import REACH, pack
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import F32, F64, U8, Bool, Scan
 from dynaviz_methods.range_images import image_views, picture, slices
+from dynaviz_methods.tiles import thinned
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -40,6 +40,7 @@ I32 = NDArray[np.int32]
 
 SHOWN = 3  # resolutions with reasons and states of their own
 LARGEST = 200.0  # metres; the port takes a larger difference for a pixel without return
+FINEST = 50.0  # pixels per degree: an image of hundreds of megabytes
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,9 @@ class RemovertParams:
         voxel: edge of the map's cells, metres; 0 judges every raw point.
         elevation: (lowest, highest) of the range images, degrees above the horizon; empty: the sensor's.
         azimuth: (from, to) of the range images, degrees; empty: the sensor's.
-        world_aligned: whether images have the axes of the world instead of the sensor's.
-        nearest_only: judge the nearest map point of each pixel alone, by the absolute difference; points above or below
-            the image then fall into its first or last row.
+        port: the rule of the benchmark's port: images have the axes of the world, what is above or below them falls
+            into their first or last row, and the nearest map point of each pixel alone is judged, by the absolute
+            difference.
         scan_neighbours: nearest neighbours over which the step on the scan's side averages squared distances, the point
             itself among them; 0 for no such step. With it, a point is static where the average in its scan and that in
             the cleaned map differ by less than ``scan_difference``, whatever became of its map point.
@@ -69,26 +70,25 @@ class RemovertParams:
     voxel: float = 0.05
     elevation: tuple[float, ...] = ()
     azimuth: tuple[float, ...] = ()
-    world_aligned: bool = False
-    nearest_only: bool = False
+    port: bool = False
     scan_neighbours: int = 0
     scan_difference: float = 0.1
 
     def __post_init__(self) -> None:
         every = (*self.resolutions, *self.revert_resolutions)
-        if not self.resolutions or len(every) > 8 or not all(r > 0 for r in every):
-            raise ValueError(f"resolutions = {every}: give one to eight positive numbers, those to revert included")
+        if not self.resolutions or len(every) > 8 or not all(0 < r <= FINEST for r in every):
+            raise ValueError(f"resolutions = {every}: give one to eight from 0 to {FINEST:g}, those to revert included")
         if not 0 < self.threshold < 1:
             raise ValueError(f"threshold = {self.threshold}: give a fraction between 0 and 1")
         for name in ("voxel", "scan_neighbours", "scan_difference"):
-            if not getattr(self, name) >= 0:
+            if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give 0 or a positive number")
         for name, limit in (("elevation", 90), ("azimuth", 180)):
             span = getattr(self, name)
             if span and not (len(span) == 2 and -limit <= span[0] < span[1] <= limit):
                 raise ValueError(f"{name} = {span}: give two ascending numbers from {-limit} to {limit}")
-        if self.nearest_only and self.revert_resolutions:
-            raise ValueError("nearest_only knows no revert step: give no revert_resolutions with it")
+        if self.port and self.revert_resolutions:
+            raise ValueError("port knows no revert step: give no revert_resolutions with it")
 
 
 AGREES, NEARER, REVERTED, HIDDEN, OUT_OF_VIEW, LEFT_ALONE, SURROUNDED = 0, 1, 4, 5, 6, 7, 8
@@ -142,12 +142,14 @@ class Removert:
         elevation = params.elevation or sensor.elevation
         if elevation is None:
             raise UsageError(
-                "removert needs the vertical field of view: give --sensor NAME or --set elevation=[LOWEST,HIGHEST]"
+                f"removert needs the vertical field of view, which the sensor '{sensor.name}' does not tell: "
+                "give --sensor NAME or --set elevation=[LOWEST,HIGHEST], degrees"
             )
         self._probe = context.probe
         resolutions = (*params.resolutions, *params.revert_resolutions)
         self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
-        points, self._map_points = build_map(cast(F32, context.raw_map), params.voxel)
+        assert context.raw_map is not None  # as info.needs_map asks
+        points, self._map_points = thinned(context.raw_map, params.voxel)
         self._map = kernels.frozen(points.T, np.float32)
         # An entry more than there are map points: raw points without one are at -1.
         self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
@@ -163,11 +165,12 @@ class Removert:
         self._tree = None
         before = self._dynamic(self._past) if self._probe.wants("accused") else None
         scan_ranges, _ = self._nearest(scan, scan.points.T)
-        if self.params.nearest_only or self._draws():
+        if self.params.port or self._draws():
             map_ranges, nearest = self._nearest(scan, self._map)
             flagged = self._flagged(scan_ranges, map_ranges)
+        if self._draws():
             self._draw(scan_ranges, map_ranges, flagged)
-        if self.params.nearest_only:
+        if self.params.port:
             self._judge_nearest(nearest, flagged, np.isfinite(scan_ranges))
         else:
             self._judge_all(scan, scan_ranges)
@@ -198,9 +201,9 @@ class Removert:
 
     def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:
         """Of the images: their centre, their axes, their views, and whether border rows hold what is beyond them."""
-        axes = np.eye(3) if self.params.world_aligned else scan.T_world_sensor[:3, :3].T
+        axes = np.eye(3) if self.params.port else scan.T_world_sensor[:3, :3].T
         centre = kernels.frozen(scan.position, np.float64)
-        return centre, kernels.frozen(axes, np.float64), self._views, self.params.nearest_only
+        return centre, kernels.frozen(axes, np.float64), self._views, self.params.port
 
     def _judge_all(self, scan: Scan, scan_ranges: F32) -> None:
         """Judge every map point by its own range."""
@@ -223,7 +226,7 @@ class Removert:
         """(P,) bool: pixels whose nearest map point is judged dynamic; ranges are infinite where there is nothing."""
         with np.errstate(invalid="ignore"):
             difference = scan_ranges - map_ranges
-        if self.params.nearest_only:
+        if self.params.port:
             difference = np.abs(difference)
             difference[difference >= LARGEST] = 0
         flagged: Bool = np.isfinite(difference) & (difference > np.float32(self.params.threshold) * scan_ranges)
@@ -291,28 +294,3 @@ def _mean_square(tree: cKDTree, points: F32, neighbours: int) -> F64:
     distances, _ = tree.query(points, list(range(1, neighbours + 1)), workers=kernels.threads_in_use())
     mean: F64 = np.square(distances).mean(1)
     return mean
-
-
-def build_map(raw: F32, voxel: float) -> tuple[F32, I32]:
-    """The points to judge.
-
-    Args:
-        raw: (M, 3) float32, metres; any values.
-        voxel: edge of the cells, metres; 0 for none.
-
-    Returns:
-        points: (C, 3) float32, metres: centroids of the cells that hold points; or all finite points.
-        map_points: (M,) int32: for each raw point the one that stands for it; -1 for points that are not finite or
-            more than a million cells from the world's origin.
-    """
-    reach = REACH * voxel if voxel else np.inf
-    placed = (np.abs(raw) < reach).all(1)
-    map_points = np.full(len(raw), -1, np.int32)
-    points = raw[placed]
-    if not voxel:
-        map_points[placed] = np.arange(len(points))
-        return points, map_points
-    _, cells, counts = np.unique(pack(points, voxel), return_inverse=True, return_counts=True)
-    map_points[placed] = cells
-    sums = (np.bincount(cells, points[:, axis], len(counts)) for axis in range(3))
-    return np.stack([total / counts for total in sums], 1).astype(np.float32), map_points
