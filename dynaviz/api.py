@@ -6,19 +6,21 @@ import contextlib
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast, get_args
 
 from dynaviz import params as layers
 from dynaviz import registry
 from dynaviz.datasets import open_sequence
+from dynaviz.errors import UsageError
+from dynaviz.loop import Listener, Progress, Run, execute
 from dynaviz.outputs import LabelsFile, MapFiles, write_summary
 from dynaviz.probe import SILENT, Probe
 from dynaviz.result import Result
-from dynaviz.run import Listener, Progress, Run, execute
 from dynaviz.scan import Sequence, part
 from dynaviz.sensors import load_sensor
 
-Record = Literal["full", "errors", "scores", "none"]
+Mode = Literal["full", "errors", "scores"]
+Record = Literal[Mode, "none"]
 
 
 def open(
@@ -45,7 +47,7 @@ def run(
     sequence: Sequence | str | os.PathLike[str],
     *,
     out: str | os.PathLike[str] | None = None,
-    record: Record = "errors",
+    record: Record | str | os.PathLike[str] = "errors",
     view: bool = False,
     preset: str | None = None,
     config: str | os.PathLike[str] | None = None,
@@ -61,8 +63,9 @@ def run(
     Args:
         method: its name (``dynaviz list methods``).
         sequence: an open sequence, or a path.
-        out: folder for the files of the run; None writes nothing.
-        record: how much the recording ``run.rrd`` holds (``recordings/README.md``); needs ``out``.
+        out: folder for the files of the run; None writes none.
+        record: how much the recording ``run.rrd`` in ``out`` holds (``recordings/README.md``), or the path of an
+            ``.rrd`` file for one with what is wrong, with or without ``out``.
         view: show the run in a viewer while it goes on.
         preset, config, settings: layers of parameters (``dynaviz.params.resolve``).
         online: ask for each scan's labels right after it was observed, not after all.
@@ -73,6 +76,10 @@ def run(
 
     Returns:
         The result; printing it shows a table.
+
+    Raises:
+        UsageError: for a method, parameter or way to record that does not exist.
+        DataError: for data that cannot be read, or files that cannot be written.
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)
@@ -89,25 +96,39 @@ def run(
         threads=threads,
         command=command,
     )
-    if out is None:
-        return execute(this, progress=progress)
-    return _run_into(Path(out), this, record, view, progress)
+    folder = None if out is None else Path(out)
+    recording, mode = _recording(record, folder)
+    return _run_into(folder, recording, mode, this, view, progress)
 
 
-def _run_into(folder: Path, this: Run, record: Record, view: bool, progress: Progress) -> Result:
+def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, Mode]:
+    """Where the recording goes, and how much it holds."""
+    if Path(record).suffix == ".rrd":
+        return Path(record), "errors"
+    if record not in get_args(Record):
+        raise UsageError(f"record = {record}: give {', '.join(get_args(Record))}, or the path of an .rrd file")
+    return (None if folder is None or record == "none" else folder / "run.rrd"), cast(Mode, record)
+
+
+def _run_into(
+    folder: Path | None, recording: Path | None, mode: Mode, this: Run, view: bool, progress: Progress
+) -> Result:
     """Run with all files written; each appears only when it is whole, ``result.json`` last."""
-    (folder / "result.json").unlink(missing_ok=True)
     probe: Probe = SILENT
     recorder = None
     with contextlib.ExitStack() as stack:
-        listeners: list[Listener] = [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
-        if record != "none":
+        listeners: list[Listener] = []
+        if folder is not None:
+            (folder / "result.json").unlink(missing_ok=True)
+            listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
+        if recording is not None:
             from dynaviz.viz.recorder import Recorder
 
-            recorder = probe = stack.enter_context(Recorder(folder / "run.rrd", record, live=view))
+            recorder = probe = stack.enter_context(Recorder(recording, mode, live=view))
             listeners.append(recorder)
         result = execute(this, listeners, probe, progress)
     if recorder:
         result = replace(result, recording_sha256=recorder.sha256())
-    write_summary(folder, this, result)
+    if folder is not None:
+        write_summary(folder, this, result)
     return result

@@ -13,10 +13,10 @@ import numpy as np
 from dynaviz.bits import PackedBits
 from dynaviz.io.atomic import whole_file, write_whole
 from dynaviz.io.pcd import PcdWriter
+from dynaviz.loop import Listener, Run
 from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.params import to_toml
 from dynaviz.result import Result
-from dynaviz.run import Listener, Run
 from dynaviz.survey import Survey
 
 

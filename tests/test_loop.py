@@ -14,12 +14,12 @@ import pytest
 from worlds import InMemory
 
 from dynaviz.bits import PackedBits
+from dynaviz.loop import Listener, Run, execute
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.outputs import LabelsFile, MapFiles
 from dynaviz.probe import SILENT, MemoryProbe, Scalar, State
 from dynaviz.result import Result
-from dynaviz.run import Listener, Run, execute
 from dynaviz.scan import Outcome, Scan
 from dynaviz.survey import Survey
 

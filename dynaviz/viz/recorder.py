@@ -13,10 +13,10 @@ import numpy as np
 import rerun as rr
 
 from dynaviz.errors import UsageError
+from dynaviz.loop import Listener, Run
 from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
 from dynaviz.result import Result, environment
-from dynaviz.run import Listener, Run
 from dynaviz.scan import Outcome, Scan
 from dynaviz.survey import Survey
 from dynaviz.viz import answers, paths, sink, states, viewer

@@ -31,7 +31,7 @@ class Voxelwise:
         """Note the voxels of one scan."""
         if labelled.scan.labels is not None:
             finite = np.isfinite(labelled.scan.points).all(1)
-            keys = np.zeros(len(finite), np.int64)
+            keys = np.zeros(len(labelled.scan), np.int64)
             keys[finite] = pack(labelled.scan.points[finite], EDGE)
             kept = np.isin(labelled.outcome, (Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE))
             self._static.add(keys[finite & (labelled.scan.labels == Label.STATIC)])

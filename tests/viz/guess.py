@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import rerun as rr
 
+from dynaviz.loop import Run, execute
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Text, Voxels
-from dynaviz.run import Run, execute
 from dynaviz.scan import Outcome, Scan, Sequence
 from dynaviz.viz.recorder import Recorder
 

@@ -21,9 +21,9 @@ from worlds import InMemory, room
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.grid import pack
+from dynaviz.loop import Listener, execute
 from dynaviz.metric import Labelled
 from dynaviz.probe import MemoryProbe
-from dynaviz.run import Listener, execute
 from dynaviz.scan import Outcome, Scan, outcomes
 from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
@@ -243,7 +243,7 @@ import os, signal, sys
 sys.path[:0] = {folders!r}
 from worlds import room
 from guess import guess_run
-from dynaviz.run import Listener, execute
+from dynaviz.loop import Listener, execute
 from dynaviz.viz.recorder import Recorder
 
 class Killer(Listener):

@@ -16,7 +16,7 @@ from rerun.experimental import ViewerClient
 from worlds import InMemory, room
 
 from dynaviz.errors import DataError, MissingDependency, UsageError
-from dynaviz.run import Listener, execute
+from dynaviz.loop import Listener, execute
 from dynaviz.viz import viewer
 from dynaviz.viz.reader import Recording
 from dynaviz.viz.recorder import Recorder
