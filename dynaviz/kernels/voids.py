@@ -1,0 +1,268 @@
+"""What a scan saw in a block grid: hit voxels, observed ones, and those far enough from all that is unknown.
+
+A ray goes from the sensor to the centre of a voxel. It is walked voxel by voxel (Amanatides and Woo 1987), and stores
+something only where the grid has a block. Times along it are integers, ``UNIT`` a voxel's edge; their two lowest bits
+tell the axis, so no two borders are met at once: of borders at the same place x comes first, then y, then z.
+
+Scratch memory is that of ``dynaviz.blocks``: each lane has its own rows of 16 words, 8 of observed voxels and 8 of hit
+ones, which ``raycast.collect`` joins. Bit v of word w is voxel 64 w + v of a block.
+"""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+REACH = 1 << 15  # voxels to each side of the world's origin
+UNIT = 1 << 40
+LONG = 1 << 17  # voxels: longer than any ray, and ten of them still fit in a time
+CHUNK = 256  # rays a lane takes in turn, for balance
+FULL = np.int64(-1)
+
+
+@njit(cache=True, nogil=True)
+def in_range(points, origins, low, high):
+    """Whether points (N, 3) are more than low and less than high metres from where their rays started."""
+    inside = np.zeros(len(points), np.bool_)
+    several = len(origins) > 1
+    for p in range(len(points)):
+        q = p if several else 0
+        squared = 0.0
+        for a in range(3):
+            squared += (points[p, a] - origins[q, a]) ** 2
+        inside[p] = low * low < squared < high * high  # not where not finite
+    return inside
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _axis(start, along, tie):
+    """First voxel, step, time of the first border and period along one axis; in voxels, along: of a unit vector."""
+    k = np.int64(math.floor(start))
+    if along == 0.0:
+        return k, np.int64(1), np.int64(LONG * UNIT << 2 | tie), np.int64(0)
+    length = 1.0 / abs(along)
+    ahead = (k + 1 - start) if along > 0 else (start - k)
+    first = np.int64(min(ahead * length, 1.0 * LONG) * UNIT)
+    period = np.int64(min(length, 1.0 * LONG) * UNIT)
+    return k, np.int64(1 if along > 0 else -1), first << 2 | tie, period << 2
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _block(x, y, z, shape, top, children):
+    """The number of a block plus one, 0 where there is none; x, y, z: blocks from the grid's first."""
+    jx, jy, jz = x >> 4, y >> 4, z >> 4
+    if not (0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]):
+        return np.int32(0)
+    row = top[(jx * shape[1] + jy) * shape[2] + jz]
+    return children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]  # row 0 is empty
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(slots, owners, masks, used, block):
+    """The scratch memory of a block in this scan; taken and cleared on the first use."""
+    slot = slots[block]
+    if slot == 0:
+        used += 1
+        slot = used
+        slots[block] = slot
+        owners[slot] = block
+        masks[slot] = 0
+    return slot, used
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _direction(o, c):
+    """Unit vector from o to c, and their distance; of no length where they are one."""
+    dx, dy, dz = c[0] - o[0], c[1] - o[1], c[2] - o[2]
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    if length == 0.0:
+        return (0.0, 0.0, 0.0), length
+    return (dx / length, dy / length, dz / length), length
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _within(o):
+    """Whether a place in voxels is finite and within reach."""
+    return abs(o[0]) < REACH and abs(o[1]) < REACH and abs(o[2]) < REACH
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _centre(voxel, blocks):
+    """The centre of a voxel given by number, in voxels from the world's origin."""
+    block, place = voxel >> 9, voxel & 511
+    x = (np.int64(blocks[block, 0]) << 3 | place >> 6) + 0.5
+    y = (np.int64(blocks[block, 1]) << 3 | (place >> 3 & 7)) + 0.5
+    z = (np.int64(blocks[block, 2]) << 3 | (place & 7)) + 0.5
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
+    """Mark the voxels from c to ``margin`` voxels nearer to o as hit, at most to that of o."""
+    d, length = _direction(c, o)
+    x, sx, tx, px = _axis(c[0], d[0], 0)
+    y, sy, ty, py = _axis(c[1], d[1], 1)
+    z, sz, tz, pz = _axis(c[2], d[2], 2)
+    x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
+    end = np.int64(min(margin, length) * UNIT) << 2
+    while True:
+        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children)
+        if block:
+            slot, used = _slot(slots, owners, masks, used, block - 1)
+            masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
+        t = min(tx, min(ty, tz))
+        if t > end:
+            return used
+        if t == tx:
+            x, tx = x + sx, tx + px
+        elif t == ty:
+            y, ty = y + sy, ty + py
+        else:
+            z, tz = z + sz, tz + pz
+
+
+@njit(cache=True, nogil=True)
+def _observe(o, c, beyond, base, shape, top, children, hits, slots, owners, masks, used):
+    """Mark the voxels from o to the first hit one as observed, then on until an axis is ``beyond`` voxels farther."""
+    d, length = _direction(o, c)
+    x, sx, tx, px = _axis(o[0], d[0], 0)
+    y, sy, ty, py = _axis(o[1], d[1], 1)
+    z, sz, tz, pz = _axis(o[2], d[2], 2)
+    x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
+    i = (x & 7) << 6 | (y & 7) << 3 | (z & 7)
+    bx, by, bz = x >> 3, y >> 3, z >> 3
+    # When the ray leaves its block along each axis.
+    ux = tx + (7 - (x & 7) if sx > 0 else x & 7) * px
+    uy = ty + (7 - (y & 7) if sy > 0 else y & 7) * py
+    uz = tz + (7 - (z & 7) if sz > 0 else z & 7) * pz
+    end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit; never farther than that
+    stopped = False
+    while True:  # blocks
+        limit = min(min(ux, uy), min(uz, end))
+        block = _block(bx, by, bz, shape, top, children)
+        t = min(tx, min(ty, tz))
+        if block:
+            slot, used = _slot(slots, owners, masks, used, block - 1)
+            mine, struck = masks[slot], hits[block - 1]
+            while True:  # voxels; without branches, since the order of axes cannot be predicted
+                bit = np.int64(1) << (i & 63)
+                mine[i >> 6] |= bit
+                if struck[i >> 6] & bit:
+                    stopped = True
+                    break
+                if t >= limit:
+                    break
+                gx, gy, gz = t == tx, t == ty, t == tz
+                tx += px if gx else 0
+                ty += py if gy else 0
+                tz += pz if gz else 0
+                i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
+                t = min(tx, min(ty, tz))
+        else:
+            while t < limit:
+                gx, gy, gz = t == tx, t == ty, t == tz
+                tx += px if gx else 0
+                ty += py if gy else 0
+                tz += pz if gz else 0
+                i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
+                t = min(tx, min(ty, tz))
+        if stopped or limit == end:
+            break
+        if limit == ux:
+            bx, ux, tx, i = bx + sx, ux + (px << 3), tx + px, i ^ 7 << 6
+        elif limit == uy:
+            by, uy, ty, i = by + sy, uy + (py << 3), ty + py, i ^ 7 << 3
+        else:
+            bz, uz, tz, i = bz + sz, uz + (pz << 3), tz + pz, i ^ 7
+
+    x, y, z = bx << 3 | i >> 6, by << 3 | (i >> 3 & 7), bz << 3 | (i & 7)
+    left_x, left_y, left_z = beyond, beyond, beyond
+    while length > 0.0 and min(left_x, min(left_y, left_z)) > 0:
+        t = min(tx, min(ty, tz))
+        if t == tx:
+            x, tx, left_x = x + sx, tx + px, left_x - 1
+        elif t == ty:
+            y, ty, left_y = y + sy, ty + py, left_y - 1
+        else:
+            z, tz, left_z = z + sz, tz + pz, left_z - 1
+        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children)
+        if block:
+            slot, used = _slot(slots, owners, masks, used, block - 1)
+            masks[slot, x & 7] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
+    return used
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slots, owners, masks, used):
+    """Mark as hit the voxels (G,) and those up to ``margin`` voxels before them, as seen from origins[starts]."""
+    for lane in prange(len(used)):
+        count = 0
+        for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
+            for g in range(chunk, min(chunk + CHUNK, len(goals))):
+                s = starts[g]
+                o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
+                if _within(o):
+                    lanes = (slots[lane], owners[lane], masks[lane])
+                    count = _hit(c, o, margin, base, shape, top, children, *lanes, count)
+        used[lane] = count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def observe(goals, starts, origins, beyond, hits, blocks, base, shape, top, children, slots, owners, masks, used):
+    """Mark what rays to the voxels (G,) observe, up to the first voxel of ``hits`` (B, 8) and ``beyond`` it."""
+    for lane in prange(len(used)):
+        count = 0
+        for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
+            for g in range(chunk, min(chunk + CHUNK, len(goals))):
+                s = starts[g]
+                o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
+                if _within(o):
+                    lanes = (slots[lane], owners[lane], masks[lane])
+                    count = _observe(o, c, beyond, base, shape, top, children, hits, *lanes, count)
+        used[lane] = count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def sides(touched, rows, blocks, base, shape, top, children):
+    """For each touched block the rows of the six beside it, -x, +x, -y, ... +z; the row after the last for none."""
+    beside = np.full((len(touched), 6), np.int32(len(touched)))
+    for n in prange(len(touched)):
+        for side in range(6):
+            step = 1 if side & 1 else -1
+            x = np.int64(blocks[touched[n], 0]) - (base[0] << 4) + (step if side >> 1 == 0 else 0)
+            y = np.int64(blocks[touched[n], 1]) - (base[1] << 4) + (step if side >> 1 == 1 else 0)
+            z = np.int64(blocks[touched[n], 2]) - (base[2] << 4) + (step if side >> 1 == 2 else 0)
+            block = _block(x, y, z, shape, top, children)
+            if block and rows[block - 1]:
+                beside[n, side] = rows[block - 1] - 1
+    return beside
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def erode(observed, beside, times):
+    """Of voxels (n + 1, 8) uint64, the last row empty: those whose cube of 2 times + 1 voxels a side is all set.
+
+    One axis after the other: a cube is all set where its planes are, and these where their lines are.
+    """
+    n = len(beside)
+    here, there = observed.copy(), np.zeros_like(observed)
+    low, high = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
+    one, seven, eight, most = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
+    for _ in range(times):
+        for r in prange(n):
+            for w in range(8):  # z: bits of a byte
+                word, below, above = here[r, w], here[beside[r, 4], w], here[beside[r, 5], w]
+                lower = (word << one) & ~low | (below >> seven) & low
+                upper = (word >> one) & ~high | (above << seven) & high
+                there[r, w] = word & lower & upper
+        for r in prange(n):
+            for w in range(8):  # y: bytes of a word
+                word, below, above = there[r, w], there[beside[r, 2], w], there[beside[r, 3], w]
+                here[r, w] = word & (word << eight | below >> most) & (word >> eight | above << most)
+        for r in prange(n):
+            for w in range(8):  # x: words of a block
+                below = here[r, w - 1] if w > 0 else here[beside[r, 0], 7]
+                above = here[r, w + 1] if w < 7 else here[beside[r, 1], 0]
+                there[r, w] = here[r, w] & below & above
+        here, there = there, here
+    return here

@@ -1,0 +1,145 @@
+"""DUFOMap: what ever was void cannot be static.
+
+Duberg, Zhang et al. 2024. Space that a scan surely saw empty was empty; a point that lies there at any time moved.
+
+    for each scan
+        hit:       voxels of points, and those up to hit_margin before them, as seen from the sensor
+        observed:  voxels from the sensor to the first hit one, and unknown_margin voxels beyond
+        void:      observed, not hit, and so is known all around: the cube of unknown_margin voxels to each side
+        seen free: every void voxel, from now on
+    a point is dynamic if its voxel was ever seen free
+
+One ray is cast for each occupied voxel, to its centre. ``hit_margin`` stands for the sensor's noise (d_s in the paper),
+``unknown_margin`` for errors of poses and voxels (d_p): next to unknown space no voxel is void, but next to hit ones it
+may be, which is why rays go on by so much. The order of scans does not matter, except in online mode (DUFOMap* in the
+paper), where a point is judged by the scans so far. Voxels near points alone have state, two bits each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.blocks import I64, VOXELS, voxels_of
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import State, Voxels
+from dynaviz.scan import U8, Bool, Scan
+from dynaviz_methods.voids import Seen, VoidGrid
+
+
+@dataclass(frozen=True)
+class DufoMapParams:
+    """Parameters of DUFOMap.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        hit_margin: this far before a point, towards the sensor, counts as hit, metres; the paper's d_s.
+        unknown_margin: voxels around unknown space that cannot be void; the paper's d_p.
+        min_range: points nearer to the sensor are not integrated, metres; they would shut it in.
+        max_range: points farther from the sensor are not integrated, metres.
+    """
+
+    resolution: float = 0.1
+    hit_margin: float = 0.2
+    unknown_margin: int = 1
+    min_range: float = 0.2
+    max_range: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.resolution < float("inf"):
+            raise ValueError(f"resolution = {self.resolution}: give a number above 0")
+        for name in ("hit_margin", "min_range"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")
+        if not 0 <= self.unknown_margin <= 100:
+            raise ValueError(f"unknown_margin = {self.unknown_margin}: give a number of voxels from 0 to 100")
+        if not self.max_range > self.min_range:
+            raise ValueError(f"max_range = {self.max_range}: give a number above min_range, {self.min_range}")
+
+
+VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)
+REASONS = (
+    Reason("void_seen", "removed: its voxel was void in some scan"),
+    Reason("beside_unknown", "kept: scans saw through its voxel, but always with unknown space beside it"),
+    Reason("never_crossed", "kept: no ray went through its voxel in a scan that did not hit it"),
+    Reason("out_of_range", "kept: too near to the sensor or too far to be integrated, and its voxel was never void"),
+    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the world's origin"),
+)
+STATES = (
+    State("hit", Voxels, "Voxels of this scan's points, and those up to hit_margin before them"),
+    State("observed", Voxels, "Voxels with points of any scan that this scan saw without hitting them"),
+    State("void", Voxels, "Those of them with no unknown space around: seen free from this scan on"),
+    State("seen_free", Voxels, "Voxels with points that were void in any scan so far, where this scan looked"),
+)
+
+
+class DufoMap:
+    """DUFOMap; in online mode DUFOMap*."""
+
+    info: ClassVar[MethodInfo] = MethodInfo("dufomap", "DUFOMap", "Duberg, Zhang et al., RA-L 2024", REASONS, STATES)
+    Params: ClassVar[type[Any]] = DufoMapParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Lay out the map where points will lie, and around."""
+        params, self._probe = self.params, context.probe
+        self._grid = VoidGrid(context.extent, params.resolution, params.hit_margin, params.unknown_margin)
+        rows = len(self._grid) + 1  # points without a voxel, -1, read the last
+        self._seen_free = np.zeros((rows, 8), np.int64)  # bits as in Seen
+        self._crossed = np.zeros((rows, 8), np.int64)
+        self._listened = any(self._probe.wants(state.name) for state in STATES)
+        self._with_points = np.zeros((rows if self._listened else 0, 8), np.int64)
+
+    def observe(self, scan: Scan) -> None:
+        """Find the scan's void voxels; they are seen free for good."""
+        voxels = self._grid.locate(scan.points)
+        integrated = self._in_range(scan) & (voxels >= 0)
+        seen = self._grid.see(scan, voxels, integrated)
+        self._seen_free[seen.blocks] |= seen.void
+        self._crossed[seen.blocks] |= seen.observed & ~seen.hit
+        if self._listened:
+            self._show(seen, voxels[voxels >= 0])
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the voxel was ever seen free."""
+        return _read(self._seen_free, self._grid.locate(scan.points))
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``."""
+        voxels = self._grid.locate(scan.points)
+        reasons = np.where(_read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)
+        reasons[~self._in_range(scan)] = OUT_OF_RANGE
+        reasons[_read(self._seen_free, voxels)] = VOID_SEEN
+        reasons[voxels < 0] = OUT_OF_REACH
+        return reasons
+
+    def _in_range(self, scan: Scan) -> Bool:
+        within: Bool = kernels.voids.in_range(
+            scan.points, scan.origins, float(self.params.min_range), float(self.params.max_range)
+        )
+        return within
+
+    def _show(self, seen: Seen, voxels: I64) -> None:
+        np.bitwise_or.at(self._with_points, (voxels // VOXELS, voxels % VOXELS // 64), np.int64(1) << voxels % 64)
+        known = self._with_points[seen.blocks]
+        shown = {
+            "hit": seen.hit,
+            "observed": seen.observed & ~seen.hit & known,
+            "void": seen.void & known,
+            "seen_free": self._seen_free[seen.blocks] & known,
+        }
+        for name, bits in shown.items():
+            if self._probe.wants(name):
+                keys = self._grid.keys(voxels_of(seen.blocks, bits))
+                self._probe.emit(name, Voxels(keys, self._grid.resolution))
+
+
+def _read(bits: I64, voxels: I64) -> Bool:
+    """(N,) bool: the bit of each voxel in rows of blocks."""
+    found: Bool = (bits[voxels // VOXELS, voxels % VOXELS // 64] >> voxels % 64 & 1).astype(np.bool_)
+    return found

@@ -1,0 +1,99 @@
+"""Void space of a scan: voxels its rays went through, far enough from all that they hit or left unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.blocks import BlockGrid
+from dynaviz.grid import REACH, unpack
+from dynaviz.scan import F64, Bool, Scan
+from dynaviz.survey import CELL, Extent
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What one scan saw, in the blocks of a grid.
+
+    Attributes:
+        blocks: (B,) int32, numbers of blocks, each once.
+        hit, observed, void: (B, 8) int64, a bit a voxel: bit v of word w is voxel 64 w + v of the block.
+    """
+
+    blocks: NDArray[np.int32]
+    hit: I64
+    observed: I64
+    void: I64
+
+
+class VoidGrid(BlockGrid):
+    """A block grid that also covers the space around points which decides about them.
+
+    Args:
+        extent: where points will lie.
+        resolution: edge of a voxel, metres.
+        hit_margin: metres before a point that count as hit.
+        unknown_margin: voxels around unknown space that are not void.
+    """
+
+    def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
+        # Voxels hit by a point, and those next to it that it must not be void without, are at most so far from it.
+        around = max(hit_margin, unknown_margin * resolution) + resolution
+        super().__init__(_widened(extent, around), resolution)
+        self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
+        self._hits = np.zeros((len(self) + 1, 8), np.int64)  # of the present scan; empty between scans
+        self._rows = np.zeros(len(self) + 1, np.int32)  # the same
+
+    def see(self, scan: Scan, voxels: I64, integrated: Bool) -> Seen:
+        """Hit, observed and void voxels of a scan.
+
+        Args:
+            scan: where rays start.
+            voxels: (N,) int64, the voxel of each point, as ``locate`` tells.
+            integrated: (N,) bool, points that count; they need a voxel.
+        """
+        goals, starts, origins = self._rays(scan, voxels, integrated)
+        place = (kernels.frozen(self._blocks, np.int32), self._base, self._shape, *self._directory)
+        scratch = (self._slots, self._owners, self._masks, self._used)
+
+        kernels.voids.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
+        struck, bits = kernels.raycast.collect(*scratch)
+        self._hits[struck] = bits[:, 8:]
+        kernels.voids.observe(goals, starts, origins, self._unknown_margin, self._hits, *place, *scratch)
+        blocks, bits = kernels.raycast.collect(*scratch)
+        hit, observed = self._hits[blocks], bits[:, :8]
+        self._hits[struck] = 0
+
+        self._rows[blocks] = np.arange(1, len(blocks) + 1, dtype=np.int32)
+        beside = kernels.voids.sides(blocks, self._rows, *place)
+        self._rows[blocks] = 0
+        padded = np.zeros((len(blocks) + 1, 8), np.uint64)
+        padded[:-1] = observed.view(np.uint64)
+        known = kernels.voids.erode(padded, beside, self._unknown_margin)[:-1].view(np.int64)
+        return Seen(blocks, hit, observed, known & ~hit)
+
+    def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, NDArray[np.int64], F64]:
+        """Rays to the centres of occupied voxels, one for each place that rays start from: goals, starts, places."""
+        if len(scan.origins) == 1:
+            places, which = scan.origins, np.zeros(1, np.int64)
+        else:
+            places, which = np.unique(scan.origins, axis=0, return_inverse=True)
+            which = which.ravel()[integrated]
+        rays = np.unique(voxels[integrated] * len(places) + which)
+        goals, starts = rays // len(places), rays % len(places)
+        return kernels.frozen(goals, np.int64), kernels.frozen(starts, np.int64), places * self._per_metre
+
+
+def _widened(extent: Extent, around: float) -> Extent:
+    """An extent that reaches farther by ``around`` metres on all sides."""
+    steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
+    shifts = np.array([42, 21, 0])
+    packed = np.unique(((extent.cells.astype(np.int64) + REACH) << shifts).sum(1))
+    for shift in shifts:  # one axis after the other, so that no list is much longer than the answer
+        packed = np.unique((packed[:, None] + (steps << shift)).ravel())
+    return Extent(extent.low - around, extent.high + around, unpack(packed))
