@@ -39,14 +39,14 @@ class DufoMapParams:
         hit_margin: this far before a point, towards the sensor, counts as hit, metres; the paper's d_s.
         unknown_margin: voxels around unknown space that cannot be void; the paper's d_p.
         min_range: points nearer to the sensor are not integrated, metres; they would shut it in.
-        max_range: points farther from the sensor are not integrated, metres.
+        max_range: points farther from the sensor are not integrated, metres; 0 for no limit.
     """
 
     resolution: float = 0.1
     hit_margin: float = 0.2
     unknown_margin: int = 1
     min_range: float = 0.2
-    max_range: float = float("inf")
+    max_range: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0 < self.resolution < float("inf"):
@@ -56,8 +56,10 @@ class DufoMapParams:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")
         if not 0 <= self.unknown_margin <= 100:
             raise ValueError(f"unknown_margin = {self.unknown_margin}: give a number of voxels from 0 to 100")
-        if not self.max_range > self.min_range:
-            raise ValueError(f"max_range = {self.max_range}: give a number above min_range, {self.min_range}")
+        if not (self.max_range == 0 or self.min_range < self.max_range < float("inf")):
+            raise ValueError(
+                f"max_range = {self.max_range}: give a number above min_range, {self.min_range}, or 0 for no limit"
+            )
 
 
 VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)
@@ -119,9 +121,8 @@ class DufoMap:
         return reasons
 
     def _in_range(self, scan: Scan) -> Bool:
-        within: Bool = kernels.voids.in_range(
-            scan.points, scan.origins, float(self.params.min_range), float(self.params.max_range)
-        )
+        nearest, farthest = float(self.params.min_range), float(self.params.max_range or np.inf)
+        within: Bool = kernels.voids.in_range(scan.points, scan.origins, nearest, farthest)
         return within
 
     def _show(self, seen: Seen, voxels: I64) -> None:
