@@ -142,20 +142,38 @@ def _places(needed, places):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _project(corner, offsets, places, n, view, ranges, pixel):
-    """Ranges and pixels (-1: not in view) of a block's voxels; no branches, so that the compiler can vectorise."""
+def _project(corner, offsets, n, view, ranges, pixel):
+    """Ranges and pixels (-1: not in view) of n places; in float32 and without branches, so that it is vectorised."""
     x0, y0, z0 = np.float32(corner[0]), np.float32(corner[1]), np.float32(corner[2])
-    rows, columns = np.int32(view[0]), np.int32(view[1])
+    rows, columns = np.float32(view[0]), np.float32(view[1])
     top, per_row, per_column = np.float32(view[2]), np.float32(view[3]), np.float32(view[4])
     for i in range(n):
-        p = places[i]
-        x, y, z = x0 + offsets[0, p], y0 + offsets[1, p], z0 + offsets[2, p]
+        x, y, z = x0 + offsets[0, i], y0 + offsets[1, i], z0 + offsets[2, i]
         flat = np.sqrt(x * x + y * y)
         ranges[i] = np.sqrt(x * x + y * y + z * z)
-        row = np.int32(np.floor((top - _angle(z, flat)) * per_row + _HALF))
-        column = np.int32((_angle(y, x) + _PI) * per_column + _HALF)
+        row = np.floor((top - _angle(z, flat)) * per_row + _HALF)
+        column = np.floor((_angle(y, x) + _PI) * per_column + _HALF)
         column = column - columns if column >= columns else column
-        pixel[i] = row * columns + column if (row >= 0) & (row < rows) else np.int32(-1)
+        p = row * columns + column
+        p = p if row >= _F0 else -_F1
+        p = p if row < rows else -_F1
+        pixel[i] = np.int32(p)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _average(depths, ranges, n, trunc, below, most, distance, weight, told):
+    """Update n voxels; told: bit 0 where the image tells of it, bit 1 where it is then nearer than ``below``."""
+    any_told = False
+    for i in range(n):
+        depth, old, mass = depths[i], distance[i], np.float32(weight[i])
+        behind = depth - ranges[i]
+        seen = (depth > _F0) & (behind >= -trunc)
+        mean = (old * mass + min(behind, trunc)) / (mass + _F1)
+        distance[i] = mean if seen else old
+        weight[i] += np.uint16(seen & (weight[i] < most))
+        told[i] = np.uint8(seen) | np.uint8(seen & (mean < below)) << np.uint8(1)
+        any_told |= seen
+    return any_told
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -168,9 +186,10 @@ def integrate(
     offsets: (3, 512) float32, metres, in the sensor's axes: from a block's corner to its voxels' centres.
     Sets bits of voxels ``observed`` ever, ``near`` (below that distance), and ``updated`` now.
     """
-    trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.float32(most)
+    trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.uint16(most)
     for lane in prange(lanes):
-        places, pixel, ranges = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.float32)
+        places, pixel, told = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.uint8)
+        ranges, depths, some = np.empty(512, np.float32), np.empty(512, np.float32), np.empty((3, 512), np.float32)
         corner = np.empty(3, np.float64)
         for a in range(lane, len(active), lanes):
             b = active[a]
@@ -179,25 +198,26 @@ def integrate(
             dz = blocks[b, 2] * 8 * size - position[2]
             for axis in range(3):
                 corner[axis] = axes[axis, 0] * dx + axes[axis, 1] * dy + axes[axis, 2] * dz
-            n = _places(needed[b], places)
-            _project(corner, offsets, places, n, view, ranges, pixel)
-            start = first[b]
+            n, start = _places(needed[b], places), first[b]
+            if n == 512:
+                _project(corner, offsets, n, view, ranges, pixel)
+            else:
+                for i in range(n):
+                    for axis in range(3):
+                        some[axis, i] = offsets[axis, places[i]]
+                _project(corner, some, n, view, ranges, pixel)
             for i in range(n):
-                if pixel[i] < 0:
-                    continue
-                depth = image[pixel[i]]
-                behind = depth - ranges[i]
-                if depth == _F0 or behind < -trunc:
-                    continue
-                old = np.float32(weight[start + i])
-                mean = (distance[start + i] * old + min(behind, trunc)) / (old + _F1)
-                distance[start + i] = mean
-                weight[start + i] = min(old + _F1, heaviest)
-                w, bit = places[i] >> 6, _ONE << np.uint64(places[i] & 63)
-                updated[b, w] |= bit
-                if mean < below:
-                    near[b, w] |= bit
-                else:
-                    near[b, w] &= ~bit
+                depths[i] = image[pixel[i]] if pixel[i] >= 0 else _F0
+            own, heavy = distance[start : start + n], weight[start : start + n]
+            if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, told):
+                continue
+            for i in range(n):
+                if told[i]:
+                    w, bit = places[i] >> 6, _ONE << np.uint64(places[i] & 63)
+                    updated[b, w] |= bit
+                    if told[i] > 1:
+                        near[b, w] |= bit
+                    else:
+                        near[b, w] &= ~bit
             for w in range(8):
                 observed[b, w] |= updated[b, w]

@@ -90,6 +90,8 @@ class DynabloxParams:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a number from 1 to 65534")
         if self.max_range and not self.min_range < self.max_range:
             raise ValueError(f"max_range = {self.max_range}: give more than min_range = {self.min_range}, or 0 for all")
+        if self.image_rows * self.image_columns > 1 << 24:
+            raise ValueError(f"image_rows = {self.image_rows}: give fewer rows or columns, at most 2^24 pixels in all")
         if self.image_rows == 1 or self.field_of_view >= 180:
             raise ValueError(
                 f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows, "
