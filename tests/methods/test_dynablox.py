@@ -11,11 +11,25 @@ from worlds import pose
 from dynaviz import kernels
 from dynaviz.errors import UsageError
 from dynaviz.method import Context
-from dynaviz.probe import SILENT, MemoryProbe, PointClasses, Voxels
+from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.survey import Extent
-from dynaviz_methods.dynablox import REASONS, STATES, Dynablox, DynabloxParams, view_of
+from dynaviz_methods.dynablox import (
+    BESIDE,
+    FREE,
+    FREE_LARGE,
+    FREE_SMALL,
+    NEVER_FREE,
+    OUT_OF_RANGE,
+    OUT_OF_REACH,
+    REASONS,
+    REVOKED,
+    Dynablox,
+    DynabloxParams,
+    view_of,
+)
+from dynaviz_methods.free_space import View
 
 SENSOR = Sensor(rings=20, elevation=(-40.0, 50.0))
 # Coarse enough for the plain reference, and so that the few rays of the room fill the image.
@@ -78,13 +92,13 @@ def reasons(method, scans):
     return np.concatenate([method.explain(scan) for scan in scans])
 
 
-def waiting(frames: int, arrives: int, params=COARSE) -> list[Scan]:
+def waiting(frames: int, arrives: int) -> list[Scan]:
     """A wall all around; from a frame on a thing stands where it was free."""
     random = np.random.default_rng(0)
     azimuth = np.linspace(-np.pi, np.pi, 4000)
     elevation = random.uniform(-0.35, 0.35, len(azimuth))
     directions = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], 1)
-    thing = np.abs(azimuth) < 0.15
+    thing = (np.abs(azimuth) < 0.15) & (np.abs(elevation) < 0.15)
     scans = []
     for index in range(frames):
         reach = np.where(thing & (index >= arrives), 3.1, 6.1)[:, None]
@@ -137,9 +151,171 @@ def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
     np.testing.assert_array_equal(method._map._counts[first][inside] >= 2, reference.count[at] >= 2)
 
 
-def test_every_reason_but_out_of_reach_is_given_in_the_room():
-    found = set()
-    for changes in ({}, {"max_range": 5.0, "revoke_after": 2, "max_cluster": 30}):
-        scans = busy_room()
+@pytest.fixture(scope="module")
+def room_scans():
+    return busy_room()
+
+
+def arriving(method, scans, arrives):
+    """The share of what came that is removed, frame by frame from its arrival on; and their reasons."""
+    came = np.hypot(*(scans[arrives].points[:, :2].T - np.float32(0.1))) < 4
+    labels = [method.label(scan)[came].mean() for scan in scans]
+    return labels[arrives:], [set(method.explain(scan)[came].tolist()) for scan in scans[arrives:]]
+
+
+def test_what_comes_is_removed_until_it_has_stayed_for_long():
+    scans = waiting(frames=14, arrives=4)
+    removed, why = arriving(run(scans), scans, 4)
+    stays = COARSE.revoke_after
+    assert min(removed[:stays]) > 0.9
+    assert max(removed[stays:]) == 0
+    assert why[stays - 1] <= {FREE, FREE_SMALL, FREE_LARGE, NEVER_FREE, BESIDE}
+    assert why[stays] <= {REVOKED, NEVER_FREE}
+    assert REVOKED in why[stays]
+
+
+def test_nothing_is_free_before_the_first_burn_in_is_over():
+    first = COARSE.burn_in + 1
+    for arrives in (first - 1, first):
+        scans = waiting(frames=first + 2, arrives=arrives)
+        removed, _ = arriving(run(scans), scans, arrives)
+        assert (removed[0] > 0.9) == (arrives == first)
+
+
+def test_clusters_decide_where_asked(room_scans):
+    plain, decided = run(room_scans), run(room_scans, dataclasses.replace(COARSE, clusters=True))
+    why = reasons(plain, room_scans)
+    np.testing.assert_array_equal(why, reasons(decided, room_scans))
+    for method, removed in ((plain, (FREE, FREE_SMALL, FREE_LARGE)), (decided, (FREE, BESIDE))):
+        labels = np.concatenate([method.label(scan) for scan in room_scans])
+        np.testing.assert_array_equal(labels, np.isin(why, removed))
+
+
+def test_every_reason_is_given():
+    scans, found = busy_room(), set()
+    for changes in ({}, {"max_range": 5.0, "max_cluster": 30}):
         found |= set(reasons(run(scans, dataclasses.replace(COARSE, **changes)), scans).tolist())
-    assert found == set(range(7))
+    assert found | {REVOKED, OUT_OF_REACH} == set(range(len(REASONS)))  # these two have tests of their own
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [],
+        [(1.0, 2.0, 3.0)],
+        [(0.0, 0.0, 0.0)],
+        [(0.0, 0.0, 5.0), (0.0, 0.0, -5.0)],
+        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)],
+        [(1e30, 0.0, 0.0), (4000.0, 0.0, 0.0), (1.0, 1.0, 1.0)],
+    ],
+    ids=["empty", "one", "at the sensor", "overhead", "not finite", "beyond reach"],
+)
+def test_odd_scans_are_kept(points):
+    points = np.array(points, np.float32).reshape(-1, 3)
+    scans = [Scan(k, points, np.eye(4)) for k in range(4)]
+    sane = np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)
+    method = run(
+        scans, DynabloxParams(burn_in=1, temporal_buffer=1), extent=Extent.of(Scan(0, points[sane], np.eye(4)))
+    )
+    assert not any(method.label(scan).any() for scan in scans)
+    away = np.linalg.norm(points.astype(float), axis=1)
+    taken = (away >= 0.3) & np.isfinite(away)
+    expected = np.where(taken, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE)
+    np.testing.assert_array_equal(method.explain(scans[-1]), expected)
+
+
+def test_an_empty_scan_between_others_forgets_nothing(room_scans):
+    empty = Scan(99, np.empty((0, 3), np.float32), np.eye(4))
+    method = run([*room_scans[:8], empty, *room_scans[8:]], extent=Extent.of(*room_scans))
+    assert method.label(room_scans[8]).any()
+    assert len(method.label(empty)) == 0
+
+
+def test_an_extent_that_misses_points_keeps_them_unjudged():
+    scan = Scan(0, np.array([(1.0, 0, 0), (50.0, 0, 0), (1.7, 0, 0)], np.float32), np.eye(4))
+    method = run([scan], DynabloxParams(), extent=Extent.of(dataclasses.replace(scan, points=scan.points[:1])))
+    assert method.explain(scan).tolist() == [NEVER_FREE, OUT_OF_REACH, OUT_OF_REACH]
+
+
+def test_threads_and_listeners_decide_nothing(room_scans):
+    try:
+        kernels.set_threads(1)
+        alone = run(room_scans)
+        kernels.set_threads(None)
+        together = run(room_scans, probe=MemoryProbe())
+    finally:
+        kernels.set_threads(None)
+    np.testing.assert_array_equal(alone._map._distance, together._map._distance)
+    np.testing.assert_array_equal(alone._map.free, together._map.free)
+    np.testing.assert_array_equal(reasons(alone, room_scans), reasons(together, room_scans))
+
+
+def test_the_extent_decides_nothing(room_scans):
+    more = Scan(0, np.random.default_rng(0).uniform(-30, 30, (3000, 3)).astype(np.float32), np.eye(4))
+    narrow, wide = run(room_scans), run(room_scans, extent=Extent.of(*room_scans, more))
+    np.testing.assert_array_equal(reasons(narrow, room_scans), reasons(wide, room_scans))
+
+
+def test_labels_asked_online_or_later_are_the_same_and_begin_forgets(room_scans):
+    method = run(room_scans)
+    later = [method.label(scan) for scan in room_scans]
+    method.begin(Context(Extent.of(*room_scans), SENSOR))
+    for scan, expected in zip(room_scans, later, strict=True):
+        method.observe(scan)
+        np.testing.assert_array_equal(method.label(scan), expected)
+
+
+def test_states_are_those_announced_and_tell_the_map(room_scans):
+    probe = MemoryProbe()
+    method = run(room_scans, dataclasses.replace(COARSE, revoke_after=2), probe=probe)
+    assert {name: {type(v) for v in values} for name, values in probe.values.items()} == {
+        state.name: {state.kind} for state in method.info.emits
+    }
+    assert all(len(values) == len(room_scans) for values in probe.values.values())
+    gained, lost = (sum(len(v.keys) for v in probe.values[name]) for name in ("became_free", "revoked"))
+    free = np.bitwise_count(method._map.free).sum()
+    assert gained - lost == free == probe.values["free_voxels"][-1].value > 0
+    for scan, intruded, clusters in zip(room_scans, probe.values["intruded"], probe.values["clusters"], strict=True):
+        why = method.explain(scan)
+        flagged = (why >= FREE) & (why <= FREE_LARGE)
+        assert intruded.values.sum() == flagged.sum() == np.isin(clusters.classes, (1, 3, 4)).sum()
+        keys = {tuple(k) for k in np.floor(scan.points[flagged] / np.float32(0.4)).astype(int).tolist()}
+        assert keys == {tuple(k) for k in intruded.keys.tolist()}
+
+
+def test_three_bits_a_point_are_kept(room_scans):
+    method = run(room_scans)
+    assert sum(kept.nbytes for kept in method._reasons.values()) == sum(-(-3 * len(s) // 8) for s in room_scans)
+
+
+def test_the_view_is_the_sensors_unless_given():
+    vlp16 = load_sensor("vlp16")
+    assert view_of(DynabloxParams(), vlp16) == View(16, 2048, 15.0, -15.0)
+    assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == View(64, 2048, 16.5, -16.5)
+    with pytest.raises(UsageError, match="image_rows"):
+        view_of(DynabloxParams(), Sensor())
+    with pytest.raises(UsageError, match="image_rows"):
+        view_of(DynabloxParams(), load_sensor("mid360"))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("resolution", 0.0),
+        ("truncation", float("nan")),
+        ("min_range", -1.0),
+        ("max_range", 0.2),
+        ("image_rows", 1),
+        ("image_columns", 0),
+        ("image_rows", 10_000),
+        ("field_of_view", 180.0),
+        ("occupied_distance", 0.5),
+        ("temporal_buffer", 6),
+        ("revoke_after", 0),
+        ("revoke_after", 65535),
+        ("max_cluster", 19),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        DynabloxParams(**{name: value})
