@@ -1,0 +1,134 @@
+"""Every installed method keeps to the contract; and the checks do catch one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dynaviz import registry
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import Mask, Scalar, State
+from dynaviz.scan import Label, Scan
+from dynaviz.testing import CHECKS, check_method, crossing
+
+
+@pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS)
+@pytest.mark.parametrize("name", [handle.name for handle in registry.handles("methods")])
+def test_conforms(name: str, check: Callable[[Any, Any], None]) -> None:
+    method = registry.load("methods", name)
+    check(method, method.Params())
+
+
+class Farthest:
+    """Removes what is farther than a limit from the sensor; keeps to the contract."""
+
+    info = MethodInfo(
+        "farthest",
+        "Farthest",
+        "nobody, 2000",
+        (Reason("near", "kept"), Reason("far", "removed")),
+        (State("limit", Scalar, "the limit"), State("far", Mask, "far points")),
+    )
+
+    @dataclass(frozen=True)
+    class Params:
+        limit: float = 20.0
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        self.probe = context.probe
+
+    def observe(self, scan: Scan) -> None:
+        self.probe.emit("limit", Scalar(self.params.limit))
+        if self.probe.wants("far"):
+            self.probe.emit("far", Mask(self.label(scan)))
+
+    def label(self, scan: Scan) -> Any:
+        with np.errstate(invalid="ignore"):
+            distance = np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1)
+        return np.isfinite(distance) & (distance > self.params.limit)
+
+    def explain(self, scan: Scan) -> Any:
+        return self.label(scan).astype(np.uint8)
+
+
+def test_a_method_that_keeps_to_the_contract_passes() -> None:
+    check_method(Farthest)
+
+
+class LooksAtTheWorldsAxes(Farthest):
+    def label(self, scan: Scan) -> Any:
+        return np.nan_to_num(scan.points[:, 0], posinf=0) > 5
+
+
+class Counts(Farthest):
+    def label(self, scan: Scan) -> Any:
+        self.asked = getattr(self, "asked", 0) + 1
+        return super().label(scan) & (self.asked % 2 == 0)
+
+
+class Talks(Farthest):
+    def observe(self, scan: Scan) -> None:
+        self.probe.emit("secret", Scalar(1.0))
+
+
+class Silent(Farthest):
+    def observe(self, scan: Scan) -> None:
+        return None
+
+
+class Changes(Farthest):
+    def observe(self, scan: Scan) -> None:
+        super().observe(scan)
+        scan.points[:] = 0
+
+
+class Changed(Farthest):
+    def label(self, scan: Scan) -> Any:
+        return super().label(scan) ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1))
+
+
+class ShortOfOne(Farthest):
+    def label(self, scan: Scan) -> Any:
+        return super().label(scan)[1:]
+
+
+class RemovesNan(Farthest):
+    def label(self, scan: Scan) -> Any:
+        return super().label(scan) | np.isnan(scan.points).any(1)
+
+
+class OneReason(Farthest):
+    def explain(self, scan: Scan) -> Any:
+        return np.zeros(len(scan), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("method", "complaint"),
+    [
+        (LooksAtTheWorldsAxes, "scores_alike_in_a_moved_world: SA, DA were"),
+        (Counts, "answers_in_any_order|answers_for_every_point|leaves_its_input_alone"),
+        (Talks, "emitted but not declared: {'secret'}"),
+        (Silent, "declared but never emitted"),
+        (Changes, "read-only"),
+        (Changed, "answers_alike_when_watched: a probe changed answers|given for kept and for removed"),
+        (ShortOfOne, "answers_for_every_point: 9600 points got 9599 answers"),
+        (RemovesNan, "keeps_points_without_a_place: a point that is not finite was removed"),
+        (OneReason, "reason 'near' is given for kept and for removed points"),
+    ],
+)
+def test_the_checks_catch(method: Any, complaint: str) -> None:
+    with pytest.raises(AssertionError, match=complaint):
+        check_method(method)
+
+
+def test_the_world_has_something_to_find() -> None:
+    scans = crossing()
+    assert all((scan.labels == Label.DYNAMIC).sum() > 50 for scan in scans)
+    assert crossing(2)[1].points.tobytes() == scans[1].points.tobytes()
