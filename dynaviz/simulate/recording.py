@@ -141,7 +141,7 @@ def simulate(
         DataError: where ``out`` exists or cannot be written.
     """
     if preset not in PRESETS:
-        raise UsageError(f"no preset '{preset}'. Known: {', '.join(PRESETS)}")
+        raise UsageError(f"no scene '{preset}'. Known: {', '.join(PRESETS)}")
     chosen, out = PRESETS[preset], Path(out)
     frames = chosen.frames if frames is None else frames
     if frames < 1 or seed < 0:

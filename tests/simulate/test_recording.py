@@ -184,7 +184,7 @@ def test_another_seed_is_another_scene():
 
 
 def test_errors_say_what_to_do_and_leave_nothing_behind(tmp_path, folder):
-    with pytest.raises(UsageError, match=r"no preset 'nowhere'.*street_hdl64"):
+    with pytest.raises(UsageError, match=r"no scene 'nowhere'.*street_hdl64"):
         simulate("nowhere", tmp_path / "a")
     with pytest.raises(UsageError, match="at least one frame"):
         simulate("demo", tmp_path / "a", frames=0)
