@@ -1,0 +1,100 @@
+"""The public DUFOMap program (``pip install dufomap``) as a method of dynaviz.
+
+An example to copy: a method from another package, around a program that somebody else wrote. It needs this file, one
+line in ``pyproject.toml``, and
+
+    pip install ./examples/dufomap_wheel
+    dynaviz run dufomap_wheel PATH --set d_p=2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.probe import Scalar, State
+from dynaviz.scan import U8, Bool, Scan
+
+
+@dataclass(frozen=True)
+class Params:
+    """Each field is a parameter: ``--set d_s=0.3``, presets and ``dynaviz config`` follow from here.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        d_s: this far before a point counts as hit, metres.
+        d_p: voxels around unknown space that cannot be void.
+        min_range: points nearer to the sensor are not integrated, metres.
+        max_range: points farther from the sensor are not integrated, metres.
+    """
+
+    resolution: float = 0.1
+    d_s: float = 0.2
+    d_p: int = 1
+    min_range: float = 0.2
+    max_range: float = 50.0
+
+    def __post_init__(self) -> None:
+        # dynaviz shows a ValueError to the user as it is: tell what to give.
+        if not self.resolution > 0:
+            raise ValueError(f"resolution = {self.resolution}: give a number above 0")
+        if not (self.d_s >= 0 and self.d_p >= 0):
+            raise ValueError(f"d_s = {self.d_s}, d_p = {self.d_p}: give numbers of at least 0")
+
+
+class DufoMapWheel:
+    """DUFOMap, as its authors wrote it in C++."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        name="dufomap_wheel",
+        title="DUFOMap (public program)",
+        paper="Duberg, Zhang et al., RA-L 2024",
+        reasons=(  # the codes of explain(), by position
+            Reason("void_seen", "removed: its voxel was void in some scan"),
+            Reason("never_void", "kept: its voxel was void in no scan"),
+            Reason("not_finite", "kept unjudged"),
+        ),
+        emits=(State("integrated", Scalar, "Points of this scan within the limits of range"),),
+    )
+    Params: ClassVar[type[Any]] = Params
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """A fresh map. What is heavy to import is imported here, so that ``dynaviz list`` stays fast."""
+        from dufomap import dufomap
+
+        self._probe = context.probe
+        self._program = dufomap(self.params.resolution, self.params.d_s, self.params.d_p)
+
+    def observe(self, scan: Scan) -> None:
+        """Integrate the points within range, from each place that rays start from (one, but for merged sensors)."""
+        integrated, places = 0, np.unique(scan.origins, axis=0)
+        for place in places:
+            points = scan.points[(scan.origins == place).all(1)] if len(places) > 1 else scan.points
+            points = points[np.isfinite(points).all(1)]
+            ranges = np.linalg.norm(points - place, axis=1)
+            points = points[(ranges > self.params.min_range) & (ranges < self.params.max_range)]
+            integrated += len(points)
+            if len(points):
+                T_world_sensor = scan.T_world_sensor.copy()
+                T_world_sensor[:3, 3] = place
+                self._program.run(points, T_world_sensor, cloud_transform=False)  # points are in the world frame
+        self._probe.emit("integrated", Scalar(integrated))
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the voxel was ever void."""
+        dynamic, finite = np.zeros(len(scan), np.bool_), np.isfinite(scan.points).all(1)
+        if finite.any():
+            dynamic[finite] = self._program.segment(scan.points[finite], scan.T_world_sensor, cloud_transform=False)
+        return dynamic
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, positions in ``info.reasons``."""
+        reasons = np.where(self.label(scan), 0, 1).astype(np.uint8)
+        reasons[~np.isfinite(scan.points).all(1)] = 2
+        return reasons
