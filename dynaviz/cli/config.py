@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +41,7 @@ def config(
     resolved = params.resolve(kind, preset, file, settings or ())
     table = Table("parameter", "value", "set by", title=f"{kind.info.title}: parameters", title_justify="left")
     for field in dataclasses.fields(resolved.params):
-        table.add_row(field.name, repr(getattr(resolved.params, field.name)), resolved.source[field.name])
+        table.add_row(field.name, json.dumps(getattr(resolved.params, field.name)), resolved.source[field.name])
     show(table)
     if sensor:
         facts = Table("fact", "value", title=f"sensor {sensor}", title_justify="left")

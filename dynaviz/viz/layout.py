@@ -15,6 +15,8 @@ from dynaviz.viz import paths
 
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 
+WRONG = "wrong points per frame: orange kept, yellow removed"  # a legend would hide the worst frames
+
 
 def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     """The layout of a run's recording.
@@ -71,7 +73,7 @@ def _numbers(info: MethodInfo) -> Any:
         rrb.TextDocumentView(name="report", origin=paths.REPORT),
         rrb.TextLogView(name="log", origin=paths.LOG),
     )
-    wrong = _curves("wrong points per frame", [f"{paths.WRONG}/**", paths.WORST], rrb.Corner2D.LeftTop)
+    wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST], rrb.PlotLegend(visible=False))
     return rrb.Vertical(scores, wrong, distance, words, row_shares=[5, 5, 4, 8])
 
 

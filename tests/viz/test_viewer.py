@@ -18,6 +18,7 @@ from worlds import InMemory, room
 from dynaviz.errors import DataError, MissingDependency, UsageError
 from dynaviz.loop import Listener, execute
 from dynaviz.viz import viewer
+from dynaviz.viz.layout import WRONG
 from dynaviz.viz.reader import Recording
 from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.shot import push, shot
@@ -48,7 +49,7 @@ def pixels(png: Path) -> np.ndarray:
 def test_the_layout_shows_everything_without_a_complaint(client: ViewerClient, recording: Path) -> None:
     push(recording, client)
     shown = {v.name: v.reports for v in client.get_state().views}
-    assert {"map", "frame", "scores so far [%]", "wrong points per frame", "report"} <= set(shown)
+    assert {"map", "frame", "scores so far [%]", WRONG, "report"} <= set(shown)
     assert set(shown) >= {state.name for state in Guess.info.emits if state.name != "remark"}
     assert {name: reports for name, reports in shown.items() if reports} == {}
 
