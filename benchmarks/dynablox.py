@@ -109,9 +109,7 @@ def main() -> None:
         n = kernels.set_threads(threads)
         method, observed, labelled = runs[threads] = run(scans)
         mean = observed.mean() + labelled.mean()
-        print(
-            f"\n{n} threads: {mean:.4f} s a frame, of which label {labelled.mean():.4f}; median {np.median(observed):.4f}"
-        )
+        print(f"\n{n} threads: {mean:.4f} s a frame, median {np.median(observed):.4f}, label {labelled.mean():.4f}")
         steps = {step: sum(spent) / len(scans) for step, spent in profile.items()}
         for step, seconds in (steps | {"the rest, in numpy": mean - sum(steps.values())}).items():
             print(f"  {step:26} {1000 * seconds:7.2f} ms")

@@ -72,9 +72,11 @@ def occupy(
 ):  # fmt: skip
     """Note which voxels of the active blocks are occupied in this frame, count, and tell which are clear.
 
+    Bits of voxels whose count comes to the limit are ``reached``. Returns (A,) bool: whether a block has any.
+
     recent: (B, burn_in + 1, 8) occupied bits of the last frames, in turn; stamps: (B, burn_in + 1) of which frames.
     """
-    turn = frame % (burn_in + 1)
+    turn, any_reached = frame % (burn_in + 1), np.zeros(len(active), np.bool_)
     for a in prange(len(active)):
         b = active[a]
         start = first[b]
@@ -93,9 +95,11 @@ def occupy(
             reached[b, w] = 0
             if occupied:
                 n, reached[b, w] = _count(counts, start, needed[b, w], occupied, lately, limit)
+                any_reached[a] |= reached[b, w] != 0
             else:
                 n = 64 if needed[b, w] == _FULL else _size(needed[b, w])
             start += n
+    return any_reached
 
 
 @njit(cache=True, nogil=True, inline="always")

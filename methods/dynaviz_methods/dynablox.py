@@ -32,7 +32,7 @@ from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import U8, Bool, Scan
 from dynaviz.sensors import Sensor
-from dynaviz_methods.free_space import I64, FreeSpace, View
+from dynaviz_methods.free_space import I64, Bits, FreeSpace, View
 
 SHOWN = 25.0  # metres around the sensor
 
@@ -170,7 +170,7 @@ class Dynablox:
         intruded = voxels[(why >= FREE) & (why <= FREE_LARGE)]
         new, lost = self._map.learn(voxels)
         self._map.integrate()
-        self._show(scan, why, intruded, new, lost)
+        self._show(why, intruded, new, lost)
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the point's voxel was free for ever when it came, or as clusters decide."""
@@ -203,20 +203,19 @@ class Dynablox:
             why[members[~of_free & dynamic]] = BESIDE
         return why
 
-    def _show(self, scan: Scan, why: U8, intruded: I64, new: I64, lost: I64) -> None:
-        self._free_voxels += len(new) - len(lost)
+    def _show(self, why: U8, intruded: I64, new: Bits, lost: Bits) -> None:
+        self._free_voxels += int(np.bitwise_count(new[1]).sum()) - int(np.bitwise_count(lost[1]).sum())
         wants, emit = self._probe.wants, self._probe.emit
         emit("free_voxels", Scalar(self._free_voxels))
         if wants("range_image"):
             emit("range_image", RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))))
-        for name, voxels in (("became_free", new), ("revoked", lost)):
+        for name, bits in (("became_free", new), ("revoked", lost)):
             if wants(name):
-                shown = self._map.voxels(voxels)
-                away = (shown.keys + 0.5) * shown.size - scan.position
-                emit(name, Voxels(shown.keys[(away**2).sum(1) < SHOWN**2], shown.size))
+                emit(name, self._map.near(bits, SHOWN))
         if wants("intruded"):
             voxels, counts = np.unique(intruded, return_counts=True)
-            emit("intruded", self._map.voxels(voxels, counts.astype(np.float32)))
+            keys, size = self._map.grid.keys(voxels), self.params.resolution
+            emit("intruded", Voxels(keys, size, counts.astype(np.float32)))
         if wants("clusters"):
             emit("clusters", PointClasses(CLASS[why]))
 

@@ -19,6 +19,7 @@ from dynaviz.survey import CELL, Extent
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 U64 = NDArray[np.uint64]
+Bits = tuple[I32, U64]
 
 AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # in the order of a block's neighbours
 KEY = np.array([1 << 42, 1 << 21, 1])  # blocks as one number each, in the order of the grid
@@ -95,23 +96,23 @@ class FreeSpace:
         voxels[~np.append(self._inner, False)[voxels // VOXELS]] = -1
         return voxels
 
-    def learn(self, voxels: I64) -> tuple[I64, I64]:
+    def learn(self, voxels: I64) -> tuple[Bits, Bits]:
         """One more frame: what is occupied, for how long, and what is free therefore.
 
         Args:
             voxels: (K,) int64: voxels with points of this scan; -1 for none.
 
         Returns:
-            Voxels that became free, and voxels that are free no more.
+            Voxels that became free, and voxels that are free no more; each as blocks and their bits.
         """
         p, k, lanes = self._params, kernels.ever_free, kernels.threads_in_use()
         self._frame += 1
-        now = _union(self._in_view, k.put(voxels, self._hit))
+        now = self._union(self._in_view, k.put(voxels, self._hit))
         # What was last occupied more than burn_in frames ago may be clear now. So may be all at the end of the first
         # burn-in: what was never occupied counts as occupied just before the first frame.
         forgotten = self._seen if self._frame == p.burn_in else self._seen[: self._frame > p.burn_in]
-        active = _union(now, *forgotten)
-        k.occupy(
+        active = self._union(now, *forgotten)
+        reached = k.occupy(
             *(active, self._frame, p.burn_in, p.temporal_buffer, p.revoke_after),
             *(self._hit, self._updated, self._observed, self._near, self._recent, self._stamps),
             *(self._needed, self._first, self._counts, self._clear, self._reached),
@@ -119,9 +120,8 @@ class FreeSpace:
         inner = now[self._inner[now]]
         new, lost = np.zeros((len(inner), 8), np.uint64), np.zeros((0, 8), np.uint64)
         k.release(inner, self.neighbours, self._updated, self._clear, self.free, new, lanes)
-        reaching = now[self._reached[now].any(1)]
-        losing = np.unique(self.neighbours[reaching])
-        losing = losing[losing >= 0]
+        reaching = active[reached]
+        losing = self._union(self.neighbours[reaching]) if len(reaching) else reaching
         if len(losing):
             lost = np.zeros((len(losing), 8), np.uint64)
             k.revoke(losing, self.neighbours, self._reached, self.free, lost, lanes)
@@ -131,7 +131,7 @@ class FreeSpace:
         self._hit[now] = 0
         self._updated[now] = 0
         self._seen = [*self._seen, now][-p.burn_in - 1 :]
-        return _voxels_of(inner, new), _voxels_of(losing, lost)
+        return (inner, new), (losing, lost)
 
     def look(self, scan: Scan) -> Bool:
         """Make the range image of a scan; (N,) bool: points within range."""
@@ -158,9 +158,18 @@ class FreeSpace:
             *(self._distance, self._weight, self._observed, self._near, self._updated, kernels.threads_in_use()),
         )
 
-    def voxels(self, numbers: I64, values: F32 | None = None) -> Voxels:
-        """Voxels to show."""
-        return Voxels(self.grid.keys(numbers), self.grid.resolution, values)
+    def _union(self, *blocks: I32) -> I32:
+        """Blocks of several lists, each once; those numbered -1 are none."""
+        chosen = np.zeros(len(self._blocks) + 1, np.bool_)
+        for some in blocks:
+            chosen[some] = True
+        return np.flatnonzero(chosen[:-1]).astype(np.int32)
+
+    def near(self, bits: Bits, distance: float) -> Voxels:
+        """Of voxels given by blocks and their bits those within a distance of the sensor, metres, to show."""
+        keys, size = self.grid.keys(voxels_of(bits[0], bits[1].view(np.int64))), self.grid.resolution
+        away = (keys + 0.5) * size - self._position
+        return Voxels(keys[np.einsum("ij,ij->i", away, away) < distance**2], size)
 
     def _offsets(self) -> F32:
         """(3, 512) float32, metres, the sensor's axes: from a block's corner to the centres of its voxels."""
@@ -179,11 +188,3 @@ def _find(keys: I64, wanted: I64) -> I32:
         return np.empty(0, np.int32)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     return np.where(keys[at] == wanted, at, -1).astype(np.int32)
-
-
-def _union(*blocks: I32) -> I32:
-    return np.unique(np.concatenate(blocks))
-
-
-def _voxels_of(blocks: I32, bits: U64) -> I64:
-    return voxels_of(blocks, bits.view(np.int64))
