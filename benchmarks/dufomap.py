@@ -11,7 +11,9 @@ runs on the first frames only, in turn with ours, on as many threads; of each th
 from __future__ import annotations
 
 import argparse
+import importlib
 import resource
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -31,7 +33,6 @@ from dynaviz_methods.voids import VoidGrid
 STEPS = {
     "points: locate": ("blocks", "locate"),  # both when observing and when labelling
     "points: range": ("voids", "in_range"),
-    "points: rays": ("voids", "rays"),
     "hit: mark": ("voids", "hit"),
     "observed: mark": ("voids", "observe"),
     "collect": ("raycast", "collect"),
@@ -57,11 +58,15 @@ def run(scans: list[Scan], extent: Extent, **values: Any) -> tuple[np.ndarray, n
     return np.array(observed), np.array(labelled), np.concatenate(labels)
 
 
+def load_public() -> Any:
+    """The public program's module, which has the name of this file."""
+    sys.path[:] = [path for path in sys.path if Path(path).resolve() != Path(__file__).resolve().parent]
+    return importlib.import_module("dufomap")
+
+
 def public(scans: list[Scan], threads: int) -> tuple[float, np.ndarray]:
     """Seconds a frame of the public program, and its labels, with its example's limits of range."""
-    from dufomap import dufomap
-
-    program = dufomap(0.1, 0.2, 1, threads)
+    program = load_public().dufomap(0.1, 0.2, 1, threads)
     near = [np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1) for scan in scans]
     chosen = [scan.points[(r > 0.2) & (r < 50)] for scan, r in zip(scans, near, strict=True)]
     start = time.perf_counter()
@@ -74,7 +79,7 @@ def public(scans: list[Scan], threads: int) -> tuple[float, np.ndarray]:
 def compare(scans: list[Scan], threads: int) -> None:
     """Ours and the public program in turn."""
     try:
-        import dufomap  # noqa: F401
+        load_public()
     except ImportError:
         print("\nthe public program is not installed: pip install dufomap")
         return
@@ -109,8 +114,7 @@ def main() -> None:
     run(scans[:2], extent)  # compile
     profile: defaultdict[str, list[float]] = defaultdict(list)
     for step, (module, name) in STEPS.items():
-        if hasattr(getattr(kernels, module), name):
-            setattr(getattr(kernels, module), name, timed(getattr(getattr(kernels, module), name), profile[step]))
+        setattr(getattr(kernels, module), name, timed(getattr(getattr(kernels, module), name), profile[step]))
     observed, labelled, labels = fastest(lambda: run(scans, extent))
     total = observed.mean() + labelled.mean()
     print(f"\ndufomap: {total:.4f} s a frame; observe {observed.mean():.4f}, label {labelled.mean():.4f}")

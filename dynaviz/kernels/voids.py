@@ -121,33 +121,53 @@ def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
             z, tz = z + sz, tz + pz
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _passed(time, first, period):
+    """How many borders of an axis lie at or before a time."""
+    return np.int64(0) if time < first else (time - first) // period + 1
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _is_full(mask):
+    """Whether all voxels of a block are marked as observed."""
+    return mask[0] & mask[1] & mask[2] & mask[3] & mask[4] & mask[5] & mask[6] & mask[7] == FULL
+
+
 @njit(cache=True, nogil=True)
-def _observe(o, c, beyond, base, shape, top, children, hits, slots, owners, masks, used):
+def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owners, masks, used):
     """Mark the voxels from o to the first hit one as observed, then on until an axis is ``beyond`` voxels farther."""
     d, length = _direction(o, c)
-    x, sx, tx, px = _axis(o[0], d[0], 0)
-    y, sy, ty, py = _axis(o[1], d[1], 1)
-    z, sz, tz, pz = _axis(o[2], d[2], 2)
-    x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
-    i = (x & 7) << 6 | (y & 7) << 3 | (z & 7)
-    bx, by, bz = x >> 3, y >> 3, z >> 3
+    kx, sx, fx, px = _axis(o[0], d[0], 0)
+    ky, sy, fy, py = _axis(o[1], d[1], 1)
+    kz, sz, fz, pz = _axis(o[2], d[2], 2)
+    kx, ky, kz = kx - (base[0] << 7), ky - (base[1] << 7), kz - (base[2] << 7)
+    bx, by, bz = kx >> 3, ky >> 3, kz >> 3
     # When the ray leaves its block along each axis.
-    ux = tx + (7 - (x & 7) if sx > 0 else x & 7) * px
-    uy = ty + (7 - (y & 7) if sy > 0 else y & 7) * py
-    uz = tz + (7 - (z & 7) if sz > 0 else z & 7) * pz
+    ux = fx + (7 - (kx & 7) if sx > 0 else kx & 7) * px
+    uy = fy + (7 - (ky & 7) if sy > 0 else ky & 7) * py
+    uz = fz + (7 - (kz & 7) if sz > 0 else kz & 7) * pz
+    i, tx, ty, tz = (kx & 7) << 6 | (ky & 7) << 3 | (kz & 7), fx, fy, fz
     end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit; never farther than that
-    stopped = False
+    time, here, stopped = np.int64(-1), True, False
     while True:  # blocks
         limit = min(min(ux, uy), min(uz, end))
-        block = _block(bx, by, bz, shape, top, children)
-        t = min(tx, min(ty, tz))
-        if block:
-            slot, used = _slot(slots, owners, masks, used, block - 1)
-            mine, struck = masks[slot], hits[block - 1]
+        block = _block(bx, by, bz, shape, top, children) - 1
+        marks = block >= 0
+        if marks and not struck[block]:
+            slot = slots[block]
+            marks = slot == 0 or not _is_full(masks[slot])
+        if marks:
+            if not here:  # after blocks that nothing can be learnt of
+                nx, ny, nz = _passed(time, fx, px), _passed(time, fy, py), _passed(time, fz, pz)
+                tx, ty, tz = fx + nx * px, fy + ny * py, fz + nz * pz
+                i = (kx + sx * nx & 7) << 6 | (ky + sy * ny & 7) << 3 | (kz + sz * nz & 7)
+                here = True
+            slot, used = _slot(slots, owners, masks, used, block)
+            t = min(tx, min(ty, tz))
             while True:  # voxels; without branches, since the order of axes cannot be predicted
                 bit = np.int64(1) << (i & 63)
-                mine[i >> 6] |= bit
-                if struck[i >> 6] & bit:
+                masks[slot, i >> 6] |= bit
+                if hits[block, i >> 6] & bit:
                     stopped = True
                     break
                 if t >= limit:
@@ -159,21 +179,18 @@ def _observe(o, c, beyond, base, shape, top, children, hits, slots, owners, mask
                 i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
                 t = min(tx, min(ty, tz))
         else:
-            while t < limit:
-                gx, gy, gz = t == tx, t == ty, t == tz
-                tx += px if gx else 0
-                ty += py if gy else 0
-                tz += pz if gz else 0
-                i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
-                t = min(tx, min(ty, tz))
+            here = False
         if stopped or limit == end:
             break
+        time = limit
         if limit == ux:
             bx, ux, tx, i = bx + sx, ux + (px << 3), tx + px, i ^ 7 << 6
         elif limit == uy:
             by, uy, ty, i = by + sy, uy + (py << 3), ty + py, i ^ 7 << 3
         else:
             bz, uz, tz, i = bz + sz, uz + (pz << 3), tz + pz, i ^ 7
+    if not stopped:
+        return used
 
     x, y, z = bx << 3 | i >> 6, by << 3 | (i >> 3 & 7), bz << 3 | (i & 7)
     left_x, left_y, left_z = beyond, beyond, beyond
@@ -185,9 +202,9 @@ def _observe(o, c, beyond, base, shape, top, children, hits, slots, owners, mask
             y, ty, left_y = y + sy, ty + py, left_y - 1
         else:
             z, tz, left_z = z + sz, tz + pz, left_z - 1
-        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children)
-        if block:
-            slot, used = _slot(slots, owners, masks, used, block - 1)
+        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children) - 1
+        if block >= 0:
+            slot, used = _slot(slots, owners, masks, used, block)
             masks[slot, x & 7] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
     return used
 
@@ -208,8 +225,10 @@ def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slot
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def observe(goals, starts, origins, beyond, hits, blocks, base, shape, top, children, slots, owners, masks, used):
-    """Mark what rays to the voxels (G,) observe, up to the first voxel of ``hits`` (B, 8) and ``beyond`` it."""
+def observe(
+    goals, starts, origins, beyond, struck, hits, blocks, base, shape, top, children, slots, owners, masks, used
+):
+    """Mark what rays to the voxels (G,) observe, up to the first of ``hits`` (B, 8) and ``beyond`` it; struck: (B,)."""
     for lane in prange(len(used)):
         count = 0
         for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
@@ -218,7 +237,7 @@ def observe(goals, starts, origins, beyond, hits, blocks, base, shape, top, chil
                 o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
                 if _within(o):
                     lanes = (slots[lane], owners[lane], masks[lane])
-                    count = _observe(o, c, beyond, base, shape, top, children, hits, *lanes, count)
+                    count = _observe(o, c, beyond, base, shape, top, children, struck, hits, *lanes, count)
         used[lane] = count
 
 

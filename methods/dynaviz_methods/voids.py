@@ -46,8 +46,10 @@ class VoidGrid(BlockGrid):
         around = max(hit_margin, unknown_margin * resolution) + resolution
         super().__init__(_widened(extent, around), resolution)
         self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
-        self._hits = np.zeros((len(self) + 1, 8), np.int64)  # of the present scan; empty between scans
-        self._rows = np.zeros(len(self) + 1, np.int32)  # the same
+        # Of the present scan, and empty between scans: whether a block is hit, where, and its row in the marks.
+        self._struck = np.zeros(len(self) + 1, np.bool_)
+        self._hits = np.zeros((len(self) + 1, 8), np.int64)
+        self._rows = np.zeros(len(self) + 1, np.int32)
 
     def see(self, scan: Scan, voxels: I64, integrated: Bool) -> Seen:
         """Hit, observed and void voxels of a scan.
@@ -63,11 +65,12 @@ class VoidGrid(BlockGrid):
 
         kernels.voids.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
         struck, bits = kernels.raycast.collect(*scratch)
-        self._hits[struck] = bits[:, 8:]
-        kernels.voids.observe(goals, starts, origins, self._unknown_margin, self._hits, *place, *scratch)
+        self._struck[struck], self._hits[struck] = True, bits[:, 8:]
+        hits = self._struck, self._hits
+        kernels.voids.observe(goals, starts, origins, self._unknown_margin, *hits, *place, *scratch)
         blocks, bits = kernels.raycast.collect(*scratch)
         hit, observed = self._hits[blocks], bits[:, :8]
-        self._hits[struck] = 0
+        self._struck[struck], self._hits[struck] = False, 0
 
         self._rows[blocks] = np.arange(1, len(blocks) + 1, dtype=np.int32)
         beside = kernels.voids.sides(blocks, self._rows, *place)
