@@ -125,18 +125,16 @@ REASONS = (
     Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin"),
 )
 STATES = (
-    State("range_image", RangeImage, "Range of the nearest point in each pixel, metres", value_range=(0.0, 50.0)),
-    State("became_free", Voxels, "Voxels near the sensor that this scan made free for ever"),
-    State("revoked", Voxels, "Voxels near the sensor that are free no more: something stayed"),
-    State(
-        "intruded", Voxels, "Free voxels with points of this scan: what moves; number of points", value_range=(1, 50)
-    ),
     State(
         "clusters",
         PointClasses,
-        "Points by cluster: the free voxels of a dynamic one, what it touches, and clusters of too few or too many",
+        "Points by cluster: in free voxels of a dynamic one, what it touches, and of too few or too many points",
         legend=("none", "dynamic", "touched", "too small", "too large"),
     ),
+    State("intruded", Voxels, "Free voxels with points of this scan; number of points", value_range=(1.0, 50.0)),
+    State("became_free", Voxels, "Voxels near the sensor that are free for ever from this scan on"),
+    State("revoked", Voxels, "Voxels near the sensor that are free no more: something stayed"),
+    State("range_image", RangeImage, "Range of the nearest point in each pixel, metres", value_range=(0.0, 50.0)),
     State("free_voxels", Scalar, "How many voxels are free for ever, of those where points can lie"),
 )
 CLASS = np.zeros(len(REASONS), np.uint8)  # of a reason, in the legend
