@@ -38,12 +38,12 @@ VARIANTS = {
 PLAIN_FRAMES = 3
 
 
-def run(params: RemovertParams, scans: list[Scan], raw_map: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Seconds to begin, seconds of each frame to observe and to label, and all labels."""
+def run(params: RemovertParams, scans: list[Scan], raw_map: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, float]:
+    """Seconds to begin, seconds of each frame to observe and to label, all labels, and processor seconds a frame."""
     method = Removert(params)
     start = time.perf_counter()
     method.begin(Context(Extent.of(scans[0]), SENSOR, raw_map=raw_map))
-    begun = time.perf_counter() - start
+    begun, busy = time.perf_counter() - start, time.process_time()
     observed, labelled, labels = [], [], []
     observe = timed(method.observe, observed)
     label = timed(method.label, labelled)
@@ -51,7 +51,8 @@ def run(params: RemovertParams, scans: list[Scan], raw_map: np.ndarray) -> tuple
         observe(scan)
     for scan in scans:
         labels.append(label(scan))
-    return begun, np.array([observed, labelled]), np.concatenate(labels)
+    busy = (time.process_time() - busy) / len(scans)
+    return begun, np.array([observed, labelled]), np.concatenate(labels), busy
 
 
 def plain(scans: list[Scan], points: np.ndarray) -> tuple[float, np.ndarray]:
@@ -100,17 +101,17 @@ def main() -> None:
     for name, params in VARIANTS.items():
         for spent in profile.values():
             spent.clear()
-        begun, (observed, labelled), labels = run(params, scans, raw_map)
+        begun, (observed, labelled), labels, _ = run(params, scans, raw_map)
         print(f"\n{name}: {observed.mean() + labelled.mean():.4f} s a frame, fastest {(observed + labelled).min():.4f}")
         print(f"  before the first frame {begun:.2f} s; observe {observed.mean():.4f}, label {labelled.mean():.4f}")
         for step, spent in profile.items():
             if spent:
                 print(f"  {step:8} {1000 * sum(spent) / len(scans):7.2f} ms")
         kernels.set_threads(1)
-        _, (alone, _), same = run(params, scans, raw_map)
+        _, (alone, _), same, busy = run(params, scans, raw_map)
         kernels.set_threads(None)
         slower, equal = alone.mean() / observed.mean(), (same == labels).all()
-        print(f"  on one thread {slower:.2f} times as long; same labels: {equal}")
+        print(f"  on one thread {slower:.2f} times as long, {busy:.4f} s of its core's time; same labels: {equal}")
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"  peak memory so far {peak:.0f} MB, all scans and the raw map included")
 
