@@ -11,13 +11,14 @@ from numba import njit
 
 TOP = 30  # the highest slice, which holds everything above as well
 FINE = 32  # fine bins of a slice, at most
+HIGH = 1e6  # metres: points as high or as low have no column
 
 
 @njit(cache=True, nogil=True)
 def _inside(point, corner, side, shape):
     """Whether a point has a column; points that are not finite have none."""
     a, b = (point[0] - corner[0]) / side, (point[1] - corner[1]) / side
-    return 0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and math.isfinite(point[2])
+    return 0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and abs(point[2]) < HIGH
 
 
 @njit(cache=True, nogil=True)
@@ -51,11 +52,11 @@ def _below(bits, k):
 
 @njit(cache=True, nogil=True)
 def bounds(points, reach):
-    """(2,) float64: lowest x and y of the finite points with x and y within reach of 0, (2,): the highest."""
+    """(2,) float64: lowest x and y of the points within reach of 0 in x and y, (2,): the highest."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for p in range(len(points)):
         x, y = points[p, 0], points[p, 1]
-        if abs(x) < reach and abs(y) < reach and math.isfinite(points[p, 2]):
+        if abs(x) < reach and abs(y) < reach and abs(points[p, 2]) < HIGH:
             low[0], low[1] = min(low[0], x), min(low[1], y)
             high[0], high[1] = max(high[0], x), max(high[1], y)
     return low, high

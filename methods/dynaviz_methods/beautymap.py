@@ -17,7 +17,8 @@ Jia et al. 2024. The algorithm:
     a point is dynamic if its slice is removed, or if it lies above the ground of a slice that is split
 
 Slice 30, the highest, holds everything above it. Points below their column's base are in its slice 0. Points that are
-not finite, or lie more than 32768 columns from the world's origin, are kept unjudged.
+not finite, or lie more than 32768 columns or a thousand kilometres of height from the world's origin, are kept
+unjudged.
 """
 
 from __future__ import annotations
@@ -85,7 +86,15 @@ REASONS = (
     Reason("not_in_scan", "removed: a scan should have seen its slice, and did not"),
     Reason("above_fine_ground", "removed: in the slice below removed ones, above the lowest 85 % of the points"),
 )
-STEPS = ("map_slices", "near_sensor", "ground_not_seen", "above_highest_seen", "above_view", "ground_slice", "overhang")
+STEPS: tuple[str, ...] = (
+    "map_slices",
+    "near_sensor",
+    "ground_not_seen",
+    "above_highest_seen",
+    "above_view",
+    "ground_slice",
+    "overhang",
+)
 STEPS += ("ray_blocked", "removed")
 HEIGHT = (0.0, 6.0)
 STATES = (

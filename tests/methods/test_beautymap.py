@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from reference_beautymap import Reference
+
+from dynaviz import kernels
+from dynaviz.method import Context
+from dynaviz.probe import SILENT, MemoryProbe
+from dynaviz.scan import Scan
+from dynaviz.survey import Extent
+from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
+
+EXTENT = Extent(np.zeros(3), np.zeros(3), np.zeros((0, 3), np.int32))
+
+
+def scan(index: int, points, sensor=(0.0, 0.0, 1.7)) -> Scan:
+    T_world_sensor = np.eye(4)
+    T_world_sensor[:3, 3] = sensor
+    return Scan(index, np.asarray(points, np.float32).reshape(-1, 3), T_world_sensor)
+
+
+def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
+    """A sloping floor with a pit, a wall, branches above, and a thing that moves."""
+    random = np.random.default_rng(seed)
+    scans = []
+    for index in range(frames):
+        floor = random.uniform((-12, -12, -0.05), (12, 12, 0.05), (4000, 3))
+        floor[:, 2] += 0.05 * floor[:, 0]
+        pit = random.uniform((3, 3, -3), (4, 4, -2), (20, 3))
+        wall = random.uniform((9, -12, 0), (9.4, 12, 4), (1200, 3))
+        branches = random.uniform((-9, -9, 3), (-6, 9, 4.5), (200, 3))
+        thing = random.uniform((0, 5, 0.1), (2.2, 6.8, 1.5), (300, 3)) + np.array([2.5 * index - 6, 0, 0])
+        stray = random.uniform((-11, -11, 0.2), (11, 11, 3), (40, 3))
+        points = np.concatenate([floor, pit, wall, branches, thing, stray])
+        scans.append(scan(3 * index + 1, points, (0.6 * index, 0.3 * index, 1.7)))
+    return scans
+
+
+def post(*heights: float, at=(6.0, 0.5)) -> np.ndarray:
+    return np.array([(*at, h) for h in heights]).reshape(-1, 3)
+
+
+def floor() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(-11.75, 12, 0.5), np.arange(-11.75, 12, 0.5))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+
+
+def run(scans, probe=SILENT, **values):
+    method = BeautyMap(BeautyMapParams(**values))
+    method.begin(Context(EXTENT, probe=probe, raw_map=np.concatenate([s.points for s in scans])))
+    for s in scans:
+        method.observe(s)
+    return method
+
+
+def names(method, s) -> list[str]:
+    return [method.info.reasons[code].name for code in method.explain(s)]
+
+
+@pytest.mark.parametrize("values", [(16.0, 1.0, 0.5), (10.0, 0.5, 0.2), (40.0, 0.8, 0.35)])
+@pytest.mark.parametrize("seed", range(2))
+def test_agrees_with_the_obvious_way_point_by_point(values, seed):
+    scans = yard(seed=seed)
+    method = run(scans, **dict(zip(("dis_range", "xy_resolution", "h_res"), values, strict=True)))
+    reference = Reference(np.concatenate([s.points for s in scans]), *values)
+    for s in scans:
+        reference.observe(s.points, s.position)
+    removed = 0
+    for s in scans:
+        expected = np.array([reference.label(p) for p in s.points])
+        np.testing.assert_array_equal(method.label(s), expected)
+        removed += expected.sum()
+    assert removed > 50
+
+
+def test_what_a_scan_should_see_and_does_not_is_removed():
+    """Slices 1 and 2 of a post go; its foot stays but for what is above the ground in slice 0."""
+    foot = np.repeat(0.02, 20)
+    there = scan(0, np.concatenate([floor(), post(*foot, 0.45, 0.6, 1.1)]))
+    gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
+    method = run([there, gone])
+    assert names(method, there)[-3:] == ["above_fine_ground", "not_in_scan", "not_in_scan"]
+    assert set(names(method, there)[-20:-3]) == {"fine_ground"}
+    assert method.label(there)[-3:].all()
+    assert not method.label(there)[:-3].any()
+
+
+@pytest.mark.parametrize(
+    ("reason", "there", "gone"),
+    [
+        ("near_sensor", post(0.6, at=(2.0, 0.5)), post()),
+        ("above_highest_seen", post(1.1), post(0.6)),
+        ("above_view", post(0.6, 1.1, 1.6, 2.1, 2.6, 3.1, 3.6), post(1.4, at=(-6.0, 0.5))),
+        ("overhang", post(2.1), post(6.0, at=(-6.0, 0.5))),
+        ("ray_blocked", post(0.6), post(0.3, 0.6, 1.1, 1.6, at=(5.0, -0.1))),
+        ("out_of_window", post(0.6, at=(11.0, 0.5)), post()),
+    ],
+)
+def test_each_step_keeps_what_it_is_for(reason, there, gone):
+    scans = [scan(0, np.concatenate([floor(), there])), scan(1, np.concatenate([floor(), gone]))]
+    method = run(scans, dis_range=20.0)
+    assert names(method, scans[0])[-1] == reason
+
+
+def test_ground_that_is_not_seen_protects_what_is_far():
+    ground = floor() + np.array([12.0, 0, 0])
+    far = post(0.6, 0.8, at=(18.0, 0.5))
+    unseen = ground[np.abs(ground[:, 0] - 18.0) > 1]
+    scans = [scan(0, np.concatenate([ground, far])), scan(1, unseen)]
+    assert names(run(scans), scans[0])[-1] == "ground_not_seen"
+
+
+def test_the_lowest_slice_is_ground():
+    scans = [scan(0, floor()), scan(1, floor()[:100])]
+    assert "ground_slice" in names(run(scans), scans[0])
+    assert not run(scans).label(scans[0]).any()
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [],
+        [(1.0, 2.0, 3.0)],
+        [(0.0, 0.0, 1.7)],
+        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0), (1.0, 1.0, np.nan)],
+        [(1e30, 0.0, 0.0), (4e4, 0.0, 0.0), (1.0, 1.0, 1.0), (5.0, 5.0, 1e30)],
+    ],
+    ids=["empty", "one", "at the sensor", "not finite", "beyond reach"],
+)
+def test_odd_scans_are_kept(points):
+    points = np.array(points, np.float32).reshape(-1, 3)
+    s = scan(0, points)
+    method = run([s], probe=MemoryProbe())
+    assert not method.label(s).any()
+    judged = (np.abs(points) < (32768, 32768, 1e6)).all(1)
+    assert [name == "unjudged" for name in names(method, s)] == (~judged).tolist()
+
+
+def test_points_and_sensors_outside_the_map_are_kept_and_harmless():
+    scans = yard(2)
+    method = run(scans)
+    before = [method.label(s) for s in scans]
+    for sensor in ((1e6, 0, 0), (-60.0, 5.0, 1.0), (np.nan, 0.0, 0.0)):
+        method.observe(scan(9, floor()[:5], sensor))
+    for s, labels in zip(scans, before, strict=True):
+        np.testing.assert_array_equal(method.label(s), labels)
+    outside = scan(9, [(500.0, 0, 0), (-500.0, 0, 0)])
+    method.observe(outside)
+    assert names(method, outside) == ["unjudged"] * 2
+
+
+def test_threads_and_listeners_decide_nothing():
+    scans = yard()
+    try:
+        kernels.set_threads(1)
+        alone = [run(scans).label(s) for s in scans]
+        kernels.set_threads(None)
+        together = [run(scans, probe=MemoryProbe()).label(s) for s in scans]
+    finally:
+        kernels.set_threads(None)
+    np.testing.assert_array_equal(np.concatenate(alone), np.concatenate(together))
+    assert np.concatenate(alone).any()
+
+
+def test_the_order_of_scans_decides_nothing():
+    scans = yard()
+    back = run(scans[::-1])
+    for s in scans:
+        np.testing.assert_array_equal(run(scans).label(s), back.label(s))
+
+
+def test_begin_forgets_the_earlier_sequence():
+    scans = yard()
+    method = run(scans)
+    first = [method.label(s) for s in scans]
+    method.begin(Context(EXTENT, raw_map=np.concatenate([s.points for s in scans])))
+    assert not any(method.label(s).any() for s in scans)
+    for s in scans:
+        method.observe(s)
+    np.testing.assert_array_equal(np.concatenate(first), np.concatenate([method.label(s) for s in scans]))
+
+
+def test_states_are_those_announced_and_tell_what_became_of_each_slice():
+    scans, probe = yard(), MemoryProbe()
+    method = run(scans, probe=probe)
+    kinds = {state.name: state.kind for state in method.info.emits}
+    assert {name: {type(v) for v in values} for name, values in probe.values.items()} == {
+        name: {kind} for name, kind in kinds.items()
+    }
+    assert all(len(values) == len(scans) for values in probe.values.values())
+    voxels = [name for name, kind in kinds.items() if kind.__name__ == "Voxels"]
+    cubes = {name: {tuple(k) for v in probe.values[name] for k in v.keys.tolist()} for name in voxels}
+    assert cubes["removed"]
+    assert all(cubes[name] <= cubes["map_slices"] for name in voxels)
+    for frame in range(len(scans)):  # a slice is seen, saved by one step, or removed
+        parts = [{tuple(k) for k in probe.values[name][frame].keys.tolist()} for name in voxels if name != "map_slices"]
+        whole = {tuple(k) for k in probe.values["map_slices"][frame].keys.tolist()}
+        assert sum(len(p) for p in parts) == len(whole) == len(set.union(*parts))
+
+
+def test_a_read_only_map_in_any_layout_gives_the_same():
+    scans = yard(2)
+    raw = np.asfortranarray(np.concatenate([s.points for s in scans]))
+    raw.flags.writeable = False
+    method = BeautyMap(BeautyMapParams())
+    method.begin(Context(EXTENT, raw_map=raw))
+    for s in scans:
+        method.observe(s)
+    np.testing.assert_array_equal(method.label(scans[0]), run(scans).label(scans[0]))
+
+
+@pytest.mark.parametrize("values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}])
+def test_values_that_make_no_sense_are_refused(values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        BeautyMapParams(**values)
+    with pytest.raises(ValueError, match="dis_range"):
+        BeautyMapParams(dis_range=1.0, xy_resolution=1.0)
+
+
+def test_the_number_of_parameters_is_that_of_the_paper():
+    assert len(dataclasses.fields(BeautyMapParams)) == 3
