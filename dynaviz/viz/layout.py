@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
 
 from dynaviz.method import MethodInfo
-from dynaviz.probe import Scalar, State
+from dynaviz.probe import RangeImage, Scalar, State
 from dynaviz.scan import F64
 from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
 
+STACK = 4  # range images in one tab
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 
 WRONG = "wrong points per frame: orange kept, yellow removed"  # a legend would hide the worst frames
@@ -47,9 +49,22 @@ def _world(info: MethodInfo, extent: Extent) -> Any:
         "map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent)
     )
     frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], _follow())
-    states = [_state(info.name, state) for state in info.emits if issubclass(state.kind, (*paths.SOLID, *paths.FLAT))]
+    states = _tabs(info)
     below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
     return rrb.Vertical(everything, below, row_shares=[3, 2])
+
+
+def _tabs(info: MethodInfo) -> list[Any]:
+    """A tab for each state that is drawn; range images are wide and low, so some that follow each other share one."""
+    tabs = []
+    for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
+        views = [_state(info.name, state) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
+        if kind is not RangeImage:
+            tabs += views
+        for first in range(0, len(views) if kind is RangeImage else 0, STACK):
+            stack = views[first : first + STACK]
+            tabs.append(rrb.Vertical(*stack, name=f"{stack[0].name} to {stack[-1].name}") if stack[1:] else stack[0])
+    return tabs
 
 
 def _numbers(info: MethodInfo) -> Any:
