@@ -1,0 +1,135 @@
+"""Seconds a frame of every method, its profile by kernel, and its memory, on 120 000 points a frame.
+
+    python benchmarks/methods.py                              all methods on a street that is made here
+    python benchmarks/methods.py dufomap removert             these
+    python benchmarks/methods.py --folder FOLDER --frames 30  on the pcd/*.pcd of a folder in the benchmark's layout
+    python benchmarks/methods.py removert --preset port
+
+Each method runs in a process of its own, after a first round that compiles; the fastest of three rounds counts, a round
+on all threads and one on a single thread in turn. Memory is what the process holds at most beyond the scans, which lie
+in memory here, and beyond the raw map that some methods are given; both are told. A profile adds up all calls of a
+kernel, while scans are observed and labelled, in a round of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import pkgutil
+import resource
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scenes import SENSOR, read, street
+
+from dynaviz import kernels, registry
+from dynaviz.method import Context
+from dynaviz.params import resolve
+from dynaviz.scan import Scan
+from dynaviz.survey import Extent
+
+ROUNDS, FRAMES = 3, 60
+
+
+def run(
+    method: Any, params: Any, scans: list[Scan], context: Context, ready: Callable[[], None] = lambda: None
+) -> tuple[float, float, float, np.ndarray]:
+    """Seconds to begin; seconds a frame to observe and to label; all labels. ``ready`` is called between."""
+    running, start = method(params), time.perf_counter()
+    running.begin(context)
+    ready()
+    begun = time.perf_counter()
+    for scan in scans:
+        running.observe(scan)
+    observed = time.perf_counter()
+    labels = [running.label(scan) for scan in scans]
+    end = time.perf_counter()
+    return begun - start, (observed - begun) / len(scans), (end - observed) / len(scans), np.concatenate(labels)
+
+
+def watch(spent: defaultdict[str, list[float]]) -> None:
+    """Time every call of a kernel from Python from now on; kernels that are called by kernels count as these."""
+
+    def timed(call: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
+        def wrapped(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            answer = call(*arguments)
+            seconds.append(time.perf_counter() - start)
+            return answer
+
+        return wrapped
+
+    for module in pkgutil.iter_modules(kernels.__path__):
+        home: ModuleType = getattr(kernels, module.name)
+        for name, call in list(vars(home).items()):
+            if hasattr(call, "py_func") and not name.startswith("_"):
+                setattr(home, name, timed(call, spent[f"{module.name}.{name}"]))
+
+
+def peak_mb() -> float:
+    """The most memory this process ever held, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> None:
+    """Print all figures of a method."""
+    method = registry.load("methods", name)
+    params = resolve(method, preset).params
+    scans = read(folder, frames) if folder else street(frames)
+    raw_map = np.concatenate([scan.points for scan in scans]) if method.info.needs_map else None
+    context = Context(Extent.of(*scans), SENSOR, raw_map=raw_map)
+    few = np.concatenate([scan.points for scan in scans[:2]]) if method.info.needs_map else None
+    threads = kernels.set_threads(None)
+    run(method, params, scans[:2], Context(Extent.of(*scans[:2]), SENSOR, raw_map=few))  # compile
+    before = peak_mb()
+    run(method, params, scans, context)
+    held = peak_mb() - before
+
+    best: dict[int, tuple[float, float, float, np.ndarray]] = {}
+    for _ in range(ROUNDS):
+        for n in (threads, 1):
+            kernels.set_threads(n)
+            answer = run(method, params, scans, context)
+            if n not in best or sum(answer[1:3]) < sum(best[n][1:3]):
+                best[n] = answer
+    kernels.set_threads(threads)
+    begin, observe, label, labels = best[threads]
+    ratio = (best[1][1] + best[1][2]) / (observe + label)
+    print(f"\n{name}{f' --preset {preset}' if preset else ''}: {observe + label:.4f} s a frame on {threads} threads")
+    print(f"  observe {observe:.4f}, label {label:.4f}; before the first frame {begin:.2f} s")
+    print(f"  on one thread {ratio:.2f} times as long; same labels: {np.array_equal(labels, best[1][3])}")
+    raw = f", and the raw map of {raw_map.nbytes / 1e6:.0f} MB" if raw_map is not None else ""
+    print(f"  memory {held:.0f} MB beyond {sum(scan.points.nbytes for scan in scans) / 1e6:.0f} MB of scans{raw}")
+
+    spent: defaultdict[str, list[float]] = defaultdict(list)
+    watch(spent)
+    _, observe, label, _ = run(
+        method, params, scans, context, ready=lambda: [s.clear() for s in spent.values()] and None
+    )
+    steps = {step: sum(seconds) / len(scans) for step, seconds in spent.items() if seconds}
+    for step, mean in sorted(steps.items(), key=lambda pair: -pair[1])[:8]:
+        print(f"  {step:28} {1000 * mean:7.2f} ms a frame")
+    print(f"  {'the rest, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms a frame", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("methods", nargs="*")
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--preset")
+    arguments = parser.parse_args()
+    for name in arguments.methods or [handle.name for handle in registry.handles("methods")]:
+        task = (name, arguments.preset, arguments.folder, arguments.frames)
+        process = multiprocessing.get_context("spawn").Process(target=measure, args=task)
+        process.start()
+        process.join()
+
+
+if __name__ == "__main__":
+    main()
