@@ -7,63 +7,44 @@ import pytest
 from scipy.spatial import cKDTree
 
 from dynaviz.io.pcd import read_pcd
-from dynaviz.method import Context
 from dynaviz.params import resolve
-from dynaviz.scan import Scan
-from dynaviz.survey import Extent
 from dynaviz_methods.erasor import Erasor
 
-PUBLISHED = {20: (89.65, 26.58), 78: (97.90, 80.86)}  # SA and DA by number of scans
-OURS = {20: (97.68, 28.76), 78: (99.98, 79.97)}
+PUBLISHED = {"mini": (89.65, 26.58), "kitti_tracking_0012": (97.90, 80.86)}  # SA and DA
+OURS = {"mini": (97.68, 28.76), "kitti_tracking_0012": (99.98, 79.97)}
 
 
-def run(scans, params):
-    method = Erasor(params)
-    method.begin(Context(Extent.of(*scans[:1]), raw_map=np.concatenate([s.points for s in scans])))
-    for s in scans:
-        method.observe(s)
-    return method
+@pytest.fixture(scope="module")
+def theirs(golden):
+    """The public port's map."""
+    return read_pcd(golden.shared / f"golden/erasor/{golden.name}.pcd").xyz
 
 
-@pytest.fixture(scope="module", params=["mini", "kitti_tracking_0012"])
-def golden(request, shared):
-    """Scans, their ground truth, the public port's map, and ours after the same scans."""
-    if not (shared / "golden").is_dir():
-        pytest.skip("needs golden/ in the folder of real data")
-    folder = shared / "golden/mini" if request.param == "mini" else request.getfixturevalue(request.param)
-    clouds = [read_pcd(path) for path in sorted((folder / "pcd").glob("*.pcd"))]
-    scans = [Scan(k, cloud.xyz, cloud.T_world_sensor) for k, cloud in enumerate(clouds)]
-    truth = read_pcd(folder / "gt_cloud.pcd")["intensity"]
-    theirs = read_pcd(shared / f"golden/erasor/{request.param}.pcd").xyz
-    return scans, truth, theirs, run(scans, resolve(Erasor, preset="port").params)
+@pytest.fixture(scope="module")
+def port(golden):
+    """Ours after the same scans."""
+    return golden.observed(Erasor, resolve(Erasor, preset="port").params)
 
 
-def scores(truth, removed):
-    return 100 * (~removed[truth == 0]).mean(), 100 * removed[truth == 1].mean()
-
-
-def test_the_port_leaves_the_very_map_of_the_public_one(golden):
-    _, _, theirs, port = golden
+def test_the_port_leaves_the_very_map_of_the_public_one(port, theirs):
     ours = port.cleaned_map()
     assert len(ours) == len(theirs)
     assert cKDTree(theirs).query(ours)[0].max() < 1e-3  # their centroids are sums of float32
     assert cKDTree(ours).query(theirs)[0].max() < 1e-3
 
 
-def test_the_port_scores_as_the_public_one(golden):
-    scans, truth, theirs, port = golden
-    points, known = np.concatenate([s.points for s in scans]), truth < 2
-    published = scores(truth[known], cKDTree(theirs).query(points[known])[0] > 0.05)
-    assert published == pytest.approx(PUBLISHED[len(scans)], abs=0.005)
-    tree = cKDTree(theirs)
-    for s in scans[::5]:
-        expected = tree.query(s.points, distance_upper_bound=0.1)[0] > 0.05
-        assert (port.label(s) == expected).mean() > 0.999  # points at 0.05 m go either way
+def test_the_port_scores_as_the_public_one(golden, port, theirs):
+    tree, known = cKDTree(theirs), golden.truth < 2
+    removed = np.zeros(len(known), bool)
+    removed[known] = tree.query(golden.points[known])[0] > 0.05
+    assert golden.scores(removed)[:2] == pytest.approx(PUBLISHED[golden.name], abs=0.005)
+    for scan in golden.scans[::5]:
+        expected = tree.query(scan.points, distance_upper_bound=0.1)[0] > 0.05
+        assert (port.label(scan) == expected).mean() > 0.999  # points at 0.05 m go either way
 
 
-def test_labels_of_points_keep_more_of_what_stands(golden):
-    scans, truth, _, port = golden
-    ours = run(scans, Erasor.Params(sensor_height=1.73))
-    static, dynamic = scores(truth, np.concatenate([ours.label(s) for s in scans]))
-    assert (static, dynamic) == pytest.approx(OURS[len(scans)], abs=0.05)
+def test_labels_of_points_keep_more_of_what_stands(golden, port):
+    ours = golden.observed(Erasor, Erasor.Params(sensor_height=1.73))
+    removed = np.concatenate([ours.label(scan) for scan in golden.scans])
+    assert golden.scores(removed)[:2] == pytest.approx(OURS[golden.name], abs=0.05)
     assert len(port.cleaned_map()) > len(ours.cleaned_map())  # which has nothing inserted
