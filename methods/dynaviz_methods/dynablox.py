@@ -21,6 +21,7 @@ part and are kept. Labels are decided when a scan is observed, and kept as three
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -45,8 +46,9 @@ class DynabloxParams:
         resolution: edge of a voxel, metres.
         min_range: nearer points take no part, metres.
         max_range: farther points take no part, metres; 0: all do.
-        image_rows: rows of the range image; 0: one for each ring of the sensor.
-        image_columns: columns of the range image, all around.
+        image_rows: rows of the range image; 0: one for each ring of the sensor. A sensor without rings gets square
+            pixels, one for each point of a sweep.
+        image_columns: columns of the range image, all around, at most.
         field_of_view: height of the range image, degrees, half of it above the horizon; 0: from the sensor's lowest
             to its highest ring.
         truncation: largest distance that is averaged; also how far behind a surface voxels are seen, metres.
@@ -224,11 +226,14 @@ def view_of(params: DynabloxParams, sensor: Sensor) -> View:
     Raises:
         UsageError: where neither tells its rows or its height.
     """
-    rows, half = params.image_rows or sensor.rings, params.field_of_view / 2
+    rows, columns, half = params.image_rows or sensor.rings, params.image_columns, params.field_of_view / 2
     low, high = (-half, half) if half else sensor.elevation or (0.0, 0.0)
+    if not rows and sensor.points_per_sweep and low < high:
+        pixel = math.sqrt((high - low) * 360 / sensor.points_per_sweep)  # its edge, degrees
+        rows, columns = round((high - low) / pixel), min(columns, round(360 / pixel))
     if not rows or rows < 2 or not low < high:
         raise UsageError(
             f"dynablox needs the rows and the height of a range image, which the sensor '{sensor.name}' does not tell: "
             "give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
         )
-    return View(rows, params.image_columns, high, low)
+    return View(rows, columns, high, low)

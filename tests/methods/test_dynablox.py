@@ -294,8 +294,7 @@ def test_the_view_is_the_sensors_unless_given():
     assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == View(64, 2048, 16.5, -16.5)
     with pytest.raises(UsageError, match="image_rows"):
         view_of(DynabloxParams(), Sensor())
-    with pytest.raises(UsageError, match="image_rows"):
-        view_of(DynabloxParams(), load_sensor("mid360"))
+    assert view_of(DynabloxParams(), load_sensor("mid360")) == View(57, 349, 52.0, -7.0)  # 19 893 pixels, 20 000 points
 
 
 @pytest.mark.parametrize(
