@@ -33,12 +33,16 @@ def _column(point, corner, side, directory):
 
 @njit(cache=True, nogil=True)
 def _slice(z, base, height):
-    return int(min(max((z - base) / height, 0.0), TOP))  # towards 0, which is down
+    """Number of a point's slice, rounded towards 0: slice 0 reaches as far below the base as above; -1 deeper."""
+    k = (z - base) / height
+    return -1 if k <= -1 else int(min(k, TOP))
 
 
 @njit(cache=True, nogil=True)
 def _fine(z, base, height, k, step):
-    return int(min(max((z - base - k * height) / step, 0.0), FINE - 1))
+    """Number of a point's fine bin in slice k, rounded towards 0 as slices are; -1 deeper."""
+    f = (z - base - k * height) / step
+    return -1 if f <= -1 else int(min(f, FINE - 1))
 
 
 @njit(cache=True, nogil=True)
@@ -48,6 +52,18 @@ def _below(bits, k):
     for b in range(k):
         n += bits >> b & 1
     return n
+
+
+@njit(cache=True, nogil=True)
+def _end(bits, gap):
+    """The bit above the lowest group of set bits, which ends where a gap of so many begins."""
+    last = -1
+    for k in range(FINE):
+        if bits >> k & 1:
+            if last >= 0 and k - last > gap:
+                break
+            last = k
+    return last + 1
 
 
 @njit(cache=True, nogil=True)
@@ -142,8 +158,9 @@ def fill(points, corner, side, directory, base, height):
     bits = np.zeros(len(base), np.int32)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
-        if c >= 0:
-            bits[c] |= 1 << _slice(points[p, 2], base[c], height)
+        k = -1 if c < 0 else _slice(points[p, 2], base[c], height)
+        if k >= 0:
+            bits[c] |= 1 << k
     rows = np.zeros(len(base) + 1, np.int64)
     for c in range(len(base)):
         rows[c + 1] = rows[c] + _below(bits[c], TOP + 1)
@@ -152,19 +169,43 @@ def fill(points, corner, side, directory, base, height):
 
 @njit(cache=True, nogil=True)
 def histograms(points, corner, side, directory, base, height, step, bits, rows):
-    """(occupied slices, FINE) uint32: points in fine bins of each slice."""
-    fine = np.zeros((rows[-1], math.ceil(min(height / step, FINE - 1.0)) + 1), np.uint32)
+    """(occupied slices, FINE + 1) uint32: points in fine bins of each slice; last, those below the lowest bin."""
+    fine = np.zeros((rows[-1], FINE + 1), np.uint32)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
-        if c >= 0:
-            k = _slice(points[p, 2], base[c], height)
-            f = min(_fine(points[p, 2], base[c], height, k, step), fine.shape[1] - 1)
-            fine[rows[c] + _below(bits[c], k), f] += np.uint32(1)
+        k = -1 if c < 0 else _slice(points[p, 2], base[c], height)
+        if k >= 0:
+            fine[rows[c] + _below(bits[c], k), _fine(points[p, 2], base[c], height, k, step)] += np.uint32(1)
     return fine
 
 
 @njit(cache=True, nogil=True)
-def look(points, corner, side, directory, base, height, first, width, sensor, near):
+def ground(fine, part, gap):
+    """Which fine bins go where a slice is split.
+
+    Args:
+        fine: (R, FINE + 1) uint32, as from ``histograms``.
+        part: of the slice's points that ground holds at least.
+        gap: empty bins; bins above do not exist.
+
+    Returns:
+        (R, 2) uint8: bins from the first number on and below the second; none where ground never gets its part.
+    """
+    cuts = np.zeros((len(fine), 2), np.uint8)
+    for r in range(len(fine)):
+        bits, found, f = 0, 0, 0
+        for b in range(FINE):
+            bits |= (fine[r, b] > 0) << b
+        end, enough = _end(bits, gap), part * fine[r].sum()
+        while f < end and found < enough:
+            found += fine[r, f]
+            f += 1
+        cuts[r] = f, end
+    return cuts
+
+
+@njit(cache=True, nogil=True)
+def look(points, corner, side, directory, base, height, first, width, sensor):
     """What a scan sees of the columns around it.
 
     Args:
@@ -172,7 +213,6 @@ def look(points, corner, side, directory, base, height, first, width, sensor, ne
         corner, side, directory, base, height: the map's columns.
         first: (2,) int64: the window's first column; width: columns along its edge.
         sensor: (3,) float64, metres, world frame.
-        near: metres in x and y: points up to there say nothing of the field of view.
 
     Returns:
         bits: (width, width) int32: slices that hold points of the scan.
@@ -185,53 +225,97 @@ def look(points, corner, side, directory, base, height, first, width, sensor, ne
         if not math.isfinite(x + y + z):
             continue
         flat = x * x + y * y
-        if flat > near * near and (z > 0 or slope < 0):
+        if flat > 0:
             slope = max(slope, z / math.sqrt(flat))
         c = _column(points[p], corner, side, directory)
         if c < 0 or math.isnan(base[c]):
             continue
         i = math.floor((points[p, 0] - corner[0]) / side) - first[0]
         j = math.floor((points[p, 1] - corner[1]) / side) - first[1]
-        if 0 <= i < width and 0 <= j < width:
-            bits[i, j] |= 1 << _slice(points[p, 2], base[c], height)
+        k = _slice(points[p, 2], base[c], height)
+        if 0 <= i < width and 0 <= j < width and k >= 0:
+            bits[i, j] |= 1 << k
     return bits, slope
 
 
 @njit(cache=True, nogil=True)
-def _blocked(seen, a, i, j, sensor_slice, k, skip):
-    """Whether the line from the sensor's column (a, a) to slice k of (i, j) meets an occupied slice on its way."""
-    n = max(abs(i - a), abs(j - a))
-    for s in range(skip, n):
-        f = s / n
-        e = math.floor(sensor_slice * (1 - f) + (k + 0.5) * f + 0.5)
-        if 0 <= e <= TOP and seen[a + (i - a) * s // n, a + (j - a) * s // n] >> e & 1:
-            return True
-    return False
+def _limit(seen, raised, di, dj, view, rise, blind, sight):
+    """The lowest slice that a scan cannot judge in a column, and the step that says so.
+
+    Args:
+        seen: bits of the column's slices that the scan sees; raised: as from ``level``.
+        di, dj: columns from the sensor's to this one.
+        view, rise, blind, sight: as for ``judge``, but sight in columns.
+    """
+    if -blind <= di < blind and -blind <= dj < blind:
+        return 1, 0
+    flat = di * di + dj * dj
+    if seen & 1 == 0 and flat >= sight * sight:
+        return 2, 0
+    if seen >> 1 and not raised:
+        highest = TOP
+        while seen >> highest & 1 == 0:
+            highest -= 1
+        return 3, highest
+    edge = view + math.sqrt(flat) * rise + 0.5
+    return 4, int(min(edge, TOP + 1.0)) if edge > 0 else 0
 
 
 @njit(cache=True, nogil=True)
-def judge(columns, bits, base, raised, seen, sensor_z, sensor_base, slope, side, height, blind, sight, gap, steps):
+def _blocked(left, columns, base, seen, i, j, view, sensor_base, skip):
+    """Those of the slices ``left`` of (i, j) before which the scan sees something, on the line from the sensor.
+
+    The line goes from column to column along its longer axis. At t of its length s it is at the height, in slices,
+    view + (k - view) * t / s. It meets nothing up to ``skip`` columns, in x and y
+    together; at a near target it may end a column behind it, or go on to the edge of the window.
+    """
+    width, a, blocked = len(columns), len(columns) // 2, 0
+    di, dj = i - a, j - a
+    n = max(abs(di), abs(dj))
+    if n == 0:
+        return 0
+    step_x, step_y, whole = di / n, dj / n, math.sqrt(di * di + dj * dj)
+    step_t = math.sqrt(step_x * step_x + step_y * step_y)
+    x, y, t = a + step_x, a + step_y, step_t
+    while 0 < x < width and 0 < y < width:
+        if int(abs(x - a)) + int(abs(y - a)) > skip:
+            u, v = int(x), int(y)
+            if seen[u, v]:
+                rise = base[columns[u, v]] - sensor_base  # metres, added to slices as they are
+                for k in range(TOP + 1):
+                    e = rise + (k - view) * t / whole + view + 0.5
+                    if left >> k & 1 and -1 < e < TOP + 1 and seen[u, v] >> int(e) & 1:
+                        blocked |= 1 << k
+            if abs(x - i) <= 1 and abs(y - j) <= 1:
+                break
+        x, y, t = x + step_x, y + step_y, t + step_t
+    return blocked
+
+
+@njit(cache=True, nogil=True)
+def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sight, gap, skip, steps, splits):
     """Which slices of the map a scan does not see, and what each step of the algorithm says of them.
 
     Args:
         columns: (W, W) int64: numbers of the window's columns, -1 without; the sensor's is in the middle, at W // 2.
         bits, base, raised: the map's columns.
         seen: (W, W) int32: the scan's slices.
-        sensor_z: metres; sensor_base: base of the sensor's column, NaN without points.
-        slope: upper edge of the field of view, metres per metre.
-        side, height: of a slice, metres.
-        blind: columns around the sensor that are not judged; as many steps of a line are skipped.
-        sight: metres from where on a column needs ground.
+        view: the sensor's height above the base of its column, in slices, and half a slice.
+        sensor_base: that base, metres.
+        rise: upper edge of the field of view, slices for each column away.
+        blind: columns around the sensor that are not judged.
+        sight: columns from where on a column needs ground.
         gap: slices.
+        skip: columns, in x and y together, that lines pass before they can be blocked.
         steps: (n, 9) int32: all steps' bits so far; those of this scan are added.
+        splits: (n,) int32: bits of slices to be split; those below the lowest that this scan removes are added.
 
     Returns:
         (W, W, 9) int32: of this scan the slices in the window, saved near the sensor, beyond sight, above the highest
         seen, above the field of view, as ground, above a gap, behind something seen; and those to be removed.
     """
-    width = len(columns)
+    width, half = len(columns), len(columns) // 2
     said = np.zeros((width, width, 9), np.int32)
-    half = width // 2
     for i in range(width):
         for j in range(width):
             c = columns[i, j]
@@ -239,90 +323,42 @@ def judge(columns, bits, base, raised, seen, sensor_z, sensor_base, slope, side,
                 continue
             said[i, j, 0] = bits[c]
             left = bits[c] & ~seen[i, j]
-            away = math.sqrt((i - half) ** 2 + (j - half) ** 2) * side
-            if -blind <= i - half < blind and -blind <= j - half < blind:
-                said[i, j, 1] = left
-                left = 0
-            if seen[i, j] & 1 == 0 and away >= sight:
-                said[i, j, 2] = left
-                left = 0
-            highest = TOP
-            while highest > 0 and seen[i, j] >> highest & 1 == 0:
-                highest -= 1
-            step = 3
-            if highest == 0 or raised[c]:
-                step = 4
-                line = (sensor_z - base[c] + away * slope) / height
-                highest = int(min(line, TOP + 1.0)) if line > 0 else 0
-            above = left & ~((1 << highest) - 1)
-            said[i, j, step] = above
-            left &= ~above
-            ground = left & (bits[c] & -bits[c])
-            said[i, j, 5] = ground
-            left &= ~ground
-            last = TOP
-            for k in range(TOP + 1):
-                if bits[c] >> k & 1:
-                    if k - last > gap:
-                        said[i, j, 6] = left & ~((1 << k) - 1)
-                        left &= ~said[i, j, 6]
-                        break
-                    last = k
-            if not math.isnan(sensor_base):
-                for k in range(TOP + 1):
-                    if left >> k & 1 and _blocked(seen, half, i, j, (sensor_z - sensor_base) / height, k, blind):
-                        said[i, j, 7] |= 1 << k
-            said[i, j, 8] = left & ~said[i, j, 7]
+            step, limit = _limit(seen[i, j], raised[c], i - half, j - half, view, rise, blind, sight)
+            said[i, j, step] = left & ~((1 << limit) - 1)
+            left &= ~said[i, j, step]
+            said[i, j, 5] = left & bits[c] & -bits[c]
+            left &= ~said[i, j, 5]
+            said[i, j, 6] = left & ~((1 << _end(bits[c], gap)) - 1)
+            left &= ~said[i, j, 6]
+            if left:
+                said[i, j, 7] = _blocked(left, columns, base, seen, i, j, view, sensor_base, skip)
+            left &= ~said[i, j, 7]
+            said[i, j, 8] = left
+            splits[c] |= (left & -left) >> 1 & bits[c]
             for s in range(9):
                 steps[c, s] |= said[i, j, s]
     return said
 
 
 @njit(cache=True, nogil=True)
-def split(columns, bits, steps, rows, fine, part, cuts):
-    """Of each column with slices to be removed: the fine bins of the slice below the lowest of them that are ground.
-
-    Args:
-        columns: (C,) int64: numbers; -1 is passed over.
-        bits, steps, rows, fine: the map's columns.
-        part: of the slice's points that ground holds at least.
-        cuts: (n,) uint8: fine bins of ground, from the lowest; set for the columns given.
-    """
-    for c in columns:
-        if c < 0 or steps[c, 8] == 0:
-            continue
-        k = 0
-        while steps[c, 8] >> k & 1 == 0:
-            k += 1
-        if k == 0 or bits[c] >> (k - 1) & 1 == 0:
-            cuts[c] = 0
-            continue
-        row = fine[rows[c] + _below(bits[c], k - 1)]
-        total, found, f = row.sum(), 0, 0
-        while found < part * total:
-            found += row[f]
-            f += 1
-        cuts[c] = f
-
-
-@njit(cache=True, nogil=True)
-def reasons(points, corner, side, directory, base, height, step, bits, steps, cuts):
+def reasons(points, corner, side, directory, base, height, step, bits, rows, steps, splits, cuts):
     """What became of each point, (N,) uint8.
 
-    0 without a column of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that saved its
-    slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine ground.
+    0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that saved its
+    slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine ground; 8 above a gap of fine
+    bins.
     """
     why = np.zeros(len(points), np.uint8)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
-        if c < 0 or math.isnan(base[c]):
+        k = -1 if c < 0 or math.isnan(base[c]) else _slice(points[p, 2], base[c], height)
+        if k < 0:
             continue
-        k = _slice(points[p, 2], base[c], height)
         why[p] = 1
         for s in range(9):
             if steps[c, s] >> k & 1:
                 why[p] = (2, 3, 4, 5, 6, 7, 8, 9, 11)[s]
-        gone = steps[c, 8]
-        if why[p] != 11 and cuts[c] > 0 and gone >> (k + 1) & 1 and gone & ((1 << (k + 1)) - 1) == 0:
-            why[p] = 12 if _fine(points[p, 2], base[c], height, k, step) >= cuts[c] else 10
+        if why[p] != 11 and splits[c] >> k & 1:
+            f, cut = _fine(points[p, 2], base[c], height, k, step), cuts[rows[c] + _below(bits[c], k)]
+            why[p] = 10 if f < cut[0] else 12 if f < cut[1] else 8
     return why

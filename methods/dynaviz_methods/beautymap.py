@@ -13,12 +13,12 @@ Jia et al. 2024. The algorithm:
         ground:    not the lowest slice of a column
         overhang:  nothing above a gap of two slices
         blocked:   no slice before which, on the line from the sensor, the scan sees something
-    the slice below the lowest that is removed is split: its lowest fine bins, with 85 % of its points, are ground
-    a point is dynamic if its slice is removed, or if it lies above the ground of a slice that is split
+        the slice below the lowest that is removed is split: its lowest fine bins, with 85 % of its points, are ground
+    a point is dynamic if its slice is removed by any scan, or if any splits it and the point lies above its ground
 
-Slice 30, the highest, holds everything above it. Points below their column's base are in its slice 0. Points that are
-not finite, or lie more than 32768 columns or a thousand kilometres of height from the world's origin, are kept
-unjudged.
+Slice 0 reaches as far below the base as above, and slice 30, the highest, holds everything above it. Kept unjudged are
+points deeper than slice 0, and those that are not finite, or lie more than 32768 columns or a thousand kilometres of
+height from the world's origin.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ REACH = 32768  # columns to each side of the world's origin
 SLICES = 31
 BLIND = 2.0  # metres around the sensor where nothing is judged
 SIGHT = 15.0  # metres from where on a column is judged only if its ground is seen
-GAP = 2  # empty slices, above which things hang
+GAP = 2  # empty slices, or fine bins, above which things hang
+SKIP = 3  # columns in x and y together, up to which nothing blocks the sight
 FINE = 0.1  # metres: fine bins are at least as high
 GROUND_PART = 0.85  # of a split slice's points
 NEIGHBOURS, LEAST, DEVIATIONS = 5, 15, 3.0  # columns back, of them with points, and how far a base may lie from them
@@ -72,7 +73,7 @@ class BeautyMapParams:
 
 UNJUDGED, NEVER_NEAR, ALWAYS_SEEN, FINE_GROUND, SLICE_GONE, ABOVE_GROUND = 0, 1, 2, 10, 11, 12
 REASONS = (
-    Reason("unjudged", "kept: not finite, too far from the world's origin, or not of the map"),
+    Reason("unjudged", "kept: not finite, too far from the world's origin, not of the map, or below slice 0"),
     Reason("out_of_window", "kept: its column was never within the window around the sensor"),
     Reason("always_seen", "kept: each scan with its column in the window saw its slice"),
     Reason("near_sensor", "kept: scans that missed its slice were too near to judge it"),
@@ -80,7 +81,7 @@ REASONS = (
     Reason("above_highest_seen", "kept: scans that missed its slice saw at most what is below it, and something there"),
     Reason("above_view", "kept: its slice is above the field of view of scans that missed it"),
     Reason("ground_slice", "kept: the lowest slice of its column"),
-    Reason("overhang", "kept: its slice hangs above a gap of two empty slices"),
+    Reason("overhang", "kept: above a gap of two empty slices, or of two fine bins of its slice"),
     Reason("ray_blocked", "kept: whenever a scan missed its slice, something stood before it"),
     Reason("fine_ground", "kept: in the slice below removed ones, among the lowest 85 % of the points"),
     Reason("not_in_scan", "removed: a scan should have seen its slice, and did not"),
@@ -159,11 +160,13 @@ class BeautyMap:
         self._grid = (self._corner, float(p.xy_resolution), tiles)
         low_z = k.lowest(points, *self._grid, n * 64 * 64)
         self._base, self._raised = k.level(low_z, tiles, NEIGHBOURS, LEAST, DEVIATIONS)
+        self._lowest = float(np.fmin.reduce(low_z, initial=np.inf))
         self._fine_step = max(FINE, p.h_res / SLICES)
         self._bits, self._rows = k.fill(points, *self._grid, self._base, p.h_res)
-        self._fine = k.histograms(points, *self._grid, self._base, p.h_res, self._fine_step, self._bits, self._rows)
+        fine = k.histograms(points, *self._grid, self._base, p.h_res, self._fine_step, self._bits, self._rows)
+        self._cuts = k.ground(fine, GROUND_PART, GAP)
         self._steps = np.zeros((len(self._base), len(STEPS)), np.int32)  # bits of all scans so far
-        self._cuts = np.zeros(len(self._base), np.uint8)
+        self._splits = np.zeros(len(self._base), np.int32)
 
     def observe(self, scan: Scan) -> None:
         """Compare the scan's slices with the map's, and split the slices below those that are removed."""
@@ -172,25 +175,16 @@ class BeautyMap:
             return
         window = self._window(sensor)
         width, middle = len(window.columns), len(window.columns) // 2
-        seen, slope = kernels.columns.look(
-            scan.points,
-            *self._grid,
-            self._base,
-            p.h_res,
-            window.first,
-            width,
-            kernels.frozen(sensor, np.float64),
-            BLIND,
-        )
+        eye = kernels.frozen(sensor, np.float64)
+        seen, slope = kernels.columns.look(scan.points, *self._grid, self._base, p.h_res, window.first, width, eye)
         under = window.columns[middle, middle]
+        base = float(self._base[under]) if under >= 0 else math.nan
+        if math.isnan(base):
+            base = self._lowest  # the map holds no point in the sensor's column
         said = kernels.columns.judge(
             *(window.columns, self._bits, self._base, self._raised, seen),
-            *(float(sensor[2]), float(self._base[under]) if under >= 0 else math.nan, slope),
-            *(float(p.xy_resolution), float(p.h_res)),
-            *(int(BLIND / p.xy_resolution) + 1, SIGHT, GAP, self._steps),
-        )
-        kernels.columns.split(
-            window.columns.ravel(), self._bits, self._steps, self._rows, self._fine, GROUND_PART, self._cuts
+            *(float(sensor[2] - base) / p.h_res + 0.5, base, slope * p.xy_resolution / p.h_res),
+            *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
         )
         self._show(scan, window, seen, said, slope)
 
@@ -204,7 +198,7 @@ class BeautyMap:
         """(N,) uint8, codes of ``REASONS``; of several scans, what came nearest to removing the slice."""
         why: U8 = kernels.columns.reasons(
             *(scan.points, *self._grid, self._base, float(self.params.h_res), self._fine_step),
-            *(self._bits, self._steps, self._cuts),
+            *(self._bits, self._rows, self._steps, self._splits, self._cuts),
         )
         return why
 

@@ -11,6 +11,7 @@ from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.survey import Extent
+from dynaviz.testing.world import moved, turn
 from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
 
 EXTENT = Extent(np.zeros(3), np.zeros(3), np.zeros((0, 3), np.int32))
@@ -39,6 +40,27 @@ def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
     return scans
 
 
+def jumble(frames: int = 5, seed: int = 0) -> list[Scan]:
+    """Posts of which each scan sees others, on ground with a hole; of some scans the sensor is above the hole."""
+    random = np.random.default_rng(seed)
+    feet = random.uniform((-12, -12), (12, 12), (60, 2))
+    tops = random.uniform(0.5, 3, 60)
+    scans = []
+    for index in range(frames):
+        ground = random.uniform((-12, -12, -0.1), (12, 12, 0.1), (1500, 3))
+        ground[:, 2] += 0.1 * ground[:, 1]
+        ground = ground[(np.abs(ground[:, :2]) > 2).any(1)]
+        posts = []
+        for foot, top in zip(feet, tops, strict=True):
+            if random.random() < 0.5 and (np.abs(foot) > 2.5).any():
+                z = 0.1 * foot[1] + np.arange(0.1, top, 0.1)
+                posts.append(np.column_stack([np.tile(foot, (len(z), 1)), z]))
+        sky = random.uniform((-9, -9, 5), (9, 9, 8), (3, 3))
+        sensor = (0.5, 0.3, 0.8) if index % 2 else (3.0, 2.0, 1.5 + 0.2 * index)
+        scans.append(scan(index, np.concatenate([ground, *posts, sky]), sensor))
+    return scans
+
+
 def post(*heights: float, at=(6.0, 0.5)) -> np.ndarray:
     return np.array([(*at, h) for h in heights]).reshape(-1, 3)
 
@@ -61,9 +83,10 @@ def names(method, s) -> list[str]:
 
 
 @pytest.mark.parametrize("values", [(16.0, 1.0, 0.5), (10.0, 0.5, 0.2), (40.0, 0.8, 0.35)])
+@pytest.mark.parametrize("scene", [yard, jumble])
 @pytest.mark.parametrize("seed", range(2))
-def test_agrees_with_the_obvious_way_point_by_point(values, seed):
-    scans = yard(seed=seed)
+def test_agrees_with_the_obvious_way_point_by_point(values, scene, seed):
+    scans = scene(seed=seed)
     method = run(scans, **dict(zip(("dis_range", "xy_resolution", "h_res"), values, strict=True)))
     reference = Reference(np.concatenate([s.points for s in scans]), *values)
     for s in scans:
@@ -79,13 +102,66 @@ def test_agrees_with_the_obvious_way_point_by_point(values, seed):
 def test_what_a_scan_should_see_and_does_not_is_removed():
     """Slices 1 and 2 of a post go; its foot stays but for what is above the ground in slice 0."""
     foot = np.repeat(0.02, 20)
-    there = scan(0, np.concatenate([floor(), post(*foot, 0.45, 0.6, 1.1)]))
+    there = scan(0, np.concatenate([floor(), post(*foot, 0.25, 0.45, 0.6, 1.1)]))
     gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
     method = run([there, gone])
-    assert names(method, there)[-3:] == ["above_fine_ground", "not_in_scan", "not_in_scan"]
-    assert set(names(method, there)[-20:-3]) == {"fine_ground"}
-    assert method.label(there)[-3:].all()
-    assert not method.label(there)[:-3].any()
+    assert names(method, there)[-4:] == ["above_fine_ground"] * 2 + ["not_in_scan"] * 2
+    assert set(names(method, there)[-21:-4]) == {"fine_ground"}
+    assert method.label(there)[-4:].all()
+    assert not method.label(there)[:-4].any()
+
+
+def test_what_a_slice_that_is_split_holds_above_a_gap_of_fine_bins_is_kept():
+    foot = np.repeat(0.02, 20)
+    there = scan(0, np.concatenate([floor(), post(*foot, 0.15, 0.45, 0.6)]))
+    gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
+    assert names(run([there, gone]), there)[-3:] == ["above_fine_ground", "overhang", "not_in_scan"]
+
+
+def test_nothing_goes_from_a_slice_whose_ground_never_gets_its_part():
+    there = scan(0, np.concatenate([floor(), post(*np.repeat(0.45, 9), 0.15, 0.6)]))
+    gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
+    assert set(names(run([there, gone]), there)[-11:-1]) == {"fine_ground", "overhang"}
+
+
+def test_no_scan_takes_back_what_another_splits():
+    """One scan removes slice 3 and splits 2, the other removes slice 1 and splits 0; all else is hidden from them."""
+    low, high = np.repeat(0.02, 20), np.repeat(1.02, 20)
+    sky = np.concatenate([floor(), post(6.0, at=(-6.0, 0.5))])
+    there = scan(0, np.concatenate([sky, post(*low, *high, 0.25, 0.45, 0.6, 1.25, 1.6)]))
+    hidden = ((0.3, 0.6, 1.1), (0.3, 1.1, 1.6))
+    others = [scan(k + 1, np.concatenate([sky, post(*heights, at=(5.0, -0.1))])) for k, heights in enumerate(hidden)]
+    for order in (others, others[::-1]):
+        method = run([there, *order])
+        assert [name in ("not_in_scan", "above_fine_ground") for name in names(method, there)[-45:]] == (
+            [False] * 40 + [True] * 5
+        )
+
+
+def test_lines_protect_where_the_map_has_no_point_below_the_sensor():
+    hole = floor()[(np.abs(floor()[:, :2]) > 1.5).any(1)]
+    there = scan(0, np.concatenate([hole, post(0.6)]))
+    for height, reason in ((0.6, "ray_blocked"), (1.6, "not_in_scan")):
+        gone = scan(1, np.concatenate([hole, post(0.3, height, at=(5.0, -0.1)), post(6.0, at=(-6.0, 0.5))]))
+        assert names(run([there, gone]), there)[-1] == reason
+
+
+def test_a_line_looks_behind_its_target_where_that_is_near():
+    """Three columns from the sensor, a line is first looked at a column behind its target, and there it ends."""
+    there = scan(0, np.concatenate([floor(), post(1.1, at=(3.0, 0.0))]))
+    for x, reason in ((4.0, "ray_blocked"), (5.0, "not_in_scan")):
+        behind = post(0.6, at=(x, 0.0))
+        gone = scan(1, np.concatenate([floor(), behind, post(6.0, at=(-6.0, 0.5))]))
+        assert names(run([there, gone]), there)[-1] == reason
+
+
+def test_slice_0_reaches_a_slice_below_the_base_and_no_further():
+    """A pit in level ground: its column's base is that of the ground."""
+    pit = post(-0.4, -0.6, at=(3.2, 3.2))
+    s = scan(0, np.concatenate([floor(), pit]))
+    method = run([s, scan(1, floor())])
+    assert names(method, s)[-2:] == ["always_seen", "unjudged"]
+    assert not method.label(s).any()
 
 
 @pytest.mark.parametrize(
@@ -103,6 +179,13 @@ def test_each_step_keeps_what_it_is_for(reason, there, gone):
     scans = [scan(0, np.concatenate([floor(), there])), scan(1, np.concatenate([floor(), gone]))]
     method = run(scans, dis_range=20.0)
     assert names(method, scans[0])[-1] == reason
+
+
+def test_the_field_of_view_reaches_up_to_the_steepest_point_however_near():
+    there = scan(0, np.concatenate([floor(), post(0.6, 1.1, 1.6, 2.1, 2.6, 3.1, 3.6)]))
+    for near, reason in ((post(), "above_view"), (post(2.2, at=(0.4, 0.3)), "not_in_scan")):
+        gone = scan(1, np.concatenate([floor(), post(1.4, at=(-6.0, 0.5)), near]))
+        assert names(run([there, gone]), there)[-1] == reason
 
 
 def test_ground_that_is_not_seen_protects_what_is_far():
@@ -152,6 +235,14 @@ def test_points_and_sensors_outside_the_map_are_kept_and_harmless():
     assert names(method, outside) == ["unjudged"] * 2
 
 
+@pytest.mark.parametrize("height", [-1e308, -1e5, 1e5, 1e308])
+def test_points_straight_above_and_sensors_far_above_or_below_are_harmless(height):
+    scans = yard(2)
+    steep = np.array([(1e-30, 0.0, 1.0), (0.0, 0.0, 5.0), (1e-20, 1e-20, 1e30)])
+    method = run([*scans, scan(8, steep, (0.0, 0.0, 0.5)), scan(9, floor(), (0.0, 0.0, height))])
+    assert not any(method.label(s).all() for s in scans)
+
+
 def test_threads_and_listeners_decide_nothing():
     scans = yard()
     try:
@@ -170,6 +261,16 @@ def test_the_order_of_scans_decides_nothing():
     back = run(scans[::-1])
     for s in scans:
         np.testing.assert_array_equal(run(scans).label(s), back.label(s))
+
+
+def test_a_shift_of_the_world_and_a_turn_of_the_sensor_hardly_change_a_label():
+    scans = yard()
+    T = turn(0.0, 13.37, -7.1, 0.45)
+    turned = turn(50.0, 0.0, 0.0, 0.0)
+    shifted = [Scan(s.index, moved(s, T).points, T @ s.T_world_sensor @ turned) for s in scans]
+    before, after = run(scans), run(shifted)
+    changed = [before.label(s) != after.label(t) for s, t in zip(scans, shifted, strict=True)]
+    assert np.concatenate(changed).mean() < 1e-3
 
 
 def test_begin_forgets_the_earlier_sequence():

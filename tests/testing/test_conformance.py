@@ -15,10 +15,15 @@ from dynaviz.probe import Mask, Scalar, State
 from dynaviz.scan import Label, Scan
 from dynaviz.testing import CHECKS, check_method, crossing
 
+# Bases of BeautyMap's columns lean on columns at lower x and y, so a turned world has others.
+NOT_MET = {("beautymap", "scores_alike_in_a_moved_world")}
+
 
 @pytest.mark.parametrize("check", CHECKS.values(), ids=CHECKS)
 @pytest.mark.parametrize("name", [handle.name for handle in registry.handles("methods")])
-def test_conforms(name: str, check: Callable[[Any, Any], None]) -> None:
+def test_conforms(name: str, check: Callable[[Any, Any], None], request: pytest.FixtureRequest) -> None:
+    if (name, check.__name__) in NOT_MET:
+        request.applymarker(pytest.mark.xfail(raises=AssertionError, strict=True))
     method = registry.load("methods", name)
     check(method, method.Params())
 
