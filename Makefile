@@ -31,6 +31,7 @@ check: lint types test boundscheck
 .venv/.user: .venv/.venv pyproject.toml
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
 	@$(PIP) --editable .
+	@$(BIN)/python -m dynaviz.precompile
 	@touch $@
 
 .venv/.dev: .venv/.user

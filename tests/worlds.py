@@ -7,23 +7,7 @@ from numpy.typing import NDArray
 
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-
-
-class InMemory:
-    """Scans in memory, as a sequence."""
-
-    def __init__(self, scans: list[Scan], name: str = "room"):
-        self.scans, self.name, self.sensor = scans, name, Sensor(name="test", title="a test's sensor", height=1.0)
-
-    @property
-    def has_labels(self) -> bool:
-        return any(scan.labels is not None for scan in self.scans)
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.scans[position]
+from dynaviz.testing import InMemory
 
 
 def pose(x: float, y: float = 0.0, z: float = 1.0) -> NDArray[np.float64]:
@@ -59,4 +43,4 @@ def room(frames: int = 6, rays: int = 3000, seed: int = 0, labelled: bool = True
                 instances=moving.astype(np.int32) if labelled else None,
             )
         )
-    return InMemory(scans)
+    return InMemory(scans, "room", Sensor(name="test", title="a test's sensor", height=1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -33,17 +34,20 @@ def demo(
     dynaviz demo -o out --no-view
     """
     from dynaviz import api, registry
+    from dynaviz.precompile import compiling
     from dynaviz.simulate import simulate
     from dynaviz.tables import result_table
 
-    with progress("simulating a street") as tell:
-        folder = simulate("demo", out / "street", progress=lambda done, total: tell("frames", done, total))
+    folder = out / "street"
+    if (folder / "sequence.toml").is_file():  # of an earlier demo
+        shutil.rmtree(folder)
+    names = [handle.name for handle in registry.handles("methods")]
+    with compiling(), progress("simulating a street") as tell:
+        simulate("demo", folder, progress=lambda done, total: tell("frames", done, total))
     results = []
-    for handle in registry.handles("methods"):
-        with progress(handle.name) as tell:
-            results.append(
-                api.run(handle.name, api.open(folder), out=out / handle.name, command="dynaviz demo", progress=tell)
-            )
+    for name in names:
+        with progress(name) as tell:
+            results.append(api.run(name, api.open(folder), out=out / name, command="dynaviz demo", progress=tell))
     best = max(results, key=lambda result: result.metrics.get("AA") or 0.0)
     recording = out / best.method / "run.rrd"
     show(

@@ -8,6 +8,7 @@ Parallel kernels run on the main thread only.
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -45,6 +46,14 @@ def threads_in_use() -> int:
     import numba
 
     return int(numba.get_num_threads())
+
+
+def compiled() -> bool:
+    """Whether there are compiled kernels on disk, from an earlier process."""
+    import os
+
+    folders = [*__path__, *filter(None, [os.environ.get("NUMBA_CACHE_DIR")])]
+    return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
 
 
 def _tell_when_compiling() -> None:

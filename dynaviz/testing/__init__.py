@@ -8,6 +8,6 @@ def test_my_method():
 """
 
 from dynaviz.testing.checks import CHECKS, check_method
-from dynaviz.testing.world import crossing
+from dynaviz.testing.world import InMemory, crossing
 
-__all__ = ["CHECKS", "check_method", "crossing"]
+__all__ = ["CHECKS", "InMemory", "check_method", "crossing"]

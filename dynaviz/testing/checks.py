@@ -17,7 +17,7 @@ from dynaviz.params import resolve, to_toml
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.scan import F64, U8, Bool, Label, Scan
 from dynaviz.survey import Extent
-from dynaviz.testing.world import SENSOR, crossing, moved, turn
+from dynaviz.testing.world import SENSOR, InMemory, crossing, moved, turn
 
 MOVES = (  # of the world, and the percent by which SA and DA may change
     (turn(90.0, 16.0, -8.0, 4.0), 1.0),  # voxels of most sizes fall on voxels: nothing but habit may change a label
@@ -151,7 +151,7 @@ def knows_no_truth(method: type[Method], params: Any) -> None:
     """Labels do not depend on the ground truth."""
     scans = crossing()
     lies = [dataclasses.replace(scan, labels=1 - np.asarray(scan.labels)) for scan in scans]
-    digests = {execute(Run(method(params), _InMemory(world), params)).labels_sha256 for world in (scans, lies, _bare())}
+    digests = {execute(Run(method(params), InMemory(world), params)).labels_sha256 for world in (scans, lies, _bare())}
     assert len(digests) == 1, "labels changed with the ground truth"
 
 
@@ -276,23 +276,6 @@ def shows_what_it_declares(method: type[Method], params: Any) -> None:
     for name, values in probe.values.items():
         for value in values:
             assert type(value) is kinds[name], f"{name} is declared as {kinds[name].__name__}, emitted as {type(value)}"
-
-
-@dataclasses.dataclass(frozen=True)
-class _InMemory:
-    scans: Sequence[Scan]
-    name: str = "crossing"
-    sensor: Any = SENSOR
-
-    @property
-    def has_labels(self) -> bool:
-        return self.scans[0].labels is not None
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.scans[position]
 
 
 CHECKS: dict[str, Callable[[type[Method], Any], None]] = {

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from dynaviz.scan import F64, Label, Scan
@@ -26,6 +29,26 @@ MOVING = [
 ]
 ASKEW = (17.0, 0.31, 0.17, 0.23)  # how the world lies: its surfaces should meet voxels at all angles
 SLOPE = np.array([0.04, 0.03, 1.0])  # across the ground
+
+
+@dataclass(frozen=True)
+class InMemory:
+    """Scans in memory, as a sequence."""
+
+    scans: Sequence[Scan]
+    name: str = "crossing"
+    sensor: Sensor = SENSOR
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether any scan has ground truth."""
+        return any(scan.labels is not None for scan in self.scans)
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def __getitem__(self, position: int) -> Scan:
+        return self.scans[position]
 
 
 def crossing(frames: int = 12, seed: int = 0) -> list[Scan]:
