@@ -34,6 +34,22 @@ def in_range(points, origins, low, high):
     return inside
 
 
+@njit(cache=True, nogil=True)
+def distinct(voxels, chosen, scratch):
+    """The chosen voxels, each once, in their order; the scratch, (blocks, 8) int64, is empty before and after."""
+    goals, n = np.empty(len(voxels), np.int64), 0
+    for p in range(len(voxels)):
+        if chosen[p]:
+            block, word, bit = voxels[p] >> 9, voxels[p] >> 6 & 7, np.int64(1) << (voxels[p] & 63)
+            if not scratch[block, word] & bit:
+                scratch[block, word] |= bit
+                goals[n] = voxels[p]
+                n += 1
+    for g in goals[:n]:
+        scratch[g >> 9, g >> 6 & 7] = 0
+    return goals[:n].copy()
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _axis(start, along, tie):
     """First voxel, step, time of the first border and period along one axis; in voxels, along: of a unit vector."""

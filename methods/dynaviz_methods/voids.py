@@ -83,11 +83,10 @@ class VoidGrid(BlockGrid):
     def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, NDArray[np.int64], F64]:
         """Rays to the centres of occupied voxels, one for each place that rays start from: goals, starts, places."""
         if len(scan.origins) == 1:
-            places, which = scan.origins, np.zeros(1, np.int64)
-        else:
-            places, which = np.unique(scan.origins, axis=0, return_inverse=True)
-            which = which.ravel()[integrated]
-        rays = np.unique(voxels[integrated] * len(places) + which)
+            goals = kernels.voids.distinct(voxels, integrated, self._hits)
+            return kernels.frozen(goals, np.int64), np.zeros(len(goals), np.int64), scan.origins * self._per_metre
+        places, which = np.unique(scan.origins, axis=0, return_inverse=True)
+        rays = np.unique(voxels[integrated] * len(places) + which.ravel()[integrated])
         goals, starts = rays // len(places), rays % len(places)
         return kernels.frozen(goals, np.int64), kernels.frozen(starts, np.int64), places * self._per_metre
 
