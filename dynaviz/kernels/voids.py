@@ -50,6 +50,15 @@ def distinct(voxels, chosen, scratch):
     return goals[:n].copy()
 
 
+@njit(cache=True, nogil=True)
+def remember(blocks, hit, observed, void, seen_free, crossed):
+    """Add a scan's bits, (B, 8) int64 of its blocks, to those of all scans: what was void, and what was seen through."""
+    for b in range(len(blocks)):
+        for word in range(8):
+            seen_free[blocks[b], word] |= void[b, word]
+            crossed[blocks[b], word] |= observed[b, word] & ~hit[b, word]
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _axis(start, along, tie):
     """First voxel, step, time of the first border and period along one axis; in voxels, along: of a unit vector."""

@@ -102,8 +102,7 @@ class DufoMap:
         voxels = self._grid.locate(scan.points)
         integrated = self._in_range(scan) & (voxels >= 0)
         seen = self._grid.see(scan, voxels, integrated)
-        self._seen_free[seen.blocks] |= seen.void
-        self._crossed[seen.blocks] |= seen.observed & ~seen.hit
+        kernels.voids.remember(seen.blocks, seen.hit, seen.observed, seen.void, self._seen_free, self._crossed)
         if self._listened:
             self._show(seen, voxels[voxels >= 0])
 
