@@ -52,7 +52,7 @@ def distinct(voxels, chosen, scratch):
 
 @njit(cache=True, nogil=True)
 def remember(blocks, hit, observed, void, seen_free, crossed):
-    """Add a scan's bits, (B, 8) int64 of its blocks, to those of all scans: what was void, and what was seen through."""
+    """Add a scan's bits, (B, 8) int64 of its blocks, to all scans': what was void, and what rays went through."""
     for b in range(len(blocks)):
         for word in range(8):
             seen_free[blocks[b], word] |= void[b, word]
