@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import pkgutil
-import resource
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -28,6 +27,7 @@ import numpy as np
 from scenes import SENSOR, read, street
 
 from dynaviz import kernels, registry
+from dynaviz.loop import peak_rss_mb
 from dynaviz.method import Context
 from dynaviz.params import resolve
 from dynaviz.scan import Scan
@@ -37,10 +37,10 @@ ROUNDS, FRAMES = 3, 60
 
 
 def run(
-    method: Any, params: Any, scans: list[Scan], context: Context, ready: Callable[[], None] = lambda: None
+    running: Any, scans: list[Scan], context: Context, ready: Callable[[], None] = lambda: None
 ) -> tuple[float, float, float, np.ndarray]:
-    """Seconds to begin; seconds a frame to observe and to label; all labels. ``ready`` is called between."""
-    running, start = method(params), time.perf_counter()
+    """Seconds to begin; seconds a frame to observe and to label; all labels. ``ready`` is called after ``begin``."""
+    start = time.perf_counter()
     running.begin(context)
     ready()
     begun = time.perf_counter()
@@ -52,14 +52,14 @@ def run(
     return begun - start, (observed - begun) / len(scans), (end - observed) / len(scans), np.concatenate(labels)
 
 
-def watch(spent: defaultdict[str, list[float]]) -> None:
+def watch(spent: defaultdict[str, float]) -> None:
     """Time every call of a kernel from Python from now on; kernels that are called by kernels count as these."""
 
-    def timed(call: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
+    def timed(call: Callable[..., Any], step: str) -> Callable[..., Any]:
         def wrapped(*arguments: Any) -> Any:
             start = time.perf_counter()
             answer = call(*arguments)
-            seconds.append(time.perf_counter() - start)
+            spent[step] += time.perf_counter() - start
             return answer
 
         return wrapped
@@ -68,12 +68,7 @@ def watch(spent: defaultdict[str, list[float]]) -> None:
         home: ModuleType = getattr(kernels, module.name)
         for name, call in list(vars(home).items()):
             if hasattr(call, "py_func") and not name.startswith("_"):
-                setattr(home, name, timed(call, spent[f"{module.name}.{name}"]))
-
-
-def peak_mb() -> float:
-    """The most memory this process ever held, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                setattr(home, name, timed(call, f"{module.name}.{name}"))
 
 
 def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> None:
@@ -85,16 +80,16 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     context = Context(Extent.of(*scans), SENSOR, raw_map=raw_map)
     few = np.concatenate([scan.points for scan in scans[:2]]) if method.info.needs_map else None
     threads = kernels.set_threads(None)
-    run(method, params, scans[:2], Context(Extent.of(*scans[:2]), SENSOR, raw_map=few))  # compile
-    before = peak_mb()
-    run(method, params, scans, context)
-    held = peak_mb() - before
+    run(method(params), scans[:2], Context(Extent.of(*scans[:2]), SENSOR, raw_map=few))  # compile
+    before = peak_rss_mb()
+    run(method(params), scans, context)
+    held = peak_rss_mb() - before
 
     best: dict[int, tuple[float, float, float, np.ndarray]] = {}
     for _ in range(ROUNDS):
         for n in (threads, 1):
             kernels.set_threads(n)
-            answer = run(method, params, scans, context)
+            answer = run(method(params), scans, context)
             if n not in best or sum(answer[1:3]) < sum(best[n][1:3]):
                 best[n] = answer
     kernels.set_threads(threads)
@@ -106,12 +101,10 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     raw = f", and the raw map of {raw_map.nbytes / 1e6:.0f} MB" if raw_map is not None else ""
     print(f"  memory {held:.0f} MB beyond {sum(scan.points.nbytes for scan in scans) / 1e6:.0f} MB of scans{raw}")
 
-    spent: defaultdict[str, list[float]] = defaultdict(list)
+    spent: defaultdict[str, float] = defaultdict(float)
     watch(spent)
-    _, observe, label, _ = run(
-        method, params, scans, context, ready=lambda: [s.clear() for s in spent.values()] and None
-    )
-    steps = {step: sum(seconds) / len(scans) for step, seconds in spent.items() if seconds}
+    _, observe, label, _ = run(method(params), scans, context, ready=spent.clear)
+    steps = {step: seconds / len(scans) for step, seconds in spent.items()}
     for step, mean in sorted(steps.items(), key=lambda pair: -pair[1])[:8]:
         print(f"  {step:28} {1000 * mean:7.2f} ms a frame")
     print(f"  {'the rest, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms a frame", flush=True)

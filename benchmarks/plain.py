@@ -35,6 +35,7 @@ from dynaviz_methods.octomap import OctoMap
 from dynaviz_methods.range_images import image_views, slices
 from dynaviz_methods.removert import Removert
 from dynaviz_methods.tiles import thinned
+from methods import run
 
 ROUNDS, FRAMES = 3, 6
 Answer = tuple[float, np.ndarray]  # seconds a frame, and what was found
@@ -45,23 +46,16 @@ def fastest(call: Callable[[], Answer]) -> Answer:
     return min((call() for _ in range(ROUNDS)), key=lambda answer: answer[0])
 
 
-def run(
-    method: Any, params: Any, scans: list[Scan], raw_map: np.ndarray | None = None
-) -> tuple[float, np.ndarray, Any]:
-    """Seconds a frame without ``begin``, all labels, and the method."""
-    running = method(params)
-    running.begin(Context(Extent.of(*scans), SENSOR, raw_map=raw_map))
-    start = time.perf_counter()
-    for scan in scans:
-        running.observe(scan)
-    labels = [running.label(scan) for scan in scans]
-    return (time.perf_counter() - start) / len(scans), np.concatenate(labels), running
+def ours(running: Any, scans: list[Scan], raw_map: np.ndarray | None = None) -> Answer:
+    """Seconds a frame without ``begin``, and all labels."""
+    _, observe, label, labels = run(running, scans, Context(Extent.of(*scans), SENSOR, raw_map=raw_map))
+    return observe + label, labels
 
 
 def octomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     """A dense grid."""
     plain = fastest(lambda: dense_octomap(scans, 0.1))
-    return "a plain walk", plain, fastest(lambda: run(OctoMap, OctoMap.Params(), scans)[:2])
+    return "a plain walk", plain, fastest(lambda: ours(OctoMap(OctoMap.Params()), scans))
 
 
 @njit(cache=True)
@@ -121,15 +115,12 @@ def removert(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     raw_map = np.concatenate([scan.points for scan in scans])
     points, _ = thinned(raw_map, 0.05)
 
-    def ours() -> Answer:
+    def judged() -> Answer:
         method = Removert(Removert.Params())
-        method.begin(Context(Extent.of(scans[0]), SENSOR, raw_map=raw_map))
-        start = time.perf_counter()
-        for scan in scans:
-            method.observe(scan)
-        return (time.perf_counter() - start) / len(scans), method._past[:-1] > 0
+        observe = run(method, scans, Context(Extent.of(scans[0]), SENSOR, raw_map=raw_map))[1]
+        return observe, method._past[:-1] > 0
 
-    return "numpy", fastest(lambda: numpy_removert(scans, points)), fastest(ours)
+    return "numpy", fastest(lambda: numpy_removert(scans, points)), fastest(judged)
 
 
 def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
@@ -165,7 +156,7 @@ def erasor(scans: list[Scan]) -> tuple[str, Answer, Answer]:
         np.concatenate([s.points for s in scans]),
     )
     plain = fastest(lambda: numpy_erasor(params, scans, raw_map))
-    return "numpy", plain, fastest(lambda: run(Erasor, params, scans, raw_map)[:2])
+    return "numpy", plain, fastest(lambda: ours(Erasor(params), scans, raw_map))
 
 
 def numpy_erasor(params: ErasorParams, scans: list[Scan], raw_map: np.ndarray) -> Answer:
@@ -219,13 +210,14 @@ def ground(params: ErasorParams, points: np.ndarray) -> np.ndarray:
 def dynablox(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     """The whole method, beside the distances alone."""
     params = Dynablox.Params()
-    _, _, method = run(Dynablox, params, scans)
+    method = Dynablox(params)
+    ours(method, scans)
     space = method._map
     plain = fastest(lambda: numpy_distances(params, space, scans))
     first = (space._first[np.flatnonzero(space._inner)][:, None] + np.arange(512)).ravel()
     same = np.abs(space._distance[first] - plain[1]) < 1e-4
-    ours = fastest(lambda: run(Dynablox, params, scans)[:2])
-    return "numpy's distances alone", (plain[0], same), (ours[0], np.ones(len(same), bool))
+    seconds, _ = fastest(lambda: ours(Dynablox(params), scans))
+    return "numpy's distances alone", (plain[0], same), (seconds, np.ones(len(same), bool))
 
 
 def numpy_distances(p: DynabloxParams, space: Any, scans: list[Scan]) -> Answer:
@@ -262,7 +254,7 @@ def dufomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     """The public program."""
     params = DufoMap.Params(max_range=50.0)
     plain = fastest(lambda: public_dufomap(scans, kernels.set_threads(None)))
-    return "the public program", plain, fastest(lambda: run(DufoMap, params, scans)[:2])
+    return "the public program", plain, fastest(lambda: ours(DufoMap(params), scans))
 
 
 def public_dufomap(scans: list[Scan], threads: int) -> Answer:
@@ -294,10 +286,10 @@ def main() -> None:
         except ImportError as error:
             print(f"{name}: {error}")
             continue
-        beside, (plain, expected), (ours, answer) = COMPARED[name](scans)
+        beside, (plain, expected), (seconds, answer) = COMPARED[name](scans)
         same = 100 * np.mean(expected == answer[: len(expected)])
-        print(f"{name:9} {1000 * ours:8.1f} ms a frame; {beside} {1000 * plain:.1f} ms", end="", flush=True)
-        print(f", {plain / ours:.1f} times as long; the same in {same:.4f} %", flush=True)
+        print(f"{name:9} {1000 * seconds:8.1f} ms a frame; {beside} {1000 * plain:.1f} ms", end="", flush=True)
+        print(f", {plain / seconds:.1f} times as long; the same in {same:.4f} %", flush=True)
 
 
 if __name__ == "__main__":

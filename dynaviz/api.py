@@ -18,8 +18,8 @@ from dynaviz.probe import SILENT, Probe
 from dynaviz.result import Result
 from dynaviz.scan import Sequence, part
 from dynaviz.sensors import load_sensor
+from dynaviz.viz.paths import Mode
 
-Mode = Literal["full", "errors", "scores"]
 Record = Literal[Mode, "none"]
 
 

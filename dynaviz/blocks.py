@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,13 +61,11 @@ class BlockGrid:
         bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
         self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
         self._blocks = kernels.frozen(_covering(extent.cells, self._per_metre, bounds), np.int64)
-        self._directory = kernels.blocks.directory(self._blocks, self._base, self._shape)
+        self._place = (self._base, self._shape, *kernels.blocks.directory(self._blocks, self._base, self._shape))
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are written from the first on, so what a scan does not need is never backed by memory.
-        self._slots = np.zeros((lanes, rows), np.int32)
-        self._owners = np.empty((lanes, rows), np.int32)
-        self._masks = np.empty((lanes, rows, 16), np.int64)
-        self._used = np.zeros(lanes, np.int64)
+        slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
+        self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
 
     def __len__(self) -> int:
         """Number of blocks."""
@@ -81,9 +80,7 @@ class BlockGrid:
         Returns:
             (N,) int64, voxel numbers; -1 for a point without a voxel.
         """
-        found: I64 = kernels.blocks.locate(
-            kernels.frozen(points, np.float32), self._per_metre, self._base, self._shape, *self._directory
-        )
+        found: I64 = kernels.blocks.locate(kernels.frozen(points, np.float32), self._per_metre, *self._place)
         return found
 
     def keys(self, voxels: I64) -> NDArray[np.int32]:
@@ -107,16 +104,29 @@ class BlockGrid:
             kernels.frozen(scan.origins, np.float64),
             kernels.frozen(casts, np.bool_),
             kernels.frozen(hits, np.bool_),
-            *(self._per_metre, self._base, self._shape, *self._directory),
-            *(self._slots, self._owners, self._masks, self._used),
+            *(self._per_metre, *self._place, *self._scratch),
         )
-        return Marks(*kernels.raycast.collect(self._slots, self._owners, self._masks, self._used))
+        return Marks(*kernels.raycast.collect(*self._scratch))
 
 
 def voxels_of(blocks: NDArray[np.int32], bits: I64) -> I64:
     """Numbers of the voxels whose bit is set; blocks (B,), bits (B, 8) of those blocks."""
     voxels: I64 = kernels.blocks.voxels_of(kernels.frozen(blocks, np.int32), kernels.frozen(bits, np.int64))
     return voxels
+
+
+def read(bits: NDArray[Any], voxels: I64) -> Bool:
+    """Look up bits of voxels.
+
+    Args:
+        bits: (B, 8 or more) int64 or uint64, a row a block: bit v of word w is voxel 64 w + v of the block.
+        voxels: (N,) int64, voxel numbers.
+
+    Returns:
+        (N,) bool; False for -1.
+    """
+    found: Bool = kernels.blocks.read(voxels, bits.view(np.uint64))
+    return found
 
 
 def _covering(cells: NDArray[np.int32], per_metre: float, bounds: I64) -> NDArray[np.int32]:

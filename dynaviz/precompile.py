@@ -19,11 +19,11 @@ def compiling() -> Iterator[None]:
     if kernels.compiled():
         yield
         return
-    print("compiling kernels, first run only ...", file=sys.stderr, flush=True)
+    print(kernels.COMPILING, file=sys.stderr, flush=True)
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as cores:
-        done = cores.map(_compile, [handle.name for handle in registry.handles("methods")])
+        # What fails here is no loss: it fails again where the method runs, and is told there.
+        cores.map(_compile, [handle.name for handle in registry.handles("methods")])
         yield
-        list(done)
 
 
 def _compile(name: str) -> None:

@@ -8,6 +8,7 @@ Parallel kernels run on the main thread only.
 from __future__ import annotations
 
 import importlib
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+COMPILING = "compiling kernels, first run only ..."
 _heard = False
 
 
@@ -50,8 +52,6 @@ def threads_in_use() -> int:
 
 def compiled() -> bool:
     """Whether there are compiled kernels on disk, from an earlier process."""
-    import os
-
     folders = [*__path__, *filter(None, [os.environ.get("NUMBA_CACHE_DIR")])]
     return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
 
@@ -72,7 +72,7 @@ def _tell_when_compiling() -> None:
                 Teller.told = True
                 from rich.console import Console
 
-                Console(stderr=True).print("[dim]compiling kernels, first run only ...[/]")
+                Console(stderr=True).print(f"[dim]{COMPILING}[/]")
 
         def on_end(self, event: Any) -> None:
             return None

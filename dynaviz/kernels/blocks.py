@@ -85,3 +85,13 @@ def locate(points, per_metre, base, shape, top, children):
         if block:
             found[i] = np.int64(block - 1) << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7)
     return found
+
+
+@njit(cache=True, nogil=True)
+def read(voxels, bits):
+    """(N,) bool: whether the bits of voxels are set, in (B, 8 or more) uint64; never for -1."""
+    found = np.zeros(len(voxels), np.bool_)
+    for i in range(len(voxels)):
+        if voxels[i] >= 0:
+            found[i] = bits[voxels[i] >> 9, voxels[i] >> 6 & 7] >> np.uint64(voxels[i] & 63) & np.uint64(1)
+    return found

@@ -30,16 +30,6 @@ def put(voxels, bits):
     return blocks[:n].copy()
 
 
-@njit(cache=True, nogil=True)
-def get(voxels, bits):
-    """(N,) bool: whether the bits of voxels are set; never for -1."""
-    found = np.zeros(len(voxels), np.bool_)
-    for i in range(len(voxels)):
-        if voxels[i] >= 0:
-            found[i] = bits[voxels[i] >> 9, voxels[i] >> 6 & 7] >> np.uint64(voxels[i] & 63) & _ONE
-    return found
-
-
 @njit(cache=True, nogil=True, inline="always")
 def _count(counts, start, needed, occupied, lately, limit):
     """Count frames of occupancy in one word's voxels; returns their number, and the bits that reached the limit."""

@@ -84,12 +84,12 @@ def _answers(running: Method, scans: Sequence[Scan]) -> Answers:
     )
 
 
-def _bare(frames: int = 12) -> list[Scan]:
-    return [scan.without_truth() for scan in crossing(frames)]
+def _bare() -> list[Scan]:
+    return [scan.without_truth() for scan in crossing()]
 
 
 def _replaced(scan: Scan, points: Any) -> Scan:
-    return Scan(scan.index, points, scan.T_world_sensor, scan.stamp_ns)
+    return dataclasses.replace(scan, points=points)
 
 
 def _check_shapes(method: type[Method], answers: Answers, scans: Sequence[Scan]) -> None:

@@ -59,10 +59,9 @@ def _tabs(info: MethodInfo) -> list[Any]:
     tabs = []
     for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
         views = [_state(info.name, state) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
-        if kind is not RangeImage:
-            tabs += views
-        for first in range(0, len(views) if kind is RangeImage else 0, STACK):
-            stack = views[first : first + STACK]
+        together = STACK if kind is RangeImage else 1
+        for first in range(0, len(views), together):
+            stack = views[first : first + together]
             tabs.append(rrb.Vertical(*stack, name=f"{stack[0].name} to {stack[-1].name}") if stack[1:] else stack[0])
     return tabs
 

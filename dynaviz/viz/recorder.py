@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import rerun as rr
@@ -22,10 +22,10 @@ from dynaviz.survey import Survey
 from dynaviz.viz import answers, paths, sink, states, viewer
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
+from dynaviz.viz.paths import Mode
 from dynaviz.viz.report import Tally, before, report
 from dynaviz.viz.scene import Scene
 
-Mode = Literal["full", "errors", "scores"]
 STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that are drawn in the world
 
 

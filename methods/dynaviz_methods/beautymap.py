@@ -87,7 +87,7 @@ REASONS = (
     Reason("not_in_scan", "removed: a scan should have seen its slice, and did not"),
     Reason("above_fine_ground", "removed: in the slice below removed ones, above the lowest 85 % of the points"),
 )
-STEPS: tuple[str, ...] = (
+STEPS = (
     "map_slices",
     "near_sensor",
     "ground_not_seen",
@@ -95,8 +95,9 @@ STEPS: tuple[str, ...] = (
     "above_view",
     "ground_slice",
     "overhang",
+    "ray_blocked",
+    "removed",
 )
-STEPS += ("ray_blocked", "removed")
 HEIGHT = (0.0, 6.0)
 STATES = (
     State(

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.blocks import I64, VOXELS, voxels_of
+from dynaviz.blocks import I64, VOXELS, read, voxels_of
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import U8, Bool, Scan
@@ -108,14 +108,14 @@ class DufoMap:
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the voxel was ever seen free."""
-        return _read(self._seen_free, self._grid.locate(scan.points))
+        return read(self._seen_free, self._grid.locate(scan.points))
 
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8, codes of ``REASONS``."""
         voxels = self._grid.locate(scan.points)
-        reasons = np.where(_read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)
+        reasons = np.where(read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)
         reasons[~self._in_range(scan)] = OUT_OF_RANGE
-        reasons[_read(self._seen_free, voxels)] = VOID_SEEN
+        reasons[read(self._seen_free, voxels)] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
         return reasons
 
@@ -137,9 +137,3 @@ class DufoMap:
             if self._probe.wants(name):
                 keys = self._grid.keys(voxels_of(seen.blocks, bits))
                 self._probe.emit(name, Voxels(keys, self._grid.resolution))
-
-
-def _read(bits: I64, voxels: I64) -> Bool:
-    """(N,) bool: the bit of each voxel in rows of blocks."""
-    found: Bool = (bits[voxels // VOXELS, voxels % VOXELS // 64] >> voxels % 64 & 1).astype(np.bool_)
-    return found

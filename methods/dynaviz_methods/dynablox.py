@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
+from dynaviz.blocks import read
 from dynaviz.errors import UsageError
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
@@ -157,7 +158,6 @@ class Dynablox:
         self._probe = context.probe
         self._map = FreeSpace(context.extent, self.params, view_of(self.params, context.sensor))
         self._reasons: dict[int, U8] = {}  # three bits a point, packed: the decision is per point
-        self._free_voxels = 0
         removed = (FREE, BESIDE) if self.params.clusters else (FREE, FREE_SMALL, FREE_LARGE)
         self._removed = np.isin(np.arange(len(REASONS)), removed)
 
@@ -167,10 +167,9 @@ class Dynablox:
         voxels = np.where(inside, self._map.locate(scan.points), -1)
         why = self._judge(scan, inside, voxels)
         self._reasons[scan.index] = np.packbits(why[:, None] >> np.arange(3, dtype=np.uint8) & 1)
-        intruded = voxels[(why >= FREE) & (why <= FREE_LARGE)]
         new, lost = self._map.learn(voxels)
         self._map.integrate()
-        self._show(why, intruded, new, lost)
+        self._show(why, voxels, new, lost)
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the point's voxel was free for ever when it came, or as clusters decide."""
@@ -186,10 +185,10 @@ class Dynablox:
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
         """(N,) uint8, codes of ``REASONS``."""
         why = np.full(len(scan), NEVER_FREE, np.uint8)
-        why[kernels.ever_free.get(voxels, self._map.revoked)] = REVOKED
+        why[read(self._map.revoked, voxels)] = REVOKED
         why[voxels < 0] = OUT_OF_REACH
         why[~inside] = OUT_OF_RANGE
-        free = kernels.ever_free.get(voxels, self._map.free)
+        free = read(self._map.free, voxels)
         if free.any():
             clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
             members = np.flatnonzero(clusters >= 0)
@@ -203,18 +202,18 @@ class Dynablox:
             why[members[~of_free & dynamic]] = BESIDE
         return why
 
-    def _show(self, why: U8, intruded: I64, new: Bits, lost: Bits) -> None:
-        self._free_voxels += int(np.bitwise_count(new[1]).sum()) - int(np.bitwise_count(lost[1]).sum())
+    def _show(self, why: U8, voxels: I64, new: Bits, lost: Bits) -> None:
         wants, emit = self._probe.wants, self._probe.emit
-        emit("free_voxels", Scalar(self._free_voxels))
+        if wants("free_voxels"):
+            emit("free_voxels", Scalar(int(np.bitwise_count(self._map.free).sum())))
         if wants("range_image"):
             emit("range_image", RangeImage(np.where(self._map.image > 0, self._map.image, np.float32(np.nan))))
         for name, bits in (("became_free", new), ("revoked", lost)):
             if wants(name):
                 emit(name, self._map.near(bits, SHOWN))
         if wants("intruded"):
-            voxels, counts = np.unique(intruded, return_counts=True)
-            keys, size = self._map.grid.keys(voxels), self.params.resolution
+            intruded, counts = np.unique(voxels[(why >= FREE) & (why <= FREE_LARGE)], return_counts=True)
+            keys, size = self._map.grid.keys(intruded), self.params.resolution
             emit("intruded", Voxels(keys, size, counts.astype(np.float32)))
         if wants("clusters"):
             emit("clusters", PointClasses(CLASS[why]))

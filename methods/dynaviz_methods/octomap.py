@@ -24,7 +24,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
 from dynaviz.scan import U8, Bool, Scan
@@ -166,8 +166,7 @@ class OctoMap:
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8, codes of ``REASONS``; noise that is kept is told as such whatever its voxel met."""
         voxels, dynamic = self._grid.locate(scan.points), self.label(scan)
-        crossed = self._ever[voxels // VOXELS, voxels % VOXELS // 64] >> voxels % 64 & 1
-        reasons = np.where(crossed, HIT, NEVER_CROSSED).astype(np.uint8)
+        reasons = np.where(read(self._ever, voxels), HIT, NEVER_CROSSED).astype(np.uint8)
         reasons[_unpack(self._noise, scan)] = NOISE
         reasons[dynamic] = CROSSED
         reasons[_unpack(self._ground, scan)] = GROUND

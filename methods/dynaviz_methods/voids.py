@@ -60,9 +60,7 @@ class VoidGrid(BlockGrid):
             integrated: (N,) bool, points that count; they need a voxel.
         """
         goals, starts, origins = self._rays(scan, voxels, integrated)
-        place = (kernels.frozen(self._blocks, np.int32), self._base, self._shape, *self._directory)
-        scratch = (self._slots, self._owners, self._masks, self._used)
-
+        place, scratch = (self._blocks, *self._place), self._scratch
         kernels.voids.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
         struck, bits = kernels.raycast.collect(*scratch)
         self._struck[struck], self._hits[struck] = True, bits[:, 8:]

@@ -9,6 +9,7 @@ from reference_dynablox import Reference
 from worlds import pose
 
 from dynaviz import kernels
+from dynaviz.blocks import read
 from dynaviz.errors import UsageError
 from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
@@ -143,7 +144,7 @@ def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
     inside = ((keys >= 1) & (keys < reference.shape - 1)).all(1)
     at = tuple(keys[inside].T)
     for ours, theirs in ((method._map.free, reference.free), (method._map.revoked, reference.revoked)):
-        np.testing.assert_array_equal(kernels.ever_free.get(voxels, ours)[inside], theirs[at])
+        np.testing.assert_array_equal(read(ours, voxels)[inside], theirs[at])
     first = method._map._first[voxels // 512] + voxels % 512
     np.testing.assert_array_equal(method._map._weight[first][inside], reference.weight[at])
     apart = np.abs(method._map._distance[first][inside] - reference.distance[at]) > 2e-5
