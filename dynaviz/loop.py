@@ -15,7 +15,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.bits import PackedBits
 from dynaviz.method import Context, Method
-from dynaviz.metric import FrameHistograms, Labelled, Metric
+from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.result import Result, environment
 from dynaviz.scan import Scan, Sequence, stream
@@ -62,7 +62,7 @@ class Listener:
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """A scan has its labels; curves hold the metrics' numbers at this frame."""
 
-    def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """All frames are done."""
 
 
@@ -166,9 +166,9 @@ def execute(
         environment=environment(),
         command=run.command,
     )
-    histograms = {path: h for metric in run.metrics for path, h in metric.histograms().items()}
+    figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
-        listener.finish(result, histograms)
+        listener.finish(result, figures)
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, ClassVar, Protocol
 
 from dynaviz.probe import SILENT, Probe, State
@@ -11,12 +12,32 @@ from dynaviz.sensors import Sensor
 from dynaviz.survey import Extent
 
 
+class Cause(StrEnum):
+    """Why methods fail, in the paper's terms (Section II and Figs. 2 and 3)."""
+
+    GRAZING_RAYS = "grazing rays"  # rays that pass a surface at a small angle make it look free
+    SPARSE_RINGS = "sparse rings"  # the sensor's rings lie too far apart there to judge
+    NOTHING_BEHIND = "nothing behind"  # nothing behind the object ever sent a ray back through it
+    STANDING = "standing too long"  # seen there more often than seen through
+    HEIGHT_LIMIT = "height limit"  # outside the heights that are judged
+    OUT_OF_RANGE = "out of range"  # outside the range or view that is judged
+    TAKEN_FOR_GROUND = "taken for ground"  # protected as ground
+    SHARED_CELL = "shared cell"  # judged together with other things in its voxel, bin or cluster
+
+
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a point got its label. A code is the position in ``MethodInfo.reasons``."""
+    """Why a point got its label. A code is the position in ``MethodInfo.reasons``.
+
+    Attributes:
+        name: short, as in tables.
+        meaning: a line for a reader.
+        cause: what is to blame where the label is wrong; None where the method cannot know.
+    """
 
     name: str
     meaning: str
+    cause: Cause | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.method import MethodInfo
-from dynaviz.scan import U8, Bool, Scan, outcomes
+from dynaviz.scan import F32, U8, Bool, Scan, outcomes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +47,33 @@ class FrameHistograms:
     counts: NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBoxes:
+    """Cases that have a place in the world, and a box in each of their frames.
+
+    Attributes:
+        title: what the cases are.
+        labels: a line for each case.
+        outcomes: (C,) uint8, the ``Outcome`` of the points of each case.
+        low, high: (C, 3) float32, metres, world frame: all that a case ever covers.
+        frames: (B,) int64, case: (B,) int64: a box's frame, and its case.
+        box_low, box_high: (B, 3) float32, metres, world frame.
+    """
+
+    title: str
+    labels: tuple[str, ...]
+    outcomes: U8
+    low: F32
+    high: F32
+    frames: NDArray[np.int64]
+    case: NDArray[np.int64]
+    box_low: F32
+    box_high: F32
+
+
+Figure = FrameHistograms | FrameBoxes
+
+
 class Metric(Protocol):
     """Counts what happens to the points of a run, in memory that does not grow with their number.
 
@@ -67,6 +94,6 @@ class Metric(Protocol):
         """Sections of the result, as plain JSON values (None where undefined), once all frames were seen."""
         ...
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
-        """Histograms for each frame, by path, known only at the end; empty where the metric has none."""
+    def figures(self) -> Mapping[str, Figure]:
+        """What to draw besides curves, by path, known only at the end; empty where the metric has none."""
         ...

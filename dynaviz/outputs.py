@@ -14,7 +14,7 @@ from dynaviz.bits import PackedBits
 from dynaviz.io.atomic import whole_file, write_whole
 from dynaviz.io.pcd import PcdWriter
 from dynaviz.loop import Listener, Run
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.params import to_toml
 from dynaviz.result import Result
 from dynaviz.survey import Survey
@@ -60,7 +60,7 @@ class LabelsFile(Listener):
         self._frames.append(labelled.scan.index)
         self._reasons.write(labelled.reasons.tobytes())
 
-    def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """Append the labels."""
         self._reasons.close()
         self._put("dynamic", self._bits.packed())

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import queue
 import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol, runtime_checkable
 
@@ -54,6 +54,7 @@ class Scan:
         classes: (N,) uint16, the data set's class per point, or None.
         instances: (N,) int32, an object's number per point, 0 for none; or None.
         origins: (1, 3) or (N, 3) float64, metres, world frame; where each ray started. Default: the sensor's position.
+        class_names: what the numbers in ``classes`` mean, as far as the data tell.
 
     Raises:
         ValueError: where shapes do not fit together.
@@ -67,6 +68,7 @@ class Scan:
     classes: NDArray[np.uint16] | None = None
     instances: NDArray[np.int32] | None = None
     origins: F64 = None  # type: ignore[assignment]  # filled from the pose below
+    class_names: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -100,7 +102,7 @@ class Scan:
 
     def without_truth(self) -> Scan:
         """The same scan as a method may see it: no labels, classes or instances."""
-        return dataclasses.replace(self, labels=None, classes=None, instances=None)
+        return dataclasses.replace(self, labels=None, classes=None, instances=None, class_names={})
 
 
 def outcomes(labels: U8 | None, dynamic: Bool) -> U8:

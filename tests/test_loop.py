@@ -16,7 +16,7 @@ from worlds import InMemory
 from dynaviz.bits import PackedBits
 from dynaviz.loop import Listener, Run, execute
 from dynaviz.method import Context, MethodInfo, Reason
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.outputs import LabelsFile, MapFiles
 from dynaviz.probe import SILENT, MemoryProbe, Scalar, State
 from dynaviz.result import Result
@@ -74,7 +74,7 @@ class Total:
     def finish(self) -> Mapping[str, Any]:
         return {"total": self.points}
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         return {}
 
 
@@ -94,7 +94,7 @@ class Diary(Listener):
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         self.said.append(("labelled", labelled.frame, dict(curves)))
 
-    def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         self.said.append(("finish", result.sections))
 
 

@@ -28,7 +28,8 @@ _POSE = (
 class BenchmarkSequence:
     """A folder with ``pcd/*.pcd`` and, where there is ground truth, ``gt_cloud.pcd``.
 
-    ``sequence.toml`` may tell ``name``, ``sensor`` and ``rate`` (sweeps per second, from which the stamps follow).
+    ``sequence.toml`` may tell ``name``, ``sensor``, ``rate`` (sweeps per second, from which the stamps follow), and a
+    table ``classes`` with the name of each class number.
     Points are passed on as they are, with duplicates and NaN. Where scans have a field ``lidar``, rays start at that
     lidar's mount on the sensor.
     """
@@ -40,6 +41,7 @@ class BenchmarkSequence:
     rate: float | None
     scans: dict[int, Path]
     truth: GroundTruth | None
+    class_names: Mapping[int, str] = field(default_factory=dict)
     unmatched: dict[int, int] = field(default_factory=dict, compare=False)
 
     @classmethod
@@ -63,7 +65,7 @@ class BenchmarkSequence:
         sensor = load_sensor(facts["sensor"]) if "sensor" in facts else Sensor()
         gt = root / "gt_cloud.pcd"
         truth = GroundTruth(gt, counts, lambda position: read_pcd(files[position]).xyz) if gt.exists() else None
-        return cls(facts.get("name", root.name), sensor, facts.get("rate"), scans, truth)
+        return cls(facts.get("name", root.name), sensor, facts.get("rate"), scans, truth, facts["classes"])
 
     @property
     def has_labels(self) -> bool:
@@ -97,6 +99,7 @@ class BenchmarkSequence:
             classes=truth.classes if truth else None,
             instances=truth.instances if truth else None,
             origins=self._origins(pcd, T_world_sensor),
+            class_names=self.class_names,
         )
 
     def _origins(self, pcd: Pcd, T_world_sensor: F64) -> F64:
@@ -134,7 +137,7 @@ def _pose(pcd: Pcd) -> F64:
 def _facts(path: Path) -> Mapping[str, Any]:
     """What ``sequence.toml`` tells, if it is there."""
     if not path.exists():
-        return {}
+        return {"classes": {}}
     hint = 'It may hold name = "...", sensor = "..." (dynaviz list sensors) and rate = 10.0'
     try:
         facts = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -148,4 +151,10 @@ def _facts(path: Path) -> Mapping[str, Any]:
         raise DataError(path, f"has rate = {facts['rate']}", hint=hint)
     if "name" in facts and facts["name"] != (Path(facts["name"]).name or None):
         raise DataError(path, f"has name = {facts['name']!r}, which no folder can have", hint=hint)
-    return facts
+    try:
+        classes = {int(number): str(name) for number, name in facts.get("classes", {}).items()}
+    except (AttributeError, ValueError):
+        raise DataError(
+            path, "has classes that are no table of numbers and names", hint='[classes] 10 = "car"'
+        ) from None
+    return {**facts, "classes": classes}

@@ -22,6 +22,7 @@ from dynaviz.scan import F64, U8, Bool, Label, Scan
 from dynaviz.sensors import Sensor, load_sensor
 
 KINDS = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")  # Scan.classes counts these
+CLASS_NAMES = {number: kind.lower() for number, kind in enumerate(KINDS)}
 IMAGE = (1242, 375)  # pixels of camera 2; nothing outside its image has boxes
 SWEEP = 0.1036  # seconds between two sweeps
 MOVING = 0.5  # metres a second over its life, from which a track is dynamic
@@ -119,7 +120,9 @@ class KittiTrackingSequence:
         seen_from = geometry.apply(self.camera.T_camera_sensor, xyz)
         classes, instances = _objects(seen_from, boxes)
         labels = self._labels(seen_from, boxes)
-        return Scan(index, points, T_world_sensor, labels=labels, classes=classes, instances=instances)
+        return Scan(
+            index, points, T_world_sensor, labels=labels, classes=classes, instances=instances, class_names=CLASS_NAMES
+        )
 
     def _labels(self, points: F64, boxes: Iterable[Box]) -> U8:
         """Labels of (N, 3) points in the camera frame."""

@@ -22,6 +22,14 @@ from dynaviz.sensors import Sensor, load_sensor
 
 MOVING = range(252, 260)  # car, bicyclist, person, motorcyclist, on rails, bus, truck, other vehicle
 UNSURE = (0, 1)  # unlabelled, outlier: static as in the public benchmark
+CLASS_NAMES = {
+    0: "unlabelled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on rails", 18: "truck",
+    20: "other vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road", 44: "parking", 48: "sidewalk",
+    49: "other ground", 50: "building", 51: "fence", 52: "other structure", 60: "lane marking", 70: "vegetation",
+    71: "trunk", 72: "terrain", 80: "pole", 81: "traffic sign", 99: "other object", 252: "moving car",
+    253: "moving bicyclist", 254: "moving person", 255: "moving motorcyclist", 256: "moving on rails",
+    257: "moving bus", 258: "moving truck", 259: "moving other vehicle",
+}  # fmt: skip
 EGO = 3.0  # metres; what is nearer and unsure is the recording car itself, dynamic as in the public benchmark
 
 
@@ -98,6 +106,7 @@ class SemanticKittiSequence:
             labels=labels,
             classes=classes,
             instances=None if instances is None else instances.astype(np.int32),
+            class_names=CLASS_NAMES,
         )
 
 

@@ -36,7 +36,7 @@ class Kind(IntEnum):
         return self >= Kind.MOVING_CAR
 
 
-CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", "-") for kind in Kind}
+CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in Kind}
 
 REFLECTANCE = {
     Kind.ROAD: 0.2,

@@ -24,7 +24,8 @@ REMOVED_WRONG = "world/removed/wrong"  # static: what was removed wrongly, thinn
 TRAJECTORY = "world/trajectory"  # static: where the sensor went
 SENSOR = "world/sensor"  # the sensor's pose
 RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
-FAILURES = "world/failures"  # a box for each failure case
+FAILURES = "world/failures"  # the frame's failure cases: a box around what is wrong in this frame
+CASES = "world/failures/cases"  # static: a box around all of each case
 
 ANSWERS = "answers"  # every point's answer, truth and reason, without loss; not for the eye
 SCORES = "scores"
@@ -56,6 +57,11 @@ def curve(name: str) -> str:
 def histogram(name: str) -> str:
     """A metric's histogram; the run's own lies at ``.../run``, and its 10 % line at ``.../p10``."""
     return name if name.split("/")[0] == ERROR_DISTANCE else f"{ERROR_DISTANCE}/{name}"
+
+
+def boxes(name: str) -> str:
+    """A metric's boxes; all that each case covers lies at ``.../cases``."""
+    return f"{WORLD}/{name}"
 
 
 Colour = tuple[int, int, int]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from dynaviz.errors import DataError
-from dynaviz.method import Reason
+from dynaviz.method import Cause, Reason
 from dynaviz.result import Result
 from dynaviz.scan import F32, U8
 from dynaviz.viz import paths
@@ -73,7 +73,10 @@ class Recording:
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """The legend of the reason codes."""
-        return tuple(Reason(**reason) for reason in json.loads(self.properties["reasons_json"]))
+        return tuple(
+            Reason(reason["name"], reason["meaning"], Cause(reason["cause"]) if reason.get("cause") else None)
+            for reason in json.loads(self.properties["reasons_json"])
+        )
 
     @property
     def parameters(self) -> dict[str, Any]:

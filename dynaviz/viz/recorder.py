@@ -14,7 +14,7 @@ import rerun as rr
 
 from dynaviz.errors import UsageError
 from dynaviz.loop import Listener, Run
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
 from dynaviz.result import Result, environment
 from dynaviz.scan import Outcome, Scan
@@ -127,13 +127,16 @@ class Recorder(Listener):
             self._curves.add(paths.curve(name), labelled.frame, scan.stamp_ns, value)
         self._open.flush()
 
-    def finish(self, result: Result, histograms: Mapping[str, FrameHistograms]) -> None:
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """Write what is known only at the end, close the file, and give it its name."""
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
-        for name, histogram in histograms.items():
-            self._histogram(paths.histogram(name), histogram)
+        for name, figure in figures.items():
+            if isinstance(figure, FrameHistograms):
+                self._histogram(paths.histogram(name), figure)
+            elif self._scene is not None:
+                self._scene.boxes(name, figure)
         self._mark_worst()
         self._report(report(self._info, result, self._tally, self.mode))
         self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))

@@ -7,7 +7,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from dynaviz.grid import REACH, KeySet, pack, thin
-from dynaviz.metric import Labelled
+from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import F32, F64, Bool, Outcome, Scan
 from dynaviz.survey import CELL, Extent
 from dynaviz.viz import paths
@@ -115,6 +115,24 @@ class Scene:
             )
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
+
+    def boxes(self, name: str, cases: FrameBoxes) -> None:
+        """Draw cases: each frame's boxes on the timeline, and what each case covers in all of its frames."""
+        colours = np.array([paths.COLOURS[Outcome(o)] for o in cases.outcomes], np.uint8).reshape(-1, 3)
+        labels, path = np.array(cases.labels, object), paths.boxes(name)
+        style = rr.Radius.ui_points(1.5)
+        sizes, numbers = cases.high - cases.low, [str(i + 1) for i in range(len(labels))]
+        whole = rr.Boxes3D(mins=cases.low, sizes=sizes, colors=colours, labels=numbers, radii=style)
+        self._sink.log(f"{path}/cases", whole, static=True)
+        self._sink.log(path, rr.Boxes3D.from_fields(radii=style, show_labels=True), static=True)
+        order = np.argsort(cases.frames, kind="stable")
+        case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
+        frames = len(self._trajectory)
+        columns = rr.Boxes3D.columns(
+            centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=colours[case], labels=labels[case].tolist()
+        )
+        lengths = np.bincount(cases.frames, minlength=frames)
+        self._sink.columns(path, range(frames), [None], columns.partition(lengths))
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         classes = labelled.outcome[chosen].astype(np.uint16)

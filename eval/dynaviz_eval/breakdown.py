@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.method import MethodInfo
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import F32, U8, Label, Outcome, Scan
 from dynaviz_eval.confusion import Counts
 
@@ -55,7 +55,7 @@ class Breakdown:
             }
         }
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         """None."""
         return {}
 

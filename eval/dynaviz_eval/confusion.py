@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz.method import MethodInfo
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import U8, Outcome
 
 
@@ -111,6 +111,6 @@ class Confusion:
         """The sections."""
         return {"counts": dataclasses.asdict(self._total), "metrics": self._total.metrics()}
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         """None."""
         return {}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.method import MethodInfo
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.scan import F32, Outcome
 from dynaviz_eval.nearest import nearest_distance
 from dynaviz_eval.spill import Spill
@@ -63,7 +63,7 @@ class ErrorDistance:
             spill.close()
         return {"error_distance": section}
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         """Distances of the wrong points of each frame."""
         return {
             name: FrameHistograms(f"distance from a {_PAIRS[name][2]}", "m", EDGES, counts)

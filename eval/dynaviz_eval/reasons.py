@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz.method import MethodInfo
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import Outcome
 from dynaviz_eval.confusion import Counts
 
@@ -59,7 +59,7 @@ class Reasons:
         legend = {reason.name: reason.meaning for reason in self._legend}
         return {"reasons": {**by_kind, "cost": cost, "legend": legend}}
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         """None."""
         return {}
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynaviz.grid import KeySet, pack
 from dynaviz.method import MethodInfo
-from dynaviz.metric import FrameHistograms, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import Label, Outcome
 
 EDGE = 0.2  # metres
@@ -55,6 +55,6 @@ class Voxelwise:
         }
         return {"voxelwise": {"edge_m": EDGE, "PR": PR, "RR": RR, "F1": F1, **counts}}
 
-    def histograms(self) -> Mapping[str, FrameHistograms]:
+    def figures(self) -> Mapping[str, Figure]:
         """None."""
         return {}

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
 from dynaviz.scan import F64, U8, Bool, Scan
 
@@ -73,19 +73,39 @@ class BeautyMapParams:
 
 UNJUDGED, NEVER_NEAR, ALWAYS_SEEN, FINE_GROUND, SLICE_GONE, ABOVE_GROUND = 0, 1, 2, 10, 11, 12
 REASONS = (
-    Reason("unjudged", "kept: not finite, too far from the world's origin, not of the map, or below slice 0"),
-    Reason("out_of_window", "kept: its column was never within the window around the sensor"),
-    Reason("always_seen", "kept: each scan with its column in the window saw its slice"),
-    Reason("near_sensor", "kept: scans that missed its slice were too near to judge it"),
-    Reason("ground_not_seen", "kept: scans that missed its slice were far and saw no ground in its column"),
-    Reason("above_highest_seen", "kept: scans that missed its slice saw at most what is below it, and something there"),
-    Reason("above_view", "kept: its slice is above the field of view of scans that missed it"),
-    Reason("ground_slice", "kept: the lowest slice of its column"),
-    Reason("overhang", "kept: above a gap of two empty slices, or of two fine bins of its slice"),
-    Reason("ray_blocked", "kept: whenever a scan missed its slice, something stood before it"),
-    Reason("fine_ground", "kept: in the slice below removed ones, among the lowest 85 % of the points"),
-    Reason("not_in_scan", "removed: a scan should have seen its slice, and did not"),
-    Reason("above_fine_ground", "removed: in the slice below removed ones, above the lowest 85 % of the points"),
+    Reason(
+        "unjudged",
+        "kept: not finite, too far from the world's origin, not of the map, or below slice 0",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason("out_of_window", "kept: its column was never within the window around the sensor", Cause.OUT_OF_RANGE),
+    Reason("always_seen", "kept: each scan with its column in the window saw its slice", Cause.STANDING),
+    Reason("near_sensor", "kept: scans that missed its slice were too near to judge it", Cause.OUT_OF_RANGE),
+    Reason(
+        "ground_not_seen",
+        "kept: scans that missed its slice were far and saw no ground in its column",
+        Cause.SPARSE_RINGS,
+    ),
+    Reason(
+        "above_highest_seen",
+        "kept: scans that missed its slice saw at most what is below it, and something there",
+        Cause.HEIGHT_LIMIT,
+    ),
+    Reason("above_view", "kept: its slice is above the field of view of scans that missed it", Cause.HEIGHT_LIMIT),
+    Reason("ground_slice", "kept: the lowest slice of its column", Cause.TAKEN_FOR_GROUND),
+    Reason("overhang", "kept: above a gap of two empty slices, or of two fine bins of its slice", Cause.HEIGHT_LIMIT),
+    Reason("ray_blocked", "kept: whenever a scan missed its slice, something stood before it", Cause.NOTHING_BEHIND),
+    Reason(
+        "fine_ground",
+        "kept: in the slice below removed ones, among the lowest 85 % of the points",
+        Cause.TAKEN_FOR_GROUND,
+    ),
+    Reason("not_in_scan", "removed: a scan should have seen its slice, and did not", Cause.SPARSE_RINGS),
+    Reason(
+        "above_fine_ground",
+        "removed: in the slice below removed ones, above the lowest 85 % of the points",
+        Cause.SHARED_CELL,
+    ),
 )
 STEPS = (
     "map_slices",

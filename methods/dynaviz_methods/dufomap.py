@@ -24,7 +24,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.blocks import I64, VOXELS, read, voxels_of
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import U8, Bool, Scan
 from dynaviz_methods.voids import Seen, VoidGrid
@@ -64,11 +64,23 @@ class DufoMapParams:
 
 VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)
 REASONS = (
-    Reason("void_seen", "removed: its voxel was void in some scan"),
-    Reason("beside_unknown", "kept: scans saw through its voxel, but always with unknown space beside it"),
-    Reason("never_crossed", "kept: no ray went through its voxel in a scan that did not hit it"),
-    Reason("out_of_range", "kept: too near to the sensor or too far to be integrated, and its voxel was never void"),
-    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the world's origin"),
+    Reason("void_seen", "removed: its voxel was void in some scan", Cause.GRAZING_RAYS),
+    Reason(
+        "beside_unknown",
+        "kept: scans saw through its voxel, but always with unknown space beside it",
+        Cause.SPARSE_RINGS,
+    ),
+    Reason("never_crossed", "kept: no ray went through its voxel in a scan that did not hit it", Cause.NOTHING_BEHIND),
+    Reason(
+        "out_of_range",
+        "kept: too near to the sensor or too far to be integrated, and its voxel was never void",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason(
+        "out_of_reach",
+        "kept unjudged: not finite, or more than 32768 voxels from the world's origin",
+        Cause.OUT_OF_RANGE,
+    ),
 )
 STATES = (
     State("hit", Voxels, "Voxels of this scan's points, and those up to hit_margin before them"),

@@ -30,7 +30,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.blocks import read
 from dynaviz.errors import UsageError
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import U8, Bool, Scan
 from dynaviz.sensors import Sensor
@@ -116,16 +116,32 @@ class DynabloxParams:
 
 NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)
 REASONS = (
-    Reason("never_free", "kept: its voxel had not been free for long"),
-    Reason("ever_free", "removed: its voxel was free for long before something came, a dynamic cluster"),
+    Reason("never_free", "kept: its voxel had not been free for long", Cause.STANDING),
     Reason(
-        "ever_free_small_cluster", "removed, but kept with clusters: its voxel was free for long; few points cluster"
+        "ever_free", "removed: its voxel was free for long before something came, a dynamic cluster", Cause.SPARSE_RINGS
     ),
-    Reason("ever_free_large_cluster", "removed, but kept with clusters: its voxel was free for long; a huge cluster"),
-    Reason("beside_ever_free", "kept, but removed with clusters: of a dynamic cluster, in a voxel not free for long"),
-    Reason("revoked", "kept: its voxel was free for long, but then something stayed in or beside it"),
-    Reason("out_of_range", "kept unjudged: nearer than min_range, farther than max_range, or not finite"),
-    Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin"),
+    Reason(
+        "ever_free_small_cluster",
+        "removed, but kept with clusters: its voxel was free for long; few points cluster",
+        Cause.SPARSE_RINGS,
+    ),
+    Reason(
+        "ever_free_large_cluster",
+        "removed, but kept with clusters: its voxel was free for long; a huge cluster",
+        Cause.SPARSE_RINGS,
+    ),
+    Reason(
+        "beside_ever_free",
+        "kept, but removed with clusters: of a dynamic cluster, in a voxel not free for long",
+        Cause.SHARED_CELL,
+    ),
+    Reason("revoked", "kept: its voxel was free for long, but then something stayed in or beside it", Cause.STANDING),
+    Reason(
+        "out_of_range",
+        "kept unjudged: nearer than min_range, farther than max_range, or not finite",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin", Cause.OUT_OF_RANGE),
 )
 STATES = (
     State(

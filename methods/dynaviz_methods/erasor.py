@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.errors import UsageError
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import F32, F64, U8, Bool, Scan
 from dynaviz_methods.polar import PolarBins
@@ -93,16 +93,22 @@ class ErasorParams:
 # Of several scans, the highest code counts; those from UNJUDGED on are told apart only when asked for.
 BEYOND, OUTSIDE, TOO_FEW, MAP_NOT_HIGHER, LOW_BIN, GROUND, REMOVED, UNJUDGED, FAR_FROM_MAP, NEAR_MAP = range(10)
 REASONS = (
-    Reason("beyond_range", "kept: never within range of a scan that was compared with the map"),
-    Reason("outside_height_band", "kept: too low or too high above the ground to be judged"),
-    Reason("too_few_points", "kept: no scan had enough points in its bin"),
-    Reason("map_not_higher", "kept: the scan stands about as high in its bin as the map does"),
-    Reason("low_bin", "kept: the map stands higher than the scan, but no higher than a kerb"),
-    Reason("ground_of_flagged_bin", "kept: the map stands higher than the scan in its bin, but this is ground"),
-    Reason("bin_ratio", "removed: the map stands higher than the scan in its bin"),
-    Reason("unjudged", "kept: not finite, or more than a million voxels from the world's origin"),
-    Reason("far_from_map", "removed: its voxel was kept, but the port's map has no point within 0.05 m"),
-    Reason("near_map", "kept: its voxel was removed, but the port's map has a point within 0.05 m"),
+    Reason("beyond_range", "kept: never within range of a scan that was compared with the map", Cause.OUT_OF_RANGE),
+    Reason("outside_height_band", "kept: too low or too high above the ground to be judged", Cause.HEIGHT_LIMIT),
+    Reason("too_few_points", "kept: no scan had enough points in its bin", Cause.SPARSE_RINGS),
+    Reason("map_not_higher", "kept: the scan stands about as high in its bin as the map does", Cause.SHARED_CELL),
+    Reason("low_bin", "kept: the map stands higher than the scan, but no higher than a kerb", Cause.HEIGHT_LIMIT),
+    Reason(
+        "ground_of_flagged_bin",
+        "kept: the map stands higher than the scan in its bin, but this is ground",
+        Cause.TAKEN_FOR_GROUND,
+    ),
+    Reason("bin_ratio", "removed: the map stands higher than the scan in its bin", Cause.SHARED_CELL),
+    Reason("unjudged", "kept: not finite, or more than a million voxels from the world's origin", Cause.OUT_OF_RANGE),
+    Reason(
+        "far_from_map", "removed: its voxel was kept, but the port's map has no point within 0.05 m", Cause.SHARED_CELL
+    ),
+    Reason("near_map", "kept: its voxel was removed, but the port's map has a point within 0.05 m", Cause.SHARED_CELL),
 )
 HEIGHTS = (-1.3, 3.0)
 STATES = (

@@ -25,7 +25,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
 from dynaviz.scan import U8, Bool, Scan
 from dynaviz_methods.ground import ground_plane
@@ -107,12 +107,16 @@ def _positive(params: OctoMapParams, *names: str) -> None:
 
 HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)
 REASONS = (
-    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh them"),
-    Reason("crossed_by_rays", "removed: rays that crossed the voxel outweigh its hits"),
-    Reason("never_crossed", "kept: no ray ever crossed the voxel"),
-    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the world's origin"),
-    Reason("ground_plane", "kept: on the ground plane of its scan"),
-    Reason("noise_cell", "kept: noise in its scan, which marks its voxel occupied without a ray"),
+    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh them", Cause.STANDING),
+    Reason("crossed_by_rays", "removed: rays that crossed the voxel outweigh its hits", Cause.GRAZING_RAYS),
+    Reason("never_crossed", "kept: no ray ever crossed the voxel", Cause.NOTHING_BEHIND),
+    Reason(
+        "out_of_reach",
+        "kept unjudged: not finite, or more than 32768 voxels from the world's origin",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason("ground_plane", "kept: on the ground plane of its scan", Cause.TAKEN_FOR_GROUND),
+    Reason("noise_cell", "kept: noise in its scan, which marks its voxel occupied without a ray", Cause.SPARSE_RINGS),
 )
 ODDS_RANGE = (logit(OctoMapParams.clamp_min), logit(OctoMapParams.clamp_max))
 STATES = (

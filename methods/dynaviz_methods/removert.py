@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.errors import UsageError
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import F32, F64, U8, Bool, Scan
 from dynaviz_methods.range_images import image_views, picture, slices
@@ -93,15 +93,39 @@ class RemovertParams:
 
 AGREES, NEARER, REVERTED, HIDDEN, OUT_OF_VIEW, LEFT_ALONE, SURROUNDED = 0, 1, 4, 5, 6, 7, 8
 REASONS = (
-    Reason("agrees", "kept: two scans or more see a surface there, and none looks past it"),
-    Reason("nearer_than_scan_at_res_1", "removed: a scan looks past it at the first resolution"),
-    Reason("nearer_than_scan_at_res_2", "removed: a scan looks past it, at the second resolution and not at the first"),
-    Reason("nearer_than_scan_at_res_3", "removed: a scan looks past it, but only at the third resolution or later"),
-    Reason("reverted", "kept: a scan looks past it, but none does at a resolution of the revert step"),
-    Reason("hidden", "kept: at most one scan sees a surface there; others see something nearer, or nothing"),
-    Reason("out_of_view", "kept unjudged: in no image, or in no pixel with a return, or without a place in the map"),
-    Reason("left_alone", "removed on the scan's side: its neighbours in the scan are gone from the cleaned map"),
-    Reason("surrounded", "kept on the scan's side: the cleaned map around it is as dense as the scan"),
+    Reason("agrees", "kept: two scans or more see a surface there, and none looks past it", Cause.STANDING),
+    Reason("nearer_than_scan_at_res_1", "removed: a scan looks past it at the first resolution", Cause.GRAZING_RAYS),
+    Reason(
+        "nearer_than_scan_at_res_2",
+        "removed: a scan looks past it, at the second resolution and not at the first",
+        Cause.GRAZING_RAYS,
+    ),
+    Reason(
+        "nearer_than_scan_at_res_3",
+        "removed: a scan looks past it, but only at the third resolution or later",
+        Cause.GRAZING_RAYS,
+    ),
+    Reason(
+        "reverted", "kept: a scan looks past it, but none does at a resolution of the revert step", Cause.SHARED_CELL
+    ),
+    Reason(
+        "hidden",
+        "kept: at most one scan sees a surface there; others see something nearer, or nothing",
+        Cause.NOTHING_BEHIND,
+    ),
+    Reason(
+        "out_of_view",
+        "kept unjudged: in no image, or in no pixel with a return, or without a place in the map",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason(
+        "left_alone",
+        "removed on the scan's side: its neighbours in the scan are gone from the cleaned map",
+        Cause.SPARSE_RINGS,
+    ),
+    Reason(
+        "surrounded", "kept on the scan's side: the cleaned map around it is as dense as the scan", Cause.SHARED_CELL
+    ),
 )
 
 IMAGES = (

@@ -36,7 +36,7 @@ def run(info, *labelled):
     metric = ErrorDistance(info)
     for each in labelled:
         assert metric.update(each) == {}
-    return metric.finish()["error_distance"], metric.histograms()
+    return metric.finish()["error_distance"], metric.figures()
 
 
 def test_distances_reach_over_frames(info, make_labelled):

@@ -166,7 +166,7 @@ def test_it_says_what_it_is(folder):
     assert facts["preset"] == facts["name"] == "demo"
     assert (facts["sensor"], facts["seed"], facts["frames"], facts["rate"]) == ("vlp16", 0, 3, 10.0)
     assert facts["classes"]["10"] == "car"
-    assert facts["classes"]["252"] == "moving-car"
+    assert facts["classes"]["252"] == "moving car"
 
 
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, folder):

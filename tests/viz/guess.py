@@ -100,7 +100,7 @@ class Numbers:
         names = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
         return {"metrics": {"SA": 90.0, "DA": None}, "counts": dict.fromkeys(names, 1)}
 
-    def histograms(self) -> dict[str, FrameHistograms]:
+    def figures(self) -> dict[str, FrameHistograms]:
         edges = np.array([0.0, 0.5, 1.0, 1.5, np.inf])
         counts = np.array([[8, 4, 2, 1]] * len(self.frames), np.int64).reshape(-1, 4)
         return {"false_negative": FrameHistograms("distance", "m", edges, counts)}
