@@ -19,7 +19,7 @@ from dynaviz.scan import F32, Scan
 from dynaviz_eval.breakdown import Breakdown
 from dynaviz_eval.confusion import Confusion
 from dynaviz_eval.error_distance import ErrorDistance
-from dynaviz_eval.nearest import nearest_distance
+from dynaviz.nearest import nearest_distance
 from dynaviz_eval.reasons import Reasons
 
 INFO = MethodInfo("m", "M", "none", tuple(Reason(f"reason_{k}", "") for k in range(6)))

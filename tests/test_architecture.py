@@ -59,7 +59,7 @@ METHODS_MAY = (
     "sensors",
     "errors",
 )
-EVAL_MAY = ("scan", "metric", "method", "result", "grid", "kernels", "errors", "io")
+EVAL_MAY = ("scan", "metric", "method", "result", "grid", "nearest", "kernels", "errors", "io")
 
 
 @pytest.mark.parametrize(("package", "allowed"), [("dynaviz_methods", METHODS_MAY), ("dynaviz_eval", EVAL_MAY)])

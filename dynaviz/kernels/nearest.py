@@ -63,9 +63,10 @@ def _to_box(tree, node, x, y, z):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def search(points, tree, queries, reach):
+def search(points, tree, queries, reach, enough):
     """(N,) float32: squared distance to the nearest point, ``reach`` (squared as well) where none is nearer.
 
+    A query ends at the first point that is found at a squared distance of ``enough`` or less; with 0, at the nearest.
     Queries close to each other should follow each other: each begins with the neighbour of the one before.
     """
     out = np.empty(len(queries), np.float32)
@@ -82,7 +83,7 @@ def search(points, tree, queries, reach):
                 best = min(best, dx * dx + dy * dy + dz * dz)
             nodes[0], bounds[0] = 1, np.float32(0)
             depth = 1
-            while depth > 0:
+            while depth > 0 and best > enough:
                 depth -= 1
                 node = nodes[depth]
                 if bounds[depth] >= best:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial import cKDTree
 
-from dynaviz_eval.nearest import nearest_distance
+from dynaviz.nearest import Nearest, nearest_distance
 
 COORDINATE = st.floats(-100, 100, width=32) | st.integers(-3, 3).map(float)  # the latter make ties and duplicates
 CLOUD = hnp.arrays(np.float32, st.tuples(st.integers(1, 70), st.just(3)), elements=COORDINATE)
@@ -55,10 +55,39 @@ def test_the_limit_itself_is_found():
     assert np.isinf(nearest_distance(query, reference, 0.0499))
 
 
+@settings(deadline=None)
+@given(CLOUD, CLOUD, st.sampled_from([0.0, 1e-30, 0.05, 1.0, 30.0, 1e30, np.inf]))
+def test_within_asks_whether_the_distance_is_in_the_limit(query, reference, limit):
+    tree = Nearest(reference)
+    expected = np.isfinite(brute_force(query, reference, limit))
+    np.testing.assert_array_equal(tree.within(query, limit), expected)
+    np.testing.assert_array_equal(np.isfinite(tree.distance(query, limit)), expected)
+
+
+@settings(deadline=None)
+@given(CLOUD, CLOUD, st.data())
+def test_a_limit_that_is_a_distance_is_within(query, reference, data):
+    exact = brute_force(query, reference, np.inf)
+    k = data.draw(st.integers(0, len(query) - 1))
+    tree, just_below = Nearest(reference), np.nextafter(exact[k], np.float32(0))
+    assert tree.within(query[k : k + 1], exact[k]).all()
+    assert tree.within(query[k : k + 1], just_below).any() == (exact[k] == 0)
+
+
+def test_one_tree_answers_many_queries():
+    query, reference = street(4000, 5), street(3000, 6)
+    tree, whole = Nearest(reference), nearest_distance(query, reference)
+    parts = [tree.distance(query[k : k + 700]) for k in range(0, len(query), 700)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    assert len(tree) == len(reference)
+
+
 def test_nothing_near_nothing():
     none, one = np.zeros((0, 3), np.float32), np.zeros((1, 3), np.float32)
     assert nearest_distance(none, one).shape == (0,)
     assert np.isinf(nearest_distance(one, none)).all()
+    assert not Nearest(none).within(one, 1.0).any()
+    assert Nearest(one).within(none, 1.0).shape == (0,)
 
 
 def test_same_on_one_and_many_threads():
