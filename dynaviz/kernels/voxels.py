@@ -29,8 +29,10 @@ def pack(points: NDArray[np.float32], size: float) -> tuple[Keys, bool]:
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key: np.int64, mask: int) -> np.int64:
+    """Mixed twice: after one product no bit depends on an axis that lies above it."""
     h = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64(h >> np.uint64(20)) & mask
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return np.int64(h >> np.uint64(32)) & mask
 
 
 @njit(cache=True, nogil=True)

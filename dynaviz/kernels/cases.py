@@ -1,0 +1,131 @@
+"""Cells of many frames joined into cases: what touches in space, within some frames, is one case."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+GROUP, CASE, LAST = 0, 1, 2  # of a remembered cell
+_BIAS = 1 << 20
+_MASK = (1 << 21) - 1
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(key: np.int64, mask: int) -> np.int64:
+    """Four cells above each other begin side by side, for neighbours are looked up together."""
+    h = np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return (np.int64(h >> np.uint64(32)) << 2 | key & 3) & mask
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _root(parent: I32, label: int) -> int:
+    while parent[label] != label:
+        parent[label] = parent[parent[label]]
+        label = parent[label]
+    return label
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _find(table: I64, cells: I64, key: np.int64, group: np.int64) -> np.int64:
+    """The row of a cell, or the free one where it belongs."""
+    mask = len(table) - 1
+    s = _slot(key, mask)
+    while table[s] >= 0 and (table[s] != key or cells[s, GROUP] != group):
+        s = (s + 1) & mask
+    return s
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _fits(low: I32, high: I32, a: int, b: int, limit: int) -> bool:
+    """Whether two cases together span at most ``limit`` cells along each axis."""
+    longest = 0
+    for axis in range(3):
+        longest = max(longest, max(high[a, axis], high[b, axis]) - min(low[a, axis], low[b, axis]))
+    return longest < limit
+
+
+@njit(cache=True, nogil=True)
+def link(
+    keys: I64,
+    groups: I64,
+    frame: int,
+    gap: int,
+    limit: int,
+    table: I64,
+    cells: I64,
+    parent: I32,
+    low: I32,
+    high: I32,
+    used: int,
+) -> tuple[I32, int]:
+    """Give the cells of a frame their case: that of a cell of the same group which they touch, or a new one.
+
+    Args:
+        keys: (V,) int64 packed cells of the frame, sorted, each group's once.
+        groups: (V,) int64: cells of different groups never join.
+        frame: number of the frame.
+        gap: frames back that a cell is remembered.
+        limit: cells that a case may span along an axis.
+        table: (2^k,) int64: key of each remembered cell (-1: free); twice as many as come to lie in it. Changed.
+        cells: (2^k, 3) int64: its group, case and last frame. Changed.
+        parent: (L,) int32, low, high: (L, 3) int32: a forest of cases that were joined, and what each spans, in cells;
+            room for V more. Changed.
+        used: how many cases there were.
+
+    Returns:
+        cases: (V,) int32, to be looked up in ``parent``.
+        used: how many there are now.
+    """
+    cases = np.empty(len(keys), np.int32)
+    for v in range(len(keys)):
+        key, group = keys[v], groups[v]
+        case = used  # a new one, until a neighbour takes it in
+        parent[case] = case
+        for axis in range(3):
+            at = np.int32((key >> np.int64(42 - 21 * axis) & _MASK) - _BIAS)
+            low[case, axis], high[case, axis] = at, at
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                for dz in range(-1, 2):
+                    step = (np.int64(dx) << 42) + (np.int64(dy) << 21) + np.int64(dz)
+                    s = _find(table, cells, key + step, group)
+                    if table[s] < 0 or frame - cells[s, LAST] > gap:
+                        continue
+                    a, b = _root(parent, case), _root(parent, cells[s, CASE])
+                    if a != b and _fits(low, high, a, b, limit):
+                        keep, gone = min(a, b), max(a, b)
+                        parent[gone] = keep
+                        for axis in range(3):
+                            low[keep, axis] = min(low[keep, axis], low[gone, axis])
+                            high[keep, axis] = max(high[keep, axis], high[gone, axis])
+        root = _root(parent, case)
+        if root == used:
+            used += 1
+        s = _find(table, cells, key, group)
+        table[s], cells[s, GROUP], cells[s, CASE], cells[s, LAST] = key, group, root, frame
+        cases[v] = root
+    return cases, used
+
+
+@njit(cache=True, nogil=True)
+def roots(parent: I32, used: int) -> I32:
+    """(used,) int32: the case that each was joined to."""
+    found = np.empty(used, np.int32)
+    for label in range(used):
+        found[label] = _root(parent, label)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def remember(keys: I64, cells: I64, size: int) -> tuple[I64, I64]:
+    """A table of so many rows, a power of two, that holds the cells whose key is not -1."""
+    table, filled = np.full(size, np.int64(-1)), np.empty((size, 3), np.int64)
+    for i in range(len(keys)):
+        if keys[i] >= 0:
+            s = _find(table, filled, keys[i], cells[i, GROUP])
+            table[s] = keys[i]
+            filled[s] = cells[i]
+    return table, filled

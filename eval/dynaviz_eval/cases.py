@@ -1,0 +1,189 @@
+"""Wrong points joined into cases while frames go by, in memory that does not grow with their number."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.grid import pack
+from dynaviz.scan import F32, U8
+
+I64 = NDArray[np.int64]
+
+EDGE = 0.5  # metres: points in cells that touch are of one case
+GAP = 10  # frames that a cell is remembered: what comes back later is another case
+KEEP = 100  # cases that are told one by one
+EVERY = 16  # frames between two times of forgetting what is over and small
+CASE, LAST = 1, 2  # columns of remembered cells
+
+
+class Cases:
+    """Joins the points of one kind of error into cases.
+
+    A case grows by cells that touch it in space, in the same frame or up to ``GAP`` frames later; so it follows what
+    moves. Points of different groups never join. ``rows`` holds what is left: for each case and frame one row.
+
+    Args:
+        reasons: number of reason codes.
+        span: metres that a case may extend along an axis; what is larger falls into several.
+    """
+
+    def __init__(self, reasons: int, span: float) -> None:
+        self._limit = int(min(span / EDGE, 1 << 30))
+        self.kind = np.dtype(
+            [
+                ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64), ("cells", np.int64),
+                ("beside", np.int64), ("low", np.float32, 3), ("high", np.float32, 3), ("near", np.float32),
+                ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
+            ]
+        )  # fmt: skip
+        self.rows = np.empty(0, self.kind)
+        self.dropped = summed(self.rows)  # small cases, which are told only in total
+        self._new: list[NDArray[np.void]] = []
+        self._table, self._cells = np.full(1024, -1, np.int64), np.empty((1024, 3), np.int64)
+        self._remembered = 0
+        self._parent = np.empty(0, np.int32)
+        self._low = self._high = np.empty((0, 3), np.int32)
+        self._used = 0
+
+    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, beside: NDArray[np.bool_]) -> None:
+        """Add the wrong points of a frame; frames come in order.
+
+        Args:
+            frame: position in the run.
+            points: (N, 3) float32, metres, world frame; finite.
+            groups: (N,) int64.
+            reasons: (N,) uint8 codes.
+            ranges: (N,) float32, metres from the sensor.
+            beside: (N,) bool: something moves right beside it.
+        """
+        if len(points):
+            case, order, starts, cells = self._link(frame, points, groups)
+            rows = np.zeros(len(starts), self.kind)
+            rows["frame"], rows["cells"] = frame, cells
+            rows["case"], rows["group"] = case, groups[order[starts]]
+            rows["points"] = np.diff(np.append(starts, len(points)))
+            for name, values in (("low", points), ("near", ranges)):
+                rows[name] = np.minimum.reduceat(values[order], starts)
+            for name, values in (("high", points), ("far", ranges)):
+                rows[name] = np.maximum.reduceat(values[order], starts)
+            rows["ranges"] = np.add.reduceat(ranges[order].astype(np.float64), starts)
+            rows["beside"] = np.add.reduceat(beside[order].astype(np.int64), starts)
+            which = np.repeat(np.arange(len(starts)), rows["points"])
+            codes = rows.dtype["reasons"].shape[0]
+            crossed = np.bincount(which * codes + np.minimum(reasons[order], codes - 1), minlength=len(starts) * codes)
+            rows["reasons"] = crossed.reshape(-1, codes)
+            self._new.append(rows)
+        if frame % EVERY == EVERY - 1:
+            self.settle(frame)
+
+    def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, NDArray[np.intp], NDArray[np.intp], I64]:
+        """Cases of a frame, points in their order, where each case starts there, and how many cells it has."""
+        keys = pack(points, EDGE)
+        by_cell = np.lexsort((groups, keys))
+        keys, groups = keys[by_cell], groups[by_cell]
+        first = np.append(True, (np.diff(keys) != 0) | (np.diff(groups) != 0))
+        self._make_room(int(first.sum()))
+        of_cell, self._used = kernels.cases.link(
+            keys[first], groups[first], frame, GAP, self._limit,
+            self._table, self._cells, self._parent, self._low, self._high, self._used,
+        )  # fmt: skip
+        of_cell = kernels.cases.roots(self._parent, self._used)[of_cell]  # some were joined after they got theirs
+        self._remembered += len(of_cell)
+        of_point = of_cell[np.cumsum(first) - 1]
+        by_case = np.argsort(of_point, kind="stable")
+        case, starts = np.unique(of_point[by_case], return_index=True)
+        cells = np.bincount(np.searchsorted(case, of_cell), minlength=len(case))
+        return case.astype(np.int64), by_cell[by_case], starts, cells
+
+    def _make_room(self, more: int) -> None:
+        room = 2 * (self._remembered + more)
+        if room > len(self._table):
+            self._table, self._cells = kernels.cases.remember(self._table, self._cells, 1 << room.bit_length())
+        need = self._used + more + 1
+        if need > len(self._parent):
+            grown = max(2 * len(self._parent), need)
+            parent, low, high = (
+                np.empty(grown, np.int32),
+                np.empty((grown, 3), np.int32),
+                np.empty((grown, 3), np.int32),
+            )
+            used = self._used
+            parent[:used], low[:used], high[:used] = self._parent[:used], self._low[:used], self._high[:used]
+            self._parent, self._low, self._high = parent, low, high
+
+    def settle(self, frame: int, over: bool = False) -> None:
+        """Number cases anew, and forget those that are over and not among the ``KEEP`` largest.
+
+        Args:
+            frame: the last frame seen.
+            over: no frame comes any more.
+        """
+        rows = np.concatenate([self.rows, *self._new])
+        self._new = []
+        rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
+        rows, _ = _pooled(rows, ("case", "frame"))  # what were several cases in a frame may have become one
+        old, which = np.unique(rows["case"], return_inverse=True)
+        points, last = np.bincount(which, rows["points"], len(old)), np.zeros(len(old), np.int64)
+        np.maximum.at(last, which, rows["frame"])
+        done = (last < frame - GAP) | over
+        largest = np.zeros(len(old), np.bool_)
+        largest[np.argsort(-points, kind="stable")[:KEEP]] = True
+        keep = ~done | largest
+        self.dropped = np.concatenate([self.dropped, summed(rows[~keep[which]])])
+        self.rows, new = rows[keep[which]], np.cumsum(keep) - 1
+        self.rows["case"] = new[which][keep[which]]
+        self._forget(frame, old, keep, new)
+
+    def _forget(self, frame: int, old: I64, keep: NDArray[np.bool_], new: NDArray[np.intp]) -> None:
+        alive = np.flatnonzero((self._table >= 0) & (frame - self._cells[:, LAST] <= GAP))
+        keys, cells = self._table[alive], self._cells[alive]
+        root = kernels.cases.roots(self._parent, self._used)[cells[:, CASE]]
+        cells[:, CASE] = new[np.searchsorted(old, root)]
+        kept = old[keep]
+        self._low, self._high = self._low[kept], self._high[kept]
+        self._used = len(kept)
+        self._parent = np.arange(self._used, dtype=np.int32)
+        self._remembered = len(alive)
+        size = 1 << max(10, (2 * len(alive)).bit_length())
+        self._table, self._cells = kernels.cases.remember(keys, cells, size)
+
+
+def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], NDArray[np.intp]]:
+    """Rows that agree in some fields pooled into one, and how many each was; sorted by these fields."""
+    rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
+    changes = np.any([np.diff(rows[name]) != 0 for name in by], axis=0)
+    starts = np.flatnonzero(np.append(len(rows) > 0, changes))[: len(rows)]
+    pooled = rows[starts]
+    if len(starts):
+        for name in ("points", "cells", "beside", "ranges", "reasons"):
+            pooled[name] = np.add.reduceat(rows[name], starts)
+        for name in ("low", "near"):
+            pooled[name] = np.minimum.reduceat(rows[name], starts)
+        for name in ("high", "far"):
+            pooled[name] = np.maximum.reduceat(rows[name], starts)
+    return pooled, np.diff(np.append(starts, len(rows)))
+
+
+def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """One row a case, over all of its frames.
+
+    ``frame`` is the one with the most points; besides there are ``first`` and ``last`` frame, the number of ``frames``,
+    and how far it ``moved``: metres from where it lies in its first three frames to where it lies in its last three.
+    """
+    rows = rows[np.lexsort((rows["frame"], rows["case"]))]
+    pooled, frames = _pooled(rows, ("case",))
+    more = [("first", np.int64), ("last", np.int64), ("frames", np.int64), ("moved", np.float32)]
+    total = np.zeros(len(pooled), np.dtype(rows.dtype.descr + more))
+    for name in rows.dtype.names or ():
+        total[name] = pooled[name]
+    ends = np.cumsum(frames)
+    starts = ends - frames
+    total["frames"], total["first"], total["last"] = frames, rows["frame"][starts], rows["frame"][ends - 1]
+    most = np.lexsort((rows["frame"], -rows["points"], rows["case"]))
+    total["frame"] = rows["frame"][most[starts]]
+    centres, three = (rows["low"] + rows["high"]) / 2, np.minimum(np.arange(3), frames[:, None] - 1)
+    way = centres[ends[:, None] - 1 - three].mean(1) - centres[starts[:, None] + three].mean(1)
+    total["moved"] = np.sqrt((way**2).sum(1))
+    return total
