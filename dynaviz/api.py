@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, cast, get_args
 
 from dynaviz import params as layers
-from dynaviz import registry
+from dynaviz import registry, scoring
 from dynaviz.datasets import open_sequence
 from dynaviz.errors import UsageError
 from dynaviz.loop import Listener, Progress, Run, execute
-from dynaviz.outputs import LabelsFile, MapFiles, write_summary
+from dynaviz.method import Method
+from dynaviz.outputs import FILES, LabelsFile, MapFiles, write_summary
 from dynaviz.probe import SILENT, Probe
 from dynaviz.result import Result
 from dynaviz.scan import Sequence, part
@@ -101,6 +103,73 @@ def run(
     return _run_into(folder, recording, mode, this, view, progress)
 
 
+def score(
+    map: str | os.PathLike[str],
+    sequence: Sequence | str | os.PathLike[str],
+    *,
+    radius: float = scoring.RADIUS,
+    name: str | None = None,
+    out: str | os.PathLike[str] | None = None,
+    record: Record | str | os.PathLike[str] = "errors",
+    threads: int | None = None,
+    command: str = "",
+    progress: Progress = lambda phase, done, total: None,
+) -> Result:
+    """Score a cleaned map that any other program wrote.
+
+    A point of the sequence counts as removed if the nearest point of the map is farther than the radius.
+
+    Args:
+        map: the cleaned map (PCD, PLY, LAS, LAZ, NPY), in metres, in the world frame of the sequence; or the
+            ``labels.npz`` of a run, which answers by index instead.
+        sequence: an open sequence with ground truth, or a path.
+        radius: metres.
+        name: for tables and recordings; the map's file name without its suffix by default.
+        out: folder for the files of the run; None writes none.
+        record: as for ``run``.
+        threads: for kernels; None for all cores.
+        command: what the user typed, for the record.
+        progress: called with a phase, and how many frames of how many are done.
+
+    Returns:
+        The result, with ``scoring`` ``nn`` (``mask`` for labels), no runtime, and a section ``source`` on the map. What
+        is remarkable about the map is warned of, and stands there under ``remarks``.
+
+    Raises:
+        UsageError: for a sequence without ground truth, a radius or name that is none, or an ``out`` whose files would
+            replace the map.
+        DataError: for data that cannot be read, a map without points, labels of another sequence, or files that cannot
+            be written.
+    """
+    if not isinstance(sequence, Sequence):
+        sequence = open(sequence)
+    if not sequence.has_labels:
+        raise UsageError(
+            f"{sequence.name} has no ground truth, so no map can be scored on it. "
+            "Give a sequence with labels: gt_cloud.pcd, labels/*.label or label_02/*.txt ('dynaviz info SEQ' tells)"
+        )
+    folder = None if out is None else Path(out)
+    recording, mode = _recording(record, folder)
+    given = scoring.given(map, radius, name)
+    if folder is not None and given.path.name in FILES and given.path.resolve().parent == folder.resolve():
+        raise UsageError(f"{given.path} would be replaced by the files of the run: give another folder than {folder}")
+    metrics = (scoring.Source(given), *(handle.load()(given.info) for handle in registry.handles("metrics")))
+    this = Run(
+        method=cast(Method, given),
+        sequence=sequence,
+        params=given.params,
+        metrics=metrics,
+        threads=threads,
+        command=command,
+        scoring=given.scoring,
+        external=True,
+    )
+    result = _run_into(folder, recording, mode, this, False, progress, first=scoring.Opening(given))
+    for remark in result.sections["source"]["remarks"]:
+        warnings.warn(remark, stacklevel=2)
+    return result
+
+
 def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, Mode]:
     """Where the recording goes, and how much it holds."""
     if Path(record).suffix == ".rrd":
@@ -111,13 +180,19 @@ def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Pat
 
 
 def _run_into(
-    folder: Path | None, recording: Path | None, mode: Mode, this: Run, view: bool, progress: Progress
+    folder: Path | None,
+    recording: Path | None,
+    mode: Mode,
+    this: Run,
+    view: bool,
+    progress: Progress,
+    first: Listener | None = None,
 ) -> Result:
     """Run with all files written; each appears only when it is whole, ``result.json`` last."""
     probe: Probe = SILENT
     recorder = None
     with contextlib.ExitStack() as stack:
-        listeners: list[Listener] = []
+        listeners: list[Listener] = [] if first is None else [first]
         if folder is not None:
             (folder / "result.json").unlink(missing_ok=True)
             listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]

@@ -35,6 +35,8 @@ class Run:
         seed: for everything random in the method.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
+        scoring: how answers come about: ``mask`` or ``nn`` (``eval/README.md``).
+        external: the answers are those of another program: nothing is observed here, and its runtime is unknown.
     """
 
     method: Method
@@ -45,6 +47,8 @@ class Run:
     seed: int = 0
     threads: int | None = None
     command: str = ""
+    scoring: str = "mask"
+    external: bool = False
 
 
 class Listener:
@@ -124,7 +128,8 @@ def execute(
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     threads = kernels.set_threads(run.threads)
     seen = survey(run.sequence, lambda done: progress("survey", done, total))
-    _warm_up(run, probe)
+    if not run.external:
+        _warm_up(run, probe)
     clock.prepare(lambda: run.method.begin(_context(run, seen, probe)))
     for listener in listeners:
         listener.begin(run, seen)
@@ -147,22 +152,27 @@ def execute(
             listener.labelled(labelled, curves)
         progress("label", frame + 1, total)
 
-    for passing in ([observe, label],) if run.online else ([observe], [label]):
+    passes = ([label],) if run.external else ([observe, label],) if run.online else ([observe], [label])
+    for passing in passes:
         for frame, scan in enumerate(stream(run.sequence)):
             for step in passing:
                 step(frame, scan)
 
-    peak = peak_rss_mb()  # before the metrics finish: what they need then is not the method's
+    # Memory is asked before the metrics finish: what they need then is not the method's.
+    runtime: dict[str, Any] = {**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()}
+    if run.external:
+        runtime = {**dict.fromkeys(runtime), "frames": runtime["frames"]}
     result = Result(
         method=run.method.info.name,
         parameters=dataclasses.asdict(run.params),
         sequence={"name": run.sequence.name, "digest": seen.digest, "frames": seen.frames, "points": seen.points},
         sections={key: value for metric in run.metrics for key, value in metric.finish().items()},
-        runtime={**clock.summary(), "threads": threads, "peak_rss_mb": peak},
+        runtime=runtime,
         online=run.online,
         seed=run.seed,
+        scoring=run.scoring,
         labels_sha256=answer.sha256(),
-        instrumented=probe is not SILENT,
+        instrumented=probe is not SILENT and not run.external,
         environment=environment(),
         command=run.command,
     )

@@ -19,6 +19,9 @@ from dynaviz.params import to_toml
 from dynaviz.result import Result
 from dynaviz.survey import Survey
 
+FILES = ("labels.npz", "static_map.pcd", "dynamic_points.pcd")
+"""What the listeners here write."""
+
 
 class LabelsFile(Listener):
     """A listener that writes ``labels.npz``.
@@ -97,6 +100,12 @@ class MapFiles(Listener):
 
 
 def write_summary(folder: Path, run: Run, result: Result) -> None:
-    """Write ``config.toml`` and ``result.json``; the latter last, so that its presence says the run is whole."""
-    write_whole(folder / "config.toml", to_toml(result.method, run.params, {"online": run.online, "seed": run.seed}))
+    """Write ``config.toml`` and ``result.json``; the latter last, so that its presence says the run is whole.
+
+    What another program wrote has no configuration here.
+    """
+    if not run.external:
+        write_whole(
+            folder / "config.toml", to_toml(result.method, run.params, {"online": run.online, "seed": run.seed})
+        )
     result.save(folder / "result.json")

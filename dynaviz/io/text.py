@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator
-from typing import IO, Any
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,12 @@ from dynaviz.io.atomic import opened
 from dynaviz.scan import F64
 
 
-def read_rows(path: str | os.PathLike[str], file: IO[bytes], dtype: np.dtype[Any], line: int = 0) -> NDArray[Any]:
+def read_rows(path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dtype[Any], line: int = 0) -> NDArray[Any]:
     """Read what is left of an open file; empty lines and those that begin with ``#`` are skipped.
 
     Args:
         path: its name, for errors.
-        file: open for reading bytes.
+        file: open for reading bytes, or some of its lines.
         dtype: structured, one field a number.
         line: number of lines that were read before.
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameHistograms, Labelled
-from dynaviz.scan import F32, Outcome
 from dynaviz.nearest import nearest_distance
+from dynaviz.scan import F32, Outcome
 from dynaviz_eval.spill import Spill
 
 I64 = NDArray[np.int64]

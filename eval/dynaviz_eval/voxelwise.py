@@ -10,7 +10,7 @@ import numpy as np
 from dynaviz.grid import KeySet, pack
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import Label, Outcome
+from dynaviz.scan import F32, Label, Outcome
 
 EDGE = 0.2  # metres
 
@@ -22,10 +22,19 @@ class Voxelwise:
     point lies in it. PR: share of static voxels kept; RR: share of dynamic voxels not kept; F1: their harmonic mean;
     all in percent. One kept point keeps its voxel, so these numbers flatter a method compared with SA and DA.
     Unlabelled points do not count. Memory grows with the mapped area.
+
+    Of a cleaned map that another program wrote, a voxel is kept if any point of that map lies in it, as those papers
+    count; the radius of the scoring plays no part.
     """
 
     def __init__(self, info: MethodInfo) -> None:
         self._static, self._dynamic, self._kept = KeySet(), KeySet(), KeySet()
+        self._has_map = False
+
+    def cleaned_map(self, points: F32) -> None:
+        """Take the voxels of a cleaned map, (M, 3) float32, metres, world frame, for the kept ones."""
+        self._kept.add(pack(points, EDGE))
+        self._has_map = True
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Note the voxels of one scan."""
@@ -36,7 +45,8 @@ class Voxelwise:
             kept = np.isin(labelled.outcome, (Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE))
             self._static.add(keys[finite & (labelled.scan.labels == Label.STATIC)])
             self._dynamic.add(keys[finite & (labelled.scan.labels == Label.DYNAMIC)])
-            self._kept.add(keys[finite & kept])
+            if not self._has_map:
+                self._kept.add(keys[finite & kept])
         return {}
 
     def finish(self) -> Mapping[str, Any]:

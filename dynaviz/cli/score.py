@@ -1,0 +1,73 @@
+"""dynaviz score."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import progress, show
+from dynaviz.cli.run import Record
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("score")(score)
+
+
+def score(
+    map: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", help="A cleaned map in the sequence's frame: pcd, ply, las, laz, npy; or labels.npz."
+        ),
+    ],
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQ", help="A folder with ground truth; FORMAT:PATH forces its format.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/NAME]"),
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(help="Metres around a point of the map in which points count as kept.")
+    ] = 0.05,
+    name: Annotated[str | None, typer.Option(help="For tables. [default: the map's file name]")] = None,
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
+    record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
+) -> None:
+    """Score a cleaned map that any other program wrote, with a recording.
+
+    \b
+    dynaviz score erasor_output.pcd path/to/sequence
+    dynaviz score cleaned.laz path/to/sequence --radius 0.1 -o out/cleaned
+    dynaviz score recordings/demo/octomap/labels.npz path/to/demo --name again
+    """
+    from dynaviz import api
+
+    opened = api.open(sequence, frames=frames)
+    called = map.stem if name is None else name
+    folder = out or Path("recordings") / opened.name / called
+    with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # remarks are told below
+        result = api.score(
+            map,
+            opened,
+            radius=radius,
+            name=name,
+            out=folder,
+            record=record.value,
+            threads=threads,
+            command=" ".join(["dynaviz", *sys.argv[1:]]),
+            progress=tell,
+        )
+    for remark in result.sections["source"]["remarks"]:
+        print(f"dynaviz: warning: {remark}.", file=sys.stderr)
+    show(
+        result,
+        f"Written to {folder}." + ("" if record is Record.none else f" Look at it: dynaviz view {folder / 'run.rrd'}"),
+    )
