@@ -139,16 +139,16 @@ def _states(info: MethodInfo) -> str:
 
 
 def _run(info: MethodInfo, result: Result) -> str:
-    runtime = result.runtime
+    runtime, mean = result.runtime, result.runtime.get("mean_s")
     rows: list[tuple[Any, Any]] = [
-        ("seconds per frame", f"{runtime['mean_s']:.3f} ± {runtime['std_s']:.3f}" if "mean_s" in runtime else "n/a"),
+        ("seconds per frame", "n/a" if mean is None else f"{mean:.3f} ± {runtime['std_s']:.3f}"),
         ("published in", info.paper),
         ("frames", result.sequence["frames"]),
         ("points", f"{result.sequence['points']:,}"),
         ("mode", "online" if result.online else "two passes"),
         ("scoring", result.scoring),
         ("seed", result.seed),
-        ("threads", runtime.get("threads", "n/a")),
+        ("threads", runtime.get("threads") or "n/a"),
         ("digest of the sequence", f"`{result.sequence['digest'][:16]}`"),
         ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
     ]
