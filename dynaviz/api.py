@@ -56,6 +56,7 @@ def run(
     settings: tuple[str, ...] = (),
     online: bool | None = None,
     seed: int | None = None,
+    variant: str = "",
     threads: int | None = None,
     command: str = "",
     progress: Progress = lambda phase, done, total: None,
@@ -72,6 +73,7 @@ def run(
         preset, config, settings: layers of parameters (``dynaviz.params.resolve``).
         online: ask for each scan's labels right after it was observed, not after all.
         seed: for everything random in the method.
+        variant: a short name for the parameters, for tables.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
         progress: called with a phase, and how many frames of how many are done.
@@ -95,6 +97,7 @@ def run(
         metrics=metrics,
         online=bool(online if online is not None else resolved.online),
         seed=seed if seed is not None else resolved.seed or 0,
+        variant=variant,
         threads=threads,
         command=command,
     )
@@ -203,7 +206,7 @@ def _run_into(
             listeners.append(recorder)
         result = execute(this, listeners, probe, progress)
     if recorder:
-        result = replace(result, recording_sha256=recorder.sha256())
+        result = replace(result, recording_sha256=recorder.sha256(), record=mode)
     if folder is not None:
         write_summary(folder, this, result)
     return result

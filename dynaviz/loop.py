@@ -33,6 +33,7 @@ class Run:
         metrics: fresh metrics.
         online: ask for labels right after each scan was observed.
         seed: for everything random in the method.
+        variant: a short name for the parameters, for tables.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
         scoring: how answers come about: ``mask`` or ``nn`` (``eval/README.md``).
@@ -45,6 +46,7 @@ class Run:
     metrics: tuple[Metric, ...] = ()
     online: bool = False
     seed: int = 0
+    variant: str = ""
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
@@ -170,6 +172,7 @@ def execute(
         runtime=runtime,
         online=run.online,
         seed=run.seed,
+        variant=run.variant,
         scoring=run.scoring,
         labels_sha256=answer.sha256(),
         instrumented=probe is not SILENT and not run.external,

@@ -26,7 +26,7 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
     table = Table(title=title, caption=_caption(results, scorings), caption_justify="left")
     table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
     table.add_column("sequence", overflow="fold")
-    table.add_column("method", no_wrap=True)
+    table.add_column("method", no_wrap=not any(result.variant for result in results), overflow="fold")
     for name in ("SA ↑", "DA ↑", "AA ↑", "HA ↑", "FP", "FN", "s/frame"):
         table.add_column(name, justify="right", no_wrap=True)
     if len(scorings) > 1:
@@ -39,7 +39,7 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
         champion = len(results) > 1 and _aa(result) == best[_group(result)] >= 0
         table.add_row(
             escape(str(result.sequence.get("name", ""))),
-            escape(result.method) + (" (online)" if result.online else ""),
+            escape(_named(result)),
             _percent(result, "SA"),
             _percent(result, "DA"),
             f"[bold]{aa}[/bold]" if champion else aa,
@@ -61,6 +61,12 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         *(["* while its states were recorded"] if any(result.instrumented for result in results) else []),
     ]
     return "\n".join(lines)
+
+
+def _named(result: Result) -> str:
+    """The method, and what sets this run of it apart."""
+    apart = dict.fromkeys([result.variant, "online" if result.online else ""])
+    return " ".join([result.method, *(f"({text})" for text in apart if text)])
 
 
 def _group(result: Result) -> tuple[object, str]:
