@@ -32,11 +32,11 @@ def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]
 
         _show_result(Result.load(what))
     elif suffix == ".rrd":
-        from dynaviz.viz.reader import Recording
+        from dynaviz.viz.reader import Recording, read
 
-        recording = Recording(Path(what))
+        recording = read(what)
         _show_pairs(what, recording.facts())
-        if recording.result is not None:
+        if isinstance(recording, Recording) and recording.result is not None:
             _show_result(recording.result)
     else:
         _show_pairs(what, _sequence_facts(what))

@@ -19,11 +19,12 @@ from rerun.chunk import RrdReader
 from dynaviz.errors import DataError
 from dynaviz.method import Cause, Reason
 from dynaviz.result import Result
-from dynaviz.scan import F32, U8
+from dynaviz.scan import F32, F64, U8
 from dynaviz.viz import paths
 from dynaviz.viz.answers import ARCHETYPE, Answers
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
+COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +37,8 @@ class Drawn:
         outcome: (M,) uint8, an ``Outcome`` per point.
         point: (M,) their positions in the scan.
         stands_for: (M,) how many points each stands for.
+        reasons: (M,) uint8, the method's reason codes.
+        position: (3,) float64, metres, world frame: where the sensor is.
     """
 
     frame: int
@@ -43,13 +46,18 @@ class Drawn:
     outcome: U8
     point: NDArray[np.int64]
     stands_for: NDArray[np.int64]
+    reasons: U8
+    position: F64
 
 
-class Recording:
-    """A finished recording of a run.
+class Recorded:
+    """A whole recording of dynaviz, be it of a run or of a comparison.
 
     Args:
         path: the file.
+
+    Attributes:
+        kind: ``run`` or ``comparison``, the name of its properties.
 
     Raises:
         DataError: where the file is no recording of dynaviz, was cut off, or was written by a newer dynaviz.
@@ -57,8 +65,81 @@ class Recording:
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = Path(path)
-        self._store = open_store(self.path)
-        self.properties = self._read_properties()
+        self.store = open_store(self.path)
+        self.kind, self.properties = self._read_properties()
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return int(self.properties["frames"])
+
+    def facts(self) -> dict[str, str]:
+        """What this recording is, for a reader."""
+        p = self.properties
+        runs = json.loads(p["comparison_json"])["runs"]
+        return {
+            "comparison": p["title"],
+            "sequence": p["sequence"],
+            "digest": p["digest"],
+            "frames": f"{self.frames:,}",
+            **{run["letter"]: f"{run['name']}, {run['path']}" for run in runs},
+            "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
+        }
+
+    def curve(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
+        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self._frames(path)]
+        return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
+
+    def entities(self) -> list[str]:
+        """All entity paths, sorted, without the leading slash."""
+        return sorted(str(path).removeprefix("/") for path in self.store.schema().entity_paths())
+
+    def static(self, path: str) -> dict[str, Any]:
+        """Components of an entity that were logged once; the last row counts where there are several."""
+        found: dict[str, Any] = {}
+        for chunk in self.store.stream().filter(content=f"/{path}", is_static=True):
+            batch = chunk.to_record_batch()
+            for row in range(batch.num_rows):
+                found |= _row(batch, row, chunk.timeline_names)
+        return found
+
+    def _frames(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Rows of an entity by frame; parts of a row may lie in several chunks, in any order."""
+        places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
+        for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
+            batch = chunk.to_record_batch()
+            for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
+                places[frame].append((chunk, row))
+        for frame in sorted(places):
+            merged: dict[str, Any] = {}
+            for chunk, row in places.pop(frame):
+                merged |= _row(chunk.to_record_batch(), row, chunk.timeline_names)
+            yield frame, merged
+
+    def _read_properties(self) -> tuple[str, dict[str, Any]]:
+        for kind in (paths.PROPERTIES, COMPARISON):
+            properties = {name: value[0] for name, value in self.static(f"__properties/{kind}").items()}
+            if "schema" in properties:
+                break
+        else:
+            raise DataError(self.path, "is a recording, but not of dynaviz", hint="Give the run.rrd of a run")
+        if properties["schema"] > paths.SCHEMA:
+            raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        return kind, properties
+
+
+class Recording(Recorded):
+    """A recording of a run.
+
+    Raises:
+        DataError: as ``Recorded``, and for a comparison of runs.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        super().__init__(path)
+        if self.kind != paths.PROPERTIES:
+            raise DataError(self.path, "holds a comparison of runs, not a run", hint="Give the run.rrd of a run")
 
     @property
     def complete(self) -> bool:
@@ -118,6 +199,10 @@ class Recording:
 
     def drawn(self) -> Iterator[Drawn]:
         """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
+        positions = {frame: c["Transform3D:translation"][0] for frame, c in self._frames(paths.SENSOR)}
+        reasons = (
+            {answers.frame: answers.reasons for answers in self.answers()} if self.properties["mode"] == "full" else {}
+        )
         for frame, components in self._frames(paths.SCAN):
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
@@ -127,46 +212,9 @@ class Recording:
                 components["Points3D:class_ids"].astype(np.uint8),
                 components.get("dynaviz.Scan:point", every).astype(np.int64),
                 components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
+                components["dynaviz.Scan:reason"] if "dynaviz.Scan:reason" in components else reasons.get(frame, every),
+                positions[frame].astype(np.float64),
             )
-
-    def curve(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
-        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self._frames(path)]
-        return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
-
-    def entities(self) -> list[str]:
-        """All entity paths, sorted, without the leading slash."""
-        return sorted(str(path).removeprefix("/") for path in self._store.schema().entity_paths())
-
-    def static(self, path: str) -> dict[str, Any]:
-        """Components of an entity that were logged once; the last row counts where there are several."""
-        found: dict[str, Any] = {}
-        for chunk in self._store.stream().filter(content=f"/{path}", is_static=True):
-            batch = chunk.to_record_batch()
-            for row in range(batch.num_rows):
-                found |= _row(batch, row, chunk.timeline_names)
-        return found
-
-    def _frames(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Rows of an entity by frame; parts of a row may lie in several chunks, in any order."""
-        places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
-        for chunk in self._store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
-            batch = chunk.to_record_batch()
-            for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
-                places[frame].append((chunk, row))
-        for frame in sorted(places):
-            merged: dict[str, Any] = {}
-            for chunk, row in places.pop(frame):
-                merged |= _row(chunk.to_record_batch(), row, chunk.timeline_names)
-            yield frame, merged
-
-    def _read_properties(self) -> dict[str, Any]:
-        properties = {name: value[0] for name, value in self.static(f"__properties/{paths.PROPERTIES}").items()}
-        if "schema" not in properties:
-            raise DataError(self.path, "is a recording, but not of dynaviz", hint="Give the run.rrd of a run")
-        if properties["schema"] > paths.SCHEMA:
-            raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
-        return properties
 
 
 def open_store(path: Path) -> Any:
@@ -203,3 +251,13 @@ def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
         flat = (array.flatten() if width else array).to_numpy(zero_copy_only=False)
         values[name] = flat.reshape(-1, width) if width else flat
     return values
+
+
+def read(path: str | os.PathLike[str]) -> Recorded:
+    """Open a recording of whatever kind: a ``Recording`` where it is of a run.
+
+    Raises:
+        DataError: as ``Recorded``.
+    """
+    recorded = Recorded(path)
+    return Recording(path) if recorded.kind == paths.PROPERTIES else recorded

@@ -13,7 +13,7 @@ from rerun.experimental import ViewerClient
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import Recorded
 
 SIZE = (1600, 900)
 SECONDS_TO_LOAD = 120.0
@@ -44,8 +44,8 @@ def shot(
         UsageError: for a frame or view that it does not have.
         MissingDependency: where there is nothing to draw with.
     """
-    source, out = Recording(recording), Path(out)
-    count = int(source.properties["frames"])
+    source, out = Recorded(recording), Path(out)
+    count = source.frames
     frames = tuple(frames) or (max(count - 1, 0),)
     if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:
         raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
