@@ -28,12 +28,14 @@ class Result:
 
     Attributes:
         method, sequence: what ran on what; ``sequence`` holds name, digest, frames and points.
+        variant: a short name for the parameters, where a bench runs several sets of them.
         parameters: the method's parameters; ``n_parameters`` counts them (paper, runtime table).
         scoring: ``mask`` (labels by index) or ``nn`` (nearest neighbour in a cleaned map).
         sections: what the metrics found: counts, metrics, error_distance, breakdown, reasons ...; None where undefined.
         runtime: mean_s and std_s per frame of the method alone, prepare_s before it, frames, threads, peak_rss_mb.
         labels_sha256: digest of all labels in the order of the sequence.
         recording_sha256: digest of the recording's file, or None.
+        record: how much that recording holds, or None.
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
         environment: versions and machine. ``command``: what was typed.
     """
@@ -45,9 +47,11 @@ class Result:
     runtime: dict[str, Any] = field(default_factory=dict)
     online: bool = False
     seed: int = 0
+    variant: str = ""
     scoring: str = "mask"
     labels_sha256: str | None = None
     recording_sha256: str | None = None
+    record: str | None = None
     instrumented: bool = False
     environment: dict[str, Any] = field(default_factory=dict)
     command: str = ""
@@ -63,6 +67,18 @@ class Result:
         """static_kept, static_removed, dynamic_removed, dynamic_kept, unlabelled."""
         counts: dict[str, int] = self.sections.get("counts", {})
         return counts
+
+    @property
+    def failures(self) -> list[dict[str, Any]]:
+        """The failure cases, costliest first; empty where nobody looked for them."""
+        cases: list[dict[str, Any]] = self.sections.get("failures", {}).get("cases", [])
+        return cases
+
+    @property
+    def causes(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Cases and points by kind of error and cause, most points first; empty where nobody looked for them."""
+        causes: dict[str, dict[str, dict[str, int]]] = self.sections.get("failures", {}).get("causes", {})
+        return causes
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""
