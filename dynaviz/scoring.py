@@ -248,7 +248,7 @@ def given(path: str | os.PathLike[str], radius: float = RADIUS, name: str | None
     """
     path = Path(path)
     name = path.stem if name is None else name
-    if not name.isprintable() or Path(name).name != name:
+    if not name.isprintable() or not name.strip(".") or Path(name).name != name:
         raise UsageError(f"name = {name!r}: give one that a folder can have")
     return GivenLabels(path, name) if path.suffix.lower() == ".npz" else CleanedMap(path, name, radius)
 

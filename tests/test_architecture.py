@@ -75,7 +75,8 @@ def test_no_generic_name_is_ever_installed() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["config", "octomap_gf"]]
+    "command",
+    [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["score", "--help"], ["config", "octomap_gf"]],
 )
 def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
     code = (

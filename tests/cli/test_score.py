@@ -1,0 +1,112 @@
+"""dynaviz score, as a user types it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import room
+
+from dynaviz.cli import main
+from dynaviz.io.pcd import write_pcd
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def score(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run ``dynaviz score`` in this process; gives its exit code and what it wrote to the two streams."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dynaviz", "score", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A labelled sequence, the same without labels, and maps of it."""
+    path = tmp_path_factory.mktemp("data")
+    scans = room(frames=4, rays=1500).scans
+    points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
+    for scan in scans:
+        for name in ("room", "bare"):
+            xyz = dict(zip("xyz", scan.points.T, strict=True))
+            write_pcd(path / f"{name}/pcd/{scan.index:06d}.pcd", xyz, scan.T_world_sensor)
+    xyz = dict(zip("xyz", points.T, strict=True))
+    write_pcd(path / "room/gt_cloud.pcd", {**xyz, "intensity": labels.astype(np.float32)})
+    maps = {"clean": points[labels == 0], "empty": points[:0], "away": points + np.float32(900)}
+    for name, kept in maps.items():
+        write_pcd(path / f"{name}.pcd", dict(zip("xyz", kept.T, strict=True)))
+    (path / "cut.pcd").write_bytes((path / "clean.pcd").read_bytes()[:-7])
+    (path / "notes.txt").write_text("hello")
+    return path
+
+
+def test_a_map_is_scored_with_all_files(
+    score: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, err = score(folder / "clean.pcd", folder / "room")
+    assert code == 0, err
+    assert "clean" in out
+    assert "100.00" in out
+    assert "scoring: nn" in out
+    assert "warning" not in err
+    files = {path.name for path in (tmp_path / "recordings/room/clean").iterdir()}
+    assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd"}
+
+
+def test_options(score: Command, folder: Path, tmp_path: Path) -> None:
+    code, out, _ = score(folder / "clean.pcd", folder / "room", "-o", tmp_path, "--radius", 0.3, "--name", "mine",
+                         "--frames", "1:3", "--record", "none", "--threads", 1)  # fmt: skip
+    assert code == 0
+    assert "mine" in out
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["method"], result["parameters"]["radius"]) == ("mine", 0.3)
+    assert (result["sequence"]["frames"], result["recording_sha256"]) == (2, None)
+
+
+def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
+    code, _, err = score(folder / "away.pcd", folder / "room", "-o", tmp_path, "--record", "none")
+    warnings = [line for line in err.splitlines() if "warning" in line]
+    assert code == 0
+    assert len(warnings) == 1
+    assert "another frame" in warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("typed", "says"),
+    [
+        ("clean.pcd bare", "no ground truth"),
+        ("clean.pcd nowhere", "nowhere"),
+        ("clean.pcd room --radius -1", "radius"),
+        ("clean.pcd room --frames 7:", "--frames 7:"),
+        ("clean.pcd room --name a/b", "name"),
+        ("absent.pcd room", "absent.pcd"),
+        ("cut.pcd room", "cut.pcd, byte"),
+        ("empty.pcd room", "empty.pcd: has no point"),
+        ("notes.txt room", "notes.txt"),
+    ],
+)
+def test_a_mistake_is_answered_in_one_line(score: Command, folder: Path, tmp_path: Path, typed: str, says: str) -> None:
+    map_, sequence, *options = typed.split()
+    code, _, err = score(folder / map_, folder / sequence, "-o", tmp_path / "out", *options)
+    assert code == 2
+    assert err.count("\n") == 1, err
+    assert says in err
+    assert not list(tmp_path.rglob("*.*")), "nothing is written"
+
+
+def test_help_begins_with_examples(score: Command) -> None:
+    code, out, _ = score("--help")
+    assert code == 0
+    assert out.index("  dynaviz score erasor_output.pcd") < out.index("Options:")

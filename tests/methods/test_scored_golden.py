@@ -1,0 +1,53 @@
+"""Maps of the public programs, scored: as the public scripts print, and every point as other libraries say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import dynaviz as dv
+from dynaviz.io.pcd import write_pcd
+from dynaviz.method import Context
+from dynaviz.scan import Scan
+from dynaviz.scoring import CleanedMap
+from dynaviz.survey import Extent
+
+# SA, DA and AA of the public scripts, on the small sequence
+PRINTED = {
+    "octomap": (92.87, 35.16, 57.14),
+    "octomap_g": (95.04, 34.56, 57.31),
+    "dufomap": (100, 23.94, 48.92),
+    "beautymap": (90.30, 65.42, 76.86),
+    "removert_port": (98.90, 17.42, 41.50),
+}
+ERASOR = {"mini": (89.65, 26.58, 48.82), "kitti_tracking_0012": (97.90, 80.86, 88.98)}
+
+
+@pytest.mark.parametrize("program", PRINTED)
+def test_maps_of_the_public_programs_score_as_the_public_scripts_print(mini, tmp_path, program):
+    kept = mini.points[~mini.removed[program]]
+    write_pcd(tmp_path / "map.pcd", dict(zip("xyz", kept.T, strict=True)))
+    result = dv.score(tmp_path / "map.pcd", dv.open(mini.shared / "golden/mini"))
+    assert [result.metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx(PRINTED[program], abs=0.005)
+
+
+def test_every_labelled_point_of_erasors_map_as_by_scipy_and_open3d(golden):
+    import open3d as o3d
+
+    path = golden.shared / f"golden/erasor/{golden.name}.pcd"
+    labelled = golden.truth < 2
+    points = golden.points[labelled]
+    scored = CleanedMap(path, "erasor")
+    scored.begin(Context(Extent.of(*golden.scans)))
+    removed = scored.label(Scan(0, points, np.eye(4)))
+    distance, _ = cKDTree(scored.points.astype(np.float64)).query(points.astype(np.float64), workers=-1)
+    on_the_border = np.abs(distance - 0.05) < 1e-8
+    assert np.array_equal(removed[~on_the_border], distance[~on_the_border] > 0.05)
+    some = slice(None, None, 50)
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(xyz)) for xyz in (points[some], scored.points)]
+    theirs = np.asarray(clouds[0].compute_point_cloud_distance(clouds[1]))
+    assert np.array_equal(removed[some][~on_the_border[some]], theirs[~on_the_border[some]] > 0.05)
+    everywhere = np.zeros(len(golden.truth), bool)
+    everywhere[labelled] = removed
+    assert golden.scores(everywhere) == pytest.approx(ERASOR[golden.name], abs=0.005)
