@@ -17,22 +17,25 @@ from dynaviz.viz import paths
 STACK = 4  # range images in one tab
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 
-WRONG = "wrong points per frame: orange kept, yellow removed"  # a legend would hide the worst frames
+WRONG = "wrong points per frame"  # without a legend, which would hide the worst frames; colours are as in the world
 
 
 def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     Left, the world: the map of the whole run with its wrong points; below it the frame's points and the method's
-    states. Right, the numbers: scores, wrong points per frame, how far errors lie from right answers, and the report.
+    states. In the middle the words: failure cases and the report. Right, the numbers: scores, wrong points per frame,
+    and how far errors lie from right answers.
 
     Args:
         info: whose run it is; its ``emits`` each get a view.
         extent: where the map's points lie, so that the eye starts well.
         geometry: whether the recording holds any.
     """
-    numbers = _numbers(info)
-    body = rrb.Horizontal(_world(info, extent), numbers, column_shares=[5, 3]) if geometry else numbers
+    columns = [_words(), _numbers(info)]
+    if geometry:
+        columns.insert(0, _world(info, extent))
+    body = rrb.Horizontal(*columns, column_shares=[10, 6, 5][-len(columns) :])
     return rrb.Blueprint(
         body,
         rrb.BlueprintPanel(state="collapsed"),
@@ -45,13 +48,19 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
 
 def _world(info: MethodInfo, extent: Extent) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
-    everything = _solid(
-        "map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", f"{paths.FAILURES}/**", *common], _eye(extent)
-    )
-    frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], _follow())
+    everything = _solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.CASES, *common], _eye(extent))
+    frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, *common], _follow())
     states = _tabs(info)
     below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
     return rrb.Vertical(everything, below, row_shares=[3, 2])
+
+
+def _words() -> Any:
+    others = rrb.Tabs(
+        rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
+        rrb.TextLogView(name="log", origin=paths.LOG),
+    )
+    return rrb.Vertical(rrb.TextDocumentView(name="failures", origin=paths.FAILURE_LIST), others, row_shares=[5, 3])
 
 
 def _tabs(info: MethodInfo) -> list[Any]:
@@ -79,16 +88,12 @@ def _numbers(info: MethodInfo) -> Any:
         ],
     )
     distance = rrb.Tabs(
-        _bars("false negatives: metres to the nearest true positive", _run_histogram("false_negative")),
-        _bars("false positives", _run_histogram("false_positive")),
+        _bars("kept: error distance [m]", _run_histogram("false_negative")),
+        _bars("removed", _run_histogram("false_positive")),
         _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
     )
-    words = rrb.Tabs(
-        rrb.TextDocumentView(name="report", origin=paths.REPORT),
-        rrb.TextLogView(name="log", origin=paths.LOG),
-    )
     wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST], rrb.PlotLegend(visible=False))
-    return rrb.Vertical(scores, wrong, distance, words, row_shares=[5, 5, 4, 8])
+    return rrb.Vertical(scores, wrong, distance)
 
 
 _KINDS = ("false_negative", "false_positive")
@@ -139,7 +144,7 @@ def _eye(extent: Extent) -> rrb.EyeControls3D:
     """An oblique look from above on the bulk of the map, its long side across the picture."""
     centre, along, length = _bulk(extent)
     side = np.array([along[1], -along[0], 0.0])
-    position = centre + 0.62 * length * (0.75 * side + np.array([0.0, 0.0, 0.85]))
+    position = centre + 0.68 * length * (0.7 * side + np.array([0.0, 0.0, 1.0]))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
     )

@@ -34,6 +34,7 @@ WORST = "scores/worst_frames"
 ERROR_DISTANCE = "error_distance"
 REASONS = "reasons"
 REPORT = "report"
+FAILURE_LIST = "report/failures"
 LOG = "log"
 
 PROPERTIES = "run"  # recording property: what ran on what, and the whole result

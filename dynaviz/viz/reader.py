@@ -212,7 +212,9 @@ class Recording(Recorded):
                 components["Points3D:class_ids"].astype(np.uint8),
                 components.get("dynaviz.Scan:point", every).astype(np.int64),
                 components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
-                components["dynaviz.Scan:reason"] if "dynaviz.Scan:reason" in components else reasons.get(frame, every),
+                components["dynaviz.Scan:reason"]
+                if "dynaviz.Scan:reason" in components
+                else reasons.get(frame, every.astype(np.uint8)),
                 positions[frame].astype(np.float64),
             )
 

@@ -23,7 +23,7 @@ from dynaviz.viz import answers, paths, sink, states, viewer
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
 from dynaviz.viz.paths import Mode
-from dynaviz.viz.report import Tally, before, report
+from dynaviz.viz.report import Tally, before, failure_list, listed, report
 from dynaviz.viz.scene import Scene
 
 STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that are drawn in the world
@@ -136,9 +136,10 @@ class Recorder(Listener):
             if isinstance(figure, FrameHistograms):
                 self._histogram(paths.histogram(name), figure)
             elif self._scene is not None:
-                self._scene.boxes(name, figure)
+                self._scene.boxes(name, figure, len(listed(result)))
         self._mark_worst()
         self._report(report(self._info, result, self._tally, self.mode))
+        self._document(paths.FAILURE_LIST, failure_list(result))
         self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
         self._open.finish()
@@ -208,7 +209,10 @@ class Recorder(Listener):
             self._open.columns(paths.WORST, frames, [None], rr.Scalars.columns(scalars=wrong))
 
     def _report(self, text: str) -> None:
-        self._open.log(paths.REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+        self._document(paths.REPORT, text)
+
+    def _document(self, path: str, text: str) -> None:
+        self._open.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
     def _say(self, text: str) -> None:
         self._open.log(paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO))

@@ -15,6 +15,8 @@ from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 
 WORST = 5  # frames named in the report and marked on the curve
+LISTED = 20  # failure cases in the list and in the world, at most ...
+WORTH = 0.01  # ... and of the first one's cost, at least
 
 
 class Tally:
@@ -59,6 +61,7 @@ def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
         _title(info, result.sequence["name"]),
         _scores(result),
         _worst(tally),
+        _sentences(result),
         _counts(result),
         _reasons(info, tally),
         _how_to_read(mode),
@@ -67,6 +70,70 @@ def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
         _parameters(result.parameters),
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def listed(result: Result) -> list[dict[str, Any]]:
+    """The failure cases that are worth a look: the costliest ones."""
+    return [case for case in result.failures[:LISTED] if case["cost"] >= WORTH * result.failures[0]["cost"]]
+
+
+def failure_list(result: Result) -> str:
+    """What went wrong at a glance: what each cause costs, and the costliest cases; numbers are those on the boxes."""
+    cases = listed(result)
+    if not cases:
+        return "No failure case: no wrong point, or no ground truth."
+    rows = [
+        (
+            f"[{number}](recording://{paths.CASES}[#{number - 1}])",
+            case["worst_frame"],
+            f"{_DID[case['kind']]} {case['what']}",
+            case["cause"] or "unknown",
+            f"{case['cost']:.2f}",
+        )
+        for number, case in enumerate(cases, 1)
+    ]
+    return f"{_causes(result)}\n\n" + _table([("#", "frame", "what", "cause", "% lost"), *rows])
+
+
+_DID = {"false_positive": "removed", "false_negative": "kept"}
+
+
+def _causes(result: Result) -> str:
+    """A line for each kind of error: what it looks like, and its causes with what they cost, the largest first."""
+    counts = result.counts
+    static, dynamic = (
+        counts["static_kept"] + counts["static_removed"],
+        counts["dynamic_kept"] + counts["dynamic_removed"],
+    )
+    lines = []
+    for kind, colour, whole, score in (
+        ("false_positive", "Yellow", static, "SA"),
+        ("false_negative", "Orange", dynamic, "DA"),
+    ):
+        costs = {cause: 100 * count["points"] / whole for cause, count in result.causes.get(kind, {}).items()}
+        parts = [f"{cause} {cost:.2f}" for cause, cost in costs.items() if cost >= 0.005]
+        if parts:
+            lines.append(f"**{colour}** was wrongly {_DID[kind]}. {score} lost, in %: {', '.join(parts)}.")
+    return "\n\n".join(lines)
+
+
+def _sentences(result: Result) -> str:
+    rows = [
+        (number, f"{case['first_frame']} to {case['last_frame']}", case["sentence"], _most(case["reasons"]))
+        for number, case in enumerate(listed(result), 1)
+    ]
+    others = result.sections.get("failures", {}).get("others", {})
+    if not rows:
+        return ""
+    rest = len(result.failures) - len(rows) + others.get("cases", 0)
+    more = f"\n\nand {rest:,} smaller ones: `dynaviz failures` lists more." if rest else ""
+    return "### Failure cases\n\n" + _table([("#", "frames", "what happened", "the method's reason"), *rows]) + more
+
+
+def _most(reasons: Mapping[str, int]) -> str:
+    """The most frequent reasons, with their share."""
+    total = sum(reasons.values())
+    return ", ".join(f"{name} {100 * count / total:.0f} %" for name, count in list(reasons.items())[:2])
 
 
 def _title(info: MethodInfo, sequence: str) -> str:

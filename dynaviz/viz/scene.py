@@ -37,6 +37,8 @@ RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
 SMALLEST = 1.2
 FEW = 500  # points; of more, each is drawn smaller, or a method's many small errors would hide its few large ones
 RINGS = (10.0, 20.0)  # metres; the viewer's eye follows them, and their size sets its distance
+EDGES = rr.Radius.ui_points(1.2)  # of boxes
+WIRES = rr.components.FillMode.MajorWireframe  # what is in a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
@@ -116,23 +118,24 @@ class Scene:
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
-    def boxes(self, name: str, cases: FrameBoxes) -> None:
-        """Draw cases: each frame's boxes on the timeline, and what each case covers in all of its frames."""
-        colours = np.array([paths.COLOURS[Outcome(o)] for o in cases.outcomes], np.uint8).reshape(-1, 3)
-        labels, path = np.array(cases.labels, object), paths.boxes(name)
-        style = rr.Radius.ui_points(1.5)
-        sizes, numbers = cases.high - cases.low, [str(i + 1) for i in range(len(labels))]
-        whole = rr.Boxes3D(mins=cases.low, sizes=sizes, colors=colours, labels=numbers, radii=style)
+    def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
+        """Draw the first cases: each frame's boxes on the timeline, and what each covers in all of its frames."""
+        few = slice(count)
+        colours = np.array([paths.COLOURS[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
+        labels, path = np.array(cases.labels[few], object), paths.boxes(name)
+        numbers = [str(number) for number in range(1, len(labels) + 1)]
+        low, size = cases.low[few], (cases.high - cases.low)[few]
+        whole = rr.Boxes3D(mins=low, sizes=size, colors=colours, labels=numbers, radii=EDGES, fill_mode=WIRES)
         self._sink.log(f"{path}/cases", whole, static=True)
-        self._sink.log(path, rr.Boxes3D.from_fields(radii=style, show_labels=True), static=True)
+        self._sink.log(path, rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=True), static=True)
         order = np.argsort(cases.frames, kind="stable")
+        order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
-        frames = len(self._trajectory)
         columns = rr.Boxes3D.columns(
             centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=colours[case], labels=labels[case].tolist()
         )
-        lengths = np.bincount(cases.frames, minlength=frames)
-        self._sink.columns(path, range(frames), [None], columns.partition(lengths))
+        lengths = np.bincount(cases.frames[order], minlength=len(self._trajectory))
+        self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         classes = labelled.outcome[chosen].astype(np.uint16)

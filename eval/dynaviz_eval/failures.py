@@ -67,8 +67,8 @@ class Failures:
             causes[kind] = defaultdict(lambda: {"cases": 0, "points": 0})
             every = np.concatenate([summed(cases.rows), cases.dropped])
             for cause, points in zip(causes_of(kind, every, self._reasons), every["points"].tolist(), strict=True):
-                causes[kind][cause or "unknown"]["cases"] += 1
-                causes[kind][cause or "unknown"]["points"] += points
+                causes[kind][str(cause or "unknown")]["cases"] += 1
+                causes[kind][str(cause or "unknown")]["points"] += points
         told.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))
         self._told = told[:KEEP]
         others = {
@@ -90,7 +90,7 @@ class Failures:
         return {
             "failures": FrameBoxes(
                 "failure cases",
-                tuple(f"{i + 1}: {case['what']}, {case['cause'] or 'cause unknown'}" for i, case in enumerate(cases)),
+                tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1)),
                 np.array([_KINDS[case["kind"]] for case in cases], np.uint8),
                 low,
                 high,

@@ -36,7 +36,8 @@ WORLD = {
     paths.TRAJECTORY, paths.SENSOR, paths.RINGS,
 }  # fmt: skip
 NUMBERS = {
-    "answers", "report", "log", "scores/SA/so_far", "scores/SA/frame", "scores/DA/so_far", "reasons/band", paths.WORST,
+    "answers", "report", "report/failures", "log",
+    "scores/SA/so_far", "scores/SA/frame", "scores/DA/so_far", "reasons/band", paths.WORST,
     "scores/wrong_points/false_negatives", "scores/wrong_points/false_positives",
     "error_distance/false_negative", "error_distance/false_negative/run", "error_distance/false_negative/p10",
 }  # fmt: skip

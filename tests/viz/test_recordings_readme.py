@@ -28,8 +28,8 @@ def test_the_example_works(
 
 def test_every_constant_path_and_every_property_is_described(little_room: InMemory, tmp_path: Path) -> None:
     told = set(re.findall(r"`([^`]+)`", PAGE))
-    for name in ("SCAN", "MAP", "MAP_WRONG", "REMOVED", "REMOVED_WRONG", "TRAJECTORY", "SENSOR", "RINGS", "FAILURES"):
+    for name in ("SCAN", "MAP", "MAP_WRONG", "REMOVED", "REMOVED_WRONG", "TRAJECTORY", "SENSOR", "RINGS"):
         assert getattr(paths, name) in told
-    for name in ("ANSWERS", "WORST", "REPORT", "LOG"):
+    for name in ("FAILURES", "CASES", "ANSWERS", "WORST", "REPORT", "FAILURE_LIST", "LOG"):
         assert getattr(paths, name) in told
     assert set(Recording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= told

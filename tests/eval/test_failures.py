@@ -1,0 +1,190 @@
+"""Failure cases against connected components of a graph, and what is said of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from dynaviz.method import Cause, MethodInfo, Reason
+from dynaviz.metric import FrameBoxes, Labelled
+from dynaviz.scan import Outcome, Scan
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
+from dynaviz_eval.failures import Failures
+
+INFO = MethodInfo(
+    "m",
+    "M",
+    "none",
+    (
+        Reason("crossed", "rays", Cause.GRAZING_RAYS),
+        Reason("never_crossed", "no rays", Cause.NOTHING_BEHIND),
+        Reason("too_high", "height", Cause.HEIGHT_LIMIT),
+        Reason("mystery", "nobody knows"),
+    ),
+)
+
+
+def labelled(frame: int, points, labels, dynamic, reasons=0, **more) -> Labelled:
+    points = np.asarray(points, np.float32).reshape(-1, 3)
+    n = len(points)
+    scan = Scan(frame, points, np.eye(4), labels=np.full(n, labels, np.uint8), **more)
+    return Labelled.of(frame, scan, np.full(n, dynamic, np.bool_), np.full(n, reasons, np.uint8))
+
+
+def section(*frames: Labelled) -> dict:
+    metric = Failures(INFO)
+    for one in frames:
+        metric.update(one)
+    found = metric.finish()["failures"]
+    assert json.loads(json.dumps(found)) == found
+    return found
+
+
+def cube(n: int = 50, seed: int = 0, x: float = 0.0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([x, 0, 0], [x + 0.9, 0.9, 0.9], (n, 3))
+
+
+def components(frames: list[np.ndarray]) -> list[frozenset[tuple[int, int]]]:
+    """Points (frame, number) joined where their cells touch and their frames are near: by a graph of all pairs."""
+    where = [(f, i) for f, points in enumerate(frames) for i in range(len(points))]
+    if not where:
+        return []
+    cells = np.floor(np.concatenate(frames) / EDGE)
+    when = np.array([f for f, _ in where])
+    touch = (np.abs(cells[:, None] - cells[None]).max(-1) <= 1) & (np.abs(when[:, None] - when[None]) <= GAP)
+    _, label = connected_components(coo_array(touch), directed=False)
+    return [frozenset(where[i] for i in np.flatnonzero(label == k)) for k in range(label.max() + 1)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(0, 40), frames=st.integers(1, 40), size=st.floats(1.0, 8.0))
+def test_cases_are_connected_components(seed, n, frames, size):
+    rng = np.random.default_rng(seed)
+    scans = [rng.uniform(-size, size, (rng.integers(0, n + 1), 3)).astype(np.float32) for _ in range(frames)]
+    cases = Cases(2, np.inf)
+    for frame, points in enumerate(scans):
+        m = len(points)
+        empty = np.zeros(m, np.uint8)
+        cases.add(frame, points, np.zeros(m, np.int64), empty, np.zeros(m, np.float32), np.zeros(m, np.bool_))
+    cases.settle(frames - 1, over=True)
+    found = np.concatenate([summed(cases.rows)["points"], cases.dropped["points"]])
+    assert sorted(found) == sorted(len(c) for c in components(scans))
+
+
+def test_memory_does_not_grow_with_frames():
+    rng, cases = np.random.default_rng(1), Cases(2, np.inf)
+    sizes = []
+    for frame in range(600):
+        points = rng.uniform([frame - 40, -40, -40], [frame + 40, 40, 40], (60, 3)).astype(np.float32)
+        none = np.zeros(60, np.int64)
+        cases.add(frame, points, none, none.astype(np.uint8), np.zeros(60, np.float32), none.astype(np.bool_))
+        sizes.append((len(cases._table), len(cases._parent), len(cases.rows)))
+    assert (np.max(sizes[300:], axis=0) <= 1.5 * np.max(sizes[100:300], axis=0)).all()
+    cases.settle(599, over=True)
+    assert summed(cases.rows)["points"].sum() + cases.dropped["points"].sum() == 36000
+    assert len(np.unique(cases.rows["case"])) == KEEP
+
+
+def test_a_large_hole_is_told_in_parts_and_a_long_trail_in_one():
+    x = np.arange(0, 70, 0.2)
+    line = np.stack([x, 0 * x, 0 * x], 1)
+    holes = section(labelled(0, line, 0, True))["cases"]
+    assert len(holes) >= 4
+    assert all(case["high"][0] - case["low"][0] <= 20.0 for case in holes)
+    assert sum(case["points"] for case in holes) == len(line)
+    assert len(section(labelled(0, line, 1, False))["cases"]) == 1
+
+
+def test_one_object_is_followed_through_its_frames_and_told_in_numbers():
+    frames = [labelled(f, cube(seed=f, x=f), 1, False, 1) for f in range(12)]
+    found = section(*frames)
+    (case,) = found["cases"]
+    assert (case["kind"], case["points"], case["cost"], case["frames"]) == ("false_negative", 600, 100.0, 12)
+    assert (case["first_frame"], case["last_frame"], case["worst_frame"]) == (0, 11, 0)
+    assert case["moved"] == pytest.approx(9.0, abs=0.3)  # from the first three frames to the last three
+    assert case["cause"] == "nothing behind"
+    assert "moved 9 m" in case["sentence"]
+    assert case["reasons"] == {"never_crossed": 600}
+    assert found["causes"]["false_negative"] == {"nothing behind": {"cases": 1, "points": 600}}
+    assert found["others"] == {"cases": 0, "points": 0}
+
+
+def test_what_stands_is_said_to_stand():
+    (case,) = section(*(labelled(f, cube(seed=f), 1, False, 1) for f in range(12)))["cases"]
+    assert case["cause"] == "standing too long"
+    assert "hardly moved" in case["sentence"]
+
+
+def test_what_comes_back_after_a_gap_is_another_case():
+    frames = [labelled(f, cube(), 1, False) for f in (0, 1, 2, 2 + GAP + 1)]
+    assert sorted(case["points"] for case in section(*frames)["cases"]) == [50, 150]
+    assert len(section(*(labelled(f, cube(), 1, False) for f in (0, GAP)))["cases"]) == 1
+
+
+def test_a_ground_strip_is_grazed_and_a_thing_beside_a_walker_shares_its_cell():
+    ground = np.random.default_rng(0).uniform([0, 0, 0], [8, 4, 0.05], (2000, 3))
+    (strip,) = section(labelled(0, ground, 0, True))["cases"]
+    assert (strip["cause"], strip["what"]) == ("grazing rays", "level surface")
+
+    walker, trunk = cube(60), cube(60) * [0.3, 0.3, 2] + [1.1, 0, 0]
+    scan = Scan(0, np.concatenate([walker, trunk]), np.eye(4), labels=np.repeat([1, 0], 60))
+    (case,) = section(Labelled.of(0, scan, np.ones(120, np.bool_), np.zeros(120, np.uint8)))["cases"]
+    assert (case["cause"], case["what"]) == ("shared cell", "pole or trunk")
+
+
+def test_the_method_has_the_word_where_it_is_not_a_matter_of_rays():
+    (high,) = section(*(labelled(f, cube(), 1, False, 2) for f in range(12)))["cases"]
+    assert high["cause"] == "height limit"
+    (mystery,) = section(labelled(0, cube(), 1, False, 3))["cases"]
+    assert mystery["cause"] is None
+    assert "mystery" in mystery["sentence"]
+
+
+def test_classes_and_objects_part_cases_and_name_them():
+    names = {5: "car", 7: "tree"}
+    more = {"classes": np.repeat([5, 7], 25), "class_names": names, "instances": np.repeat([3, 4], 25)}
+    found = section(labelled(0, cube(), 1, False, **more))["cases"]
+    assert [(c["what"], c["class"], c["instance"], c["points"]) for c in found] == [
+        ("car", 5, 3, 25),
+        ("tree", 7, 4, 25),
+    ]
+
+
+def test_the_costliest_case_is_first_whatever_its_kind():
+    static, ghost = cube(500), cube(10, x=50)
+    frames = labelled(0, static, 0, True), labelled(1, ghost, 1, False), labelled(2, cube(500, x=90), 0, False)
+    found = section(*frames)["cases"]
+    assert [(c["kind"], c["cost"]) for c in found] == [("false_negative", 100.0), ("false_positive", 50.0)]
+
+
+def test_boxes_hold_the_points_of_their_frame():
+    metric, clouds = Failures(INFO), [cube(seed=f, x=f) for f in range(5)]
+    for f, cloud in enumerate(clouds):
+        metric.update(labelled(f, cloud, 1, False))
+    metric.finish()
+    boxes = metric.figures()["failures"]
+    assert isinstance(boxes, FrameBoxes)
+    assert boxes.frames.tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(boxes.box_low, [c.min(0) for c in clouds], rtol=1e-6)
+    np.testing.assert_allclose(boxes.box_high, [c.max(0) for c in clouds], rtol=1e-6)
+    assert boxes.outcomes.tolist() == [Outcome.FALSE_NEGATIVE]
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), 1e9)])
+def test_points_without_a_place_are_of_no_case(points):
+    found = section(labelled(0, points, 1, False))
+    assert found["cases"] == []
+
+
+def test_nothing_is_wrong_without_ground_truth():
+    scan = Scan(0, cube(), np.eye(4))
+    metric = Failures(INFO)
+    metric.update(Labelled.of(0, scan, np.ones(50, np.bool_), np.zeros(50, np.uint8)))
+    assert metric.finish()["failures"]["cases"] == []
+    assert metric.figures() == {}

@@ -1,0 +1,92 @@
+"""Failure cases in a recording: as told, drawn, and found again where the run ended early."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from guess import Guess, GuessParams
+from worlds import InMemory
+
+from dynaviz import registry
+from dynaviz.errors import DataError
+from dynaviz.loop import Listener, Run, execute
+from dynaviz.scan import Outcome
+from dynaviz.viz import paths
+from dynaviz.viz.failures import failures_of
+from dynaviz.viz.reader import Recording
+from dynaviz.viz.recorder import Recorder
+
+
+def record(sequence: InMemory, path: Path, mode: str = "errors", *listeners: Listener) -> Path:
+    """Record the test's method with the real metrics."""
+    params = GuessParams()
+    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures"))
+    with Recorder(path, mode) as recorder:
+        execute(Run(Guess(params), sequence, params, metrics), [recorder, *listeners], recorder)
+    return path
+
+
+def cut_short(sequence: InMemory, path: Path, mode: str) -> Path:
+    class First(Recorder):
+        def finish(self, *_) -> None:
+            raise RuntimeError("stopped")
+
+    params = GuessParams()
+    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures"))
+    with pytest.raises(RuntimeError, match="stopped"), First(path, mode) as recorder:
+        execute(Run(Guess(params), sequence, params, metrics), [recorder], recorder)
+    (path.parent / f".{path.name}.part").rename(path)
+    return path
+
+
+@pytest.mark.parametrize("mode", ["full", "errors"])
+def test_the_cases_of_a_run_that_ended_early_are_found_again(little_room, tmp_path, mode):
+    told = failures_of(record(little_room, tmp_path / "whole.rrd", mode))
+    again = failures_of(cut_short(little_room, tmp_path / "cut.rrd", mode))
+    assert told["cases"]
+    assert not Recording(tmp_path / "cut.rrd").complete
+    points = [Counter({case["kind"]: case["points"] for case in section["cases"]}) for section in (told, again)]
+    assert points[0] == points[1]
+    costs = [sum(case["cost"] for case in section["cases"]) for section in (told, again)]
+    assert costs[0] == pytest.approx(costs[1])
+
+
+def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
+    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    cases = recording.result.failures
+    boxes = dict(recording._frames(paths.FAILURES))
+    assert set(boxes) == set(range(len(little_room)))
+    for drawn in recording.drawn():
+        wrong = drawn.xyz[np.isin(drawn.outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE))]
+        parts = boxes[drawn.frame]
+        if "Boxes3D:half_sizes" not in parts or not len(wrong):
+            continue
+        half, centre = parts["Boxes3D:half_sizes"], parts["Boxes3D:centers"]
+        within = (np.abs(wrong[:, None] - centre[None]) <= half[None] + 1e-4).all(-1).any(1)
+        assert within.all()
+    whole = recording.static(paths.CASES)
+    assert len(whole["Boxes3D:centers"]) == len(cases)
+    np.testing.assert_allclose(
+        whole["Boxes3D:centers"] + whole["Boxes3D:half_sizes"], [case["high"] for case in cases], atol=0.02
+    )
+
+
+def test_the_list_names_the_frame_to_go_to(little_room, tmp_path):
+    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    text = str(recording.static(paths.FAILURE_LIST)["TextDocument:text"][0])
+    first = recording.result.failures[0]
+    assert f"| {first['worst_frame']} |" in text
+    assert f"{first['cost']:.2f}" in text
+    assert first["sentence"] in str(recording.static(paths.REPORT)["TextDocument:text"][0])
+
+
+def test_a_recording_without_points_or_truth_says_so(little_room, tmp_path):
+    with pytest.raises(DataError, match="holds no points"):
+        failures_of(cut_short(little_room, tmp_path / "scores.rrd", "scores"))
+    bare = InMemory([scan.without_truth() for scan in little_room.scans])
+    with pytest.raises(DataError, match="no ground truth"):
+        failures_of(record(bare, tmp_path / "bare.rrd"))
+    assert failures_of(record(little_room, tmp_path / "told.rrd", "scores"))["cases"]
