@@ -60,28 +60,36 @@ def link(
     low: I32,
     high: I32,
     used: int,
-) -> tuple[I32, int]:
-    """Give the cells of a frame their case: that of a cell of the same group which they touch, or a new one.
+) -> tuple[I32, NDArray[np.bool_], int, int]:
+    """Give the points of a frame their case: that of a cell of the same group which their own touches, or a new one.
 
     Args:
-        keys: (V,) int64 packed cells of the frame, sorted, each group's once.
-        groups: (V,) int64: cells of different groups never join.
+        keys: (N,) int64 packed cell of each point.
+        groups: (N,) int64: points of different groups never join.
         frame: number of the frame.
         gap: frames back that a cell is remembered.
         limit: cells that a case may span along an axis.
         table: (2^k,) int64: key of each remembered cell (-1: free); twice as many as come to lie in it. Changed.
         cells: (2^k, 3) int64: its group, case and last frame. Changed.
         parent: (L,) int32, low, high: (L, 3) int32: a forest of cases that were joined, and what each spans, in cells;
-            room for V more. Changed.
+            room for N more. Changed.
         used: how many cases there were.
 
     Returns:
-        cases: (V,) int32, to be looked up in ``parent``.
-        used: how many there are now.
+        cases: (N,) int32, to be looked up in ``parent``.
+        first: (N,) bool: whether the point is its cell's first in this frame.
+        fresh: how many cells were added to the table.
+        used: how many cases there are now.
     """
-    cases = np.empty(len(keys), np.int32)
-    for v in range(len(keys)):
-        key, group = keys[v], groups[v]
+    cases, first, fresh = np.empty(len(keys), np.int32), np.zeros(len(keys), np.bool_), 0
+    for i in range(len(keys)):
+        key, group = keys[i], groups[i]
+        own = _find(table, cells, key, group)
+        known = table[own] >= 0
+        if known and frame - cells[own, LAST] <= gap:  # then it was joined to what it touches already
+            cases[i], first[i] = cells[own, CASE], cells[own, LAST] != frame
+            cells[own, LAST] = frame
+            continue
         case = used  # a new one, until a neighbour takes it in
         parent[case] = case
         for axis in range(3):
@@ -102,12 +110,11 @@ def link(
                             low[keep, axis] = min(low[keep, axis], low[gone, axis])
                             high[keep, axis] = max(high[keep, axis], high[gone, axis])
         root = _root(parent, case)
-        if root == used:
-            used += 1
-        s = _find(table, cells, key, group)
-        table[s], cells[s, GROUP], cells[s, CASE], cells[s, LAST] = key, group, root, frame
-        cases[v] = root
-    return cases, used
+        used += root == used
+        fresh += not known
+        table[own], cells[own, GROUP], cells[own, CASE], cells[own, LAST] = key, group, root, frame
+        cases[i], first[i] = root, True
+    return cases, first, fresh, used
 
 
 @njit(cache=True, nogil=True)

@@ -80,22 +80,16 @@ class Cases:
 
     def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, NDArray[np.intp], NDArray[np.intp], I64]:
         """Cases of a frame, points in their order, where each case starts there, and how many cells it has."""
-        keys = pack(points, EDGE)
-        by_cell = np.lexsort((groups, keys))
-        keys, groups = keys[by_cell], groups[by_cell]
-        first = np.append(True, (np.diff(keys) != 0) | (np.diff(groups) != 0))
-        self._make_room(int(first.sum()))
-        of_cell, self._used = kernels.cases.link(
-            keys[first], groups[first], frame, GAP, self._limit,
+        self._make_room(len(points))
+        of_point, first, fresh, self._used = kernels.cases.link(
+            pack(points, EDGE), groups, frame, GAP, self._limit,
             self._table, self._cells, self._parent, self._low, self._high, self._used,
         )  # fmt: skip
-        of_cell = kernels.cases.roots(self._parent, self._used)[of_cell]  # some were joined after they got theirs
-        self._remembered += len(of_cell)
-        of_point = of_cell[np.cumsum(first) - 1]
-        by_case = np.argsort(of_point, kind="stable")
-        case, starts = np.unique(of_point[by_case], return_index=True)
-        cells = np.bincount(np.searchsorted(case, of_cell), minlength=len(case))
-        return case.astype(np.int64), by_cell[by_case], starts, cells
+        self._remembered += fresh
+        of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # some were joined after they got theirs
+        order = np.argsort(of_point, kind="stable")
+        case, starts = np.unique(of_point[order], return_index=True)
+        return case.astype(np.int64), order, starts, np.add.reduceat(first[order].astype(np.int64), starts)
 
     def _make_room(self, more: int) -> None:
         room = 2 * (self._remembered + more)

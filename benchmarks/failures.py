@@ -1,0 +1,35 @@
+"""Joining five million wrong points to failure cases: ``python benchmarks/failures.py``."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from dynaviz.loop import peak_rss_mb
+from dynaviz_eval.cases import Cases, summed
+
+FRAMES, POINTS = 143, 35_000
+
+
+def main() -> None:
+    """A street's ground around a sensor that drives 1 m a frame, all of it wrongly removed."""
+    for first in (True, False):
+        spent, cases, rng = 0.0, Cases(8, span=20.0), np.random.default_rng(0)
+        for frame in range(FRAMES):
+            points = rng.normal([frame, 0.0, 0.0], [18.0, 18.0, 0.05], (POINTS, 3)).astype(np.float32)
+            groups, codes = np.zeros(POINTS, np.int64), np.zeros(POINTS, np.uint8)
+            ranges = np.hypot(points[:, 0] - frame, points[:, 1])
+            start = time.perf_counter()
+            cases.add(frame, points, groups, codes, ranges, codes > 0)
+            spent += time.perf_counter() - start
+        start = time.perf_counter()
+        cases.settle(FRAMES - 1, over=True)
+        spent += time.perf_counter() - start
+        if not first:  # which compiles
+            found = len(summed(cases.rows)) + len(cases.dropped)
+            print(f"{FRAMES * POINTS:,} points, {found:,} cases: {spent:.1f} s, peak {peak_rss_mb():.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
