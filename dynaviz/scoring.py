@@ -34,6 +34,7 @@ _REASONS = (
     Reason("no_kept_point_within_radius", "removed: no point of the map lies within the radius"),
     Reason("not_finite", "kept: it has no finite coordinates, so no map can hold it"),
 )
+_NEARBY = 1.0  # metres
 _ALIEN = 1.0  # percent of static points near the map, below which map and sequence do not belong together
 _SAMPLE = 50  # every which static point is asked for that
 
@@ -116,26 +117,29 @@ class CleanedMap(Given):
         if not 0 <= radius < np.inf:
             raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark's is {RADIUS}")
         points = read_points(path)
-        finite = np.isfinite(points).all(1)
-        self.path, self.points, self.params = path, points[finite], MapParams(radius)
-        self.facts: dict[str, Any] = {
+        finite = _finite(points)
+        self.path, self.points, self.params = path, np.compress(finite, points, 0), MapParams(radius)
+        self.facts = {
             "points": len(points),
-            "not_finite": int((~finite).sum()),
+            "not_finite": len(points) - len(self.points),
             "static_within_1_m": None,
         }
         if not len(self.points):
             problem = "has no point" if not len(points) else "has no point with finite coordinates"
             raise DataError(path, problem, hint="A cleaned map holds what stands still: see what its program printed")
         self.info = MethodInfo(name, name, f"another program, which wrote {path.name}", _REASONS)
-        self._low, self._high = self.points.min(0), self.points.max(0)
+        # By columns, here and below, for numpy is ten times slower along rows of three.
+        self._low, self._high = (np.array([f(column) for column in self.points.T]) for f in (np.min, np.max))
         self._last: tuple[Scan, U8] | None = None
         self._sampled = self._found = 0
 
     def begin(self, context: Context) -> None:
         """Build the tree of what can matter to this sequence."""
-        self._extent, margin = context.extent, 1 + self.params.radius
-        low, high = context.extent.low - margin, context.extent.high + margin
-        self.points = self.points[((self.points >= low) & (self.points <= high)).all(1)]
+        self._extent, margin = context.extent, _NEARBY + self.params.radius
+        inside = np.ones(len(self.points), np.bool_)
+        for column, low, high in zip(self.points.T, context.extent.low, context.extent.high, strict=True):
+            inside &= (column >= low - margin) & (column <= high + margin)
+        self.points = np.compress(inside, self.points, 0)
         self.tree = Nearest(self.points)
 
     def label(self, scan: Scan) -> Bool:
@@ -146,9 +150,10 @@ class CleanedMap(Given):
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8: the reasons' codes."""
         if self._last is None or self._last[0] is not scan:
-            finite = np.isfinite(scan.points).all(1)
+            finite = _finite(scan.points)
+            near = self.tree.within(np.compress(finite, scan.points, 0), self.params.radius)
             codes = np.full(len(scan), _NOWHERE, np.uint8)
-            codes[finite] = np.where(self.tree.within(scan.points[finite], self.params.radius), _NEAR, _FAR)
+            codes[finite] = np.where(near, _NEAR, _FAR)
             self._last = scan, codes
         return self._last[1]
 
@@ -159,12 +164,12 @@ class CleanedMap(Given):
                 metric.cleaned_map(self.points)
 
     def compare(self, scan: Scan) -> None:
-        """Note how many of some static points lie within 1 m of the map."""
+        """Note how many of some static points lie near the map."""
         if scan.labels is not None:
-            static = scan.points[scan.labels == Label.STATIC][::_SAMPLE]
-            static = static[np.isfinite(static).all(1)]
+            static = scan.points[np.flatnonzero(scan.labels == Label.STATIC)[::_SAMPLE]]
+            static = static[_finite(static)]
             self._sampled += len(static)
-            self._found += int(self.tree.within(static, 1.0).sum())
+            self._found += int(self.tree.within(static, _NEARBY).sum())
             self.facts["static_within_1_m"] = 100 * self._found / self._sampled if self._sampled else None
 
     def remarks(self) -> list[str]:
@@ -285,6 +290,13 @@ class Opening(Listener):
     def begin(self, run: Run, survey: Survey) -> None:
         """Ask."""
         self._given.check(run, survey)
+
+
+def _finite(points: F32) -> Bool:
+    """(N,) bool: which of (N, 3) points are finite."""
+    x, y, z = np.isfinite(points).T
+    finite: Bool = x & y & z
+    return finite
 
 
 def _spans(low: Any, high: Any) -> str:
