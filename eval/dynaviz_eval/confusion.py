@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,6 +94,10 @@ def _percent(part: int, whole: int) -> float:
     return 100.0 * part / whole if whole else math.nan
 
 
+def _sections(counts: Counts) -> dict[str, Any]:
+    return {"counts": dataclasses.asdict(counts), "metrics": counts.metrics()}
+
+
 class Confusion:
     """Sections ``counts`` and ``metrics``; curves of SA, DA, AA and HA of each frame and up to it."""
 
@@ -109,7 +113,12 @@ class Confusion:
 
     def finish(self) -> Mapping[str, Any]:
         """The sections."""
-        return {"counts": dataclasses.asdict(self._total), "metrics": self._total.metrics()}
+        return _sections(self._total)
+
+    @staticmethod
+    def combine(sections: Iterable[Mapping[str, Any]]) -> Mapping[str, Any]:
+        """The sections of several results as one, by adding counts."""
+        return _sections(sum((Counts(**each["counts"]) for each in sections), Counts()))
 
     def figures(self) -> Mapping[str, Figure]:
         """None."""

@@ -1,0 +1,166 @@
+"""What a bench answers: a row a cell, sequences combined by adding counts, and what a search found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dynaviz import registry
+from dynaviz.benches.plan import Cell, ParameterSet
+from dynaviz.errors import DynavizError
+from dynaviz.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+
+@dataclass(frozen=True)
+class Row:
+    """A cell that has ended.
+
+    Attributes:
+        cell, folder: what it is, and where its files are.
+        result: None where it failed.
+        error: why it failed, a sentence; else None.
+        kept: whether it was done already, by an earlier bench.
+    """
+
+    cell: Cell
+    folder: Path
+    result: Result | None = None
+    error: str | None = None
+    kept: bool = False
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a search found for one method.
+
+    Attributes:
+        best: the parameters; the defaults where no trial was better.
+        preset: the file that holds them.
+        aa, default_aa: associated accuracy on the sequences that were not held out, percent, counts added; of the
+            defaults None where undefined.
+        trials, failed: how many sets were tried, and how many of them gave no AA.
+    """
+
+    best: ParameterSet
+    preset: Path
+    aa: float
+    default_aa: float | None
+    trials: int
+    failed: int
+
+
+@dataclass(frozen=True)
+class Board:
+    """All rows of a bench; shows itself as a leaderboard.
+
+    Attributes:
+        rows: one a cell.
+        holdout: names of the sequences that were held out.
+        found: one for each method that was searched.
+    """
+
+    rows: list[Row]
+    holdout: frozenset[str] = frozenset()
+    found: list[Found] = field(default_factory=list)
+
+    @property
+    def results(self) -> list[Result]:
+        """Of the cells that are done."""
+        return [row.result for row in self.rows if row.result]
+
+    @property
+    def failed(self) -> list[Row]:
+        """The cells that are not."""
+        return [row for row in self.rows if row.error]
+
+    def totals(self, held_out: bool = False) -> list[Result]:
+        """One result for each method and variant all whose cells are done, where there are several sequences."""
+        groups: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            if (row.cell.source.name in self.holdout) == held_out:
+                groups.setdefault((row.cell.what.method, row.cell.what.variant), []).append(row)
+        most = max(map(len, groups.values()), default=0)
+        whole = [[row.result for row in rows if row.result] for rows in groups.values()]
+        return [combined(results) for results in whole if len(results) == most > 1]
+
+    def __rich__(self) -> RenderableType:
+        from rich.console import Group
+        from rich.table import Table
+
+        from dynaviz.tables import result_table
+
+        parts: list[RenderableType] = []
+        learnt = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]
+        held = [row.result for row in self.rows if row.result and row.cell.source.name in self.holdout]
+        for results, totals, title in (
+            (learnt, self.totals(), None),
+            (held, self.totals(held_out=True), "held out from the search"),
+        ):
+            if results:
+                parts.append(result_table(_ranked(results) + _ranked(totals), title=title))
+        if self.failed:
+            table = Table(
+                "sequence", "method", "failed", box=None, pad_edge=False, title="failed", title_justify="left"
+            )
+            for row in self.failed:
+                table.add_row(row.cell.source.name, row.cell.path.name, row.error)
+            parts.append(table)
+        return Group(*parts)
+
+
+def combined(results: Sequence[Result]) -> Result:
+    """Results of one method on several sequences as one: each metric combines its own sections, by adding counts.
+
+    Args:
+        results: at least one, of the same method and parameters.
+
+    Raises:
+        DynavizError: where they were scored in different ways.
+    """
+    first = results[0]
+    if len({result.scoring for result in results}) > 1:
+        raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
+    sections: dict[str, Any] = {}
+    for handle in registry.handles("metrics"):
+        if combine := getattr(handle.load(), "combine", None):
+            sections |= combine([result.sections for result in results])
+    total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
+    digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))
+    return replace(
+        first,
+        sequence={"name": f"all {len(results)}", "digest": digest, **total},
+        sections=sections,
+        runtime=_runtime([result.runtime for result in results]),
+        labels_sha256=None,
+        recording_sha256=None,
+        record=None,
+        instrumented=any(result.instrumented for result in results),
+        command="",
+    )
+
+
+def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and deviation over the frames of all sequences."""
+    if not all("mean_s" in runtime for runtime in runtimes):
+        return {}
+    frames = sum(runtime["frames"] for runtime in runtimes)
+    mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames
+    square = sum(runtime["frames"] * (runtime["std_s"] ** 2 + runtime["mean_s"] ** 2) for runtime in runtimes) / frames
+    return {"mean_s": mean, "std_s": math.sqrt(max(0.0, square - mean**2)), "frames": frames}
+
+
+def _ranked(results: Sequence[Result]) -> list[Result]:
+    """Sequence by sequence as they come, the best AA first, undefined ones last."""
+    order = list(dict.fromkeys(str(result.sequence.get("name")) for result in results))
+
+    def rank(result: Result) -> tuple[int, float]:
+        aa = result.metrics.get("AA")
+        return order.index(str(result.sequence.get("name"))), -math.inf if aa is None else aa
+
+    return sorted(results, key=lambda result: (rank(result)[0], -rank(result)[1]))

@@ -1,0 +1,77 @@
+"""The sequences of a bench: opened under their names there, scenes simulated first."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dynaviz import api
+from dynaviz.benches.plan import Source
+from dynaviz.errors import DataError
+from dynaviz.params import read_toml
+from dynaviz.scan import Scan, Sequence
+from dynaviz.sensors import Sensor
+from dynaviz.simulate.presets import PRESETS
+
+
+@dataclass(frozen=True)
+class Named:
+    """A sequence under another name."""
+
+    whole: Sequence
+    name: str
+
+    @property
+    def sensor(self) -> Sensor:
+        """The whole's."""
+        return self.whole.sensor
+
+    @property
+    def has_labels(self) -> bool:
+        """The whole's."""
+        return self.whole.has_labels
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def __getitem__(self, position: int) -> Scan:
+        return self.whole[position]
+
+
+def open_source(source: Source) -> Sequence:
+    """Open a sequence of a bench, under its name there.
+
+    Raises:
+        DataError, UsageError: as ``dynaviz.open``.
+    """
+    frames = None if source.scene else source.frames
+    opened = api.open(source.path, frames=str(frames) if frames else None, stride=source.stride, sensor=source.sensor)
+    return opened if opened.name == source.name else Named(opened, source.name)
+
+
+def placed(source: Source, out: Path) -> Source:
+    """A source with the path where it is, or will be simulated, for a bench in ``out``."""
+    return replace(source, path=str((out / "sequences" / source.name).resolve())) if source.scene else source
+
+
+def simulated(source: Source, progress: Callable[[int, int], None]) -> None:
+    """Write a scene to its place, unless it is there.
+
+    Raises:
+        DataError: where it cannot be written, or something else is in its place.
+    """
+    from dynaviz.simulate.recording import VERSION, simulate
+
+    folder, frames = Path(source.path), source.frames or PRESETS[source.scene].frames
+    if folder.exists():
+        facts = read_toml(folder / "sequence.toml")
+        wanted = {"preset": source.scene, "frames": frames, "seed": source.seed, "generator": VERSION}
+        if all(facts.get(key) == value for key, value in wanted.items()):
+            return
+        if "generator" not in facts:
+            raise DataError(folder, "is no simulated scene", hint="Remove it, or give the sequence another name")
+        shutil.rmtree(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    simulate(source.scene, folder, int(frames), source.seed, progress)
