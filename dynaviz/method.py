@@ -21,6 +21,7 @@ class Cause(StrEnum):
     STANDING = "standing too long"  # seen there more often than seen through
     HEIGHT_LIMIT = "height limit"  # outside the heights that are judged
     OUT_OF_RANGE = "out of range"  # outside the range or view that is judged
+    NOT_YET_FREE = "not yet known free"  # the space had to be seen free before the object came
     TAKEN_FOR_GROUND = "taken for ground"  # protected as ground
     SHARED_CELL = "shared cell"  # judged together with other things in its voxel, bin or cluster
 

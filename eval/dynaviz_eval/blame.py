@@ -23,6 +23,7 @@ _BLAME: dict[str, dict[str, str]] = {
         Cause.STANDING: "It stood too long: seen there more often than seen through.",
         Cause.NOTHING_BEHIND: "Too few rays came back from behind it to clear where it had been.",
         Cause.SPARSE_RINGS: "The sensor's rings are too sparse there to see through it.",
+        Cause.NOT_YET_FREE: "Its place had not been seen free for long before it came.",
         Cause.HEIGHT_LIMIT: "It lies outside the heights that the method judges.",
         Cause.OUT_OF_RANGE: "It lies outside the range or view that the method judges.",
         Cause.TAKEN_FOR_GROUND: "The method took it for ground.",

@@ -116,7 +116,7 @@ class DynabloxParams:
 
 NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)
 REASONS = (
-    Reason("never_free", "kept: its voxel had not been free for long", Cause.STANDING),
+    Reason("never_free", "kept: its voxel had not been free for long", Cause.NOT_YET_FREE),
     Reason(
         "ever_free", "removed: its voxel was free for long before something came, a dynamic cluster", Cause.SPARSE_RINGS
     ),
