@@ -12,13 +12,20 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dynaviz.api import open, run, score
+    from dynaviz.api import compare, open, run, score
     from dynaviz.benches import bench
     from dynaviz.result import Result
 
-__all__ = ["Result", "bench", "open", "run", "score"]
+__all__ = ["Result", "bench", "compare", "open", "run", "score"]
 
-_HOMES = {"bench": "dynaviz.benches", "open": "dynaviz.api", "run": "dynaviz.api", "score": "dynaviz.api", "Result": "dynaviz.result"}
+_HOMES = {
+    "bench": "dynaviz.benches",
+    "compare": "dynaviz.api",
+    "open": "dynaviz.api",
+    "run": "dynaviz.api",
+    "score": "dynaviz.api",
+    "Result": "dynaviz.result",
+}
 
 
 def __getattr__(name: str) -> Any:  # loaded when first used, so that `dynaviz --help` answers at once

@@ -11,6 +11,7 @@ from typing import Literal, cast, get_args
 
 from dynaviz import params as layers
 from dynaviz import registry, scoring
+from dynaviz.compared import Comparison
 from dynaviz.datasets import open_sequence
 from dynaviz.errors import UsageError
 from dynaviz.loop import Listener, Progress, Run, execute
@@ -171,6 +172,30 @@ def score(
     for remark in result.sections["source"]["remarks"]:
         warnings.warn(remark, stacklevel=2)
     return result
+
+
+def compare(
+    *recordings: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    progress: Progress = lambda phase, done, total: None,
+) -> Comparison:
+    """Say what differs between runs on the same points, from their recordings alone.
+
+    Args:
+        recordings: two or more ``run.rrd``; each is compared with the first.
+        out: where to write a recording that shows them side by side; None writes none.
+        progress: called with a phase, and how many recordings of how many are done.
+
+    Returns:
+        The comparison; printing it shows tables.
+
+    Raises:
+        UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
+        DataError: for recordings that cannot be read or do not compare (``recordings/README.md``).
+    """
+    from dynaviz.viz.compare import compare as compare_recordings
+
+    return compare_recordings(recordings, out, progress)
 
 
 def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, Mode]:

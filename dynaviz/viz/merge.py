@@ -1,0 +1,211 @@
+"""One recording of several: each run below a letter of its own, on one time cursor, and what differs between them."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from dynaviz.compared import Comparison, label
+from dynaviz.comparison import BOTH, FIRST, NEITHER, SECOND, Crossed, PlaceGains, frame_gains, who_is_right
+from dynaviz.io.atomic import whole_file
+from dynaviz.scan import F32, F64, U8, Label
+from dynaviz.viz import compare_layout, paths
+from dynaviz.viz.answers import Answers
+from dynaviz.viz.compare_layout import CHANGED, COMPARE, DISTANCE, GAIN, PLACES, REPORT, SCAN, WHERE
+from dynaviz.viz.reader import COMPARISON, Drawn, Recording, open_store
+
+Progress = Callable[[str, int, int], None]
+
+KEPT = (  # of each run
+    paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
+    f"{paths.SENSOR}/**", f"{paths.SCORES}/**", f"{paths.ERROR_DISTANCE}/**", paths.REPORT,
+)  # fmt: skip
+RUNS: tuple[paths.Colour, ...] = (  # in the order of letters; the first two differ to every eye, and from the outcomes
+    (90, 220, 120),
+    (190, 80, 230),
+    (255, 210, 60),
+    (90, 170, 240),
+    (235, 110, 40),
+    (240, 240, 240),
+    (150, 150, 60),
+    (240, 150, 190),
+)
+NOBODY: paths.Colour = (235, 235, 235)
+EVERYBODY: paths.Colour = (110, 110, 118)
+SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, by who is right
+MOVES = 1.5  # times as large is a point that moves: there are few, and each weighs much
+BUBBLE = 1.2  # metres: radius of the largest cells' marks; their area is the gain
+LARGEST = 0.98  # quantile of the gains that is drawn so large; beyond, marks grow no more
+
+
+def write(
+    out: Path,
+    recordings: Sequence[Recording],
+    comparison: Comparison,
+    crossed: Sequence[Crossed],
+    fine: Sequence[PlaceGains],
+    progress: Progress = lambda phase, done, total: None,
+) -> None:
+    """Write the recording of a comparison, whole or not at all.
+
+    Args:
+        out: the file.
+        recordings: what was compared, in the order of letters.
+        comparison: what differs.
+        crossed: the points of the first and each other.
+        fine: gains by small cells of each pair; empty where a recording holds no coordinates.
+        progress: called with a phase, and how many recordings of how many are done.
+
+    Raises:
+        DataError: where the file cannot be written.
+    """
+    names = [label(run) for run in comparison.runs]
+    ground = recordings[0].static(paths.MAP)["Points3D:positions"] if fine else None
+    with whole_file(out) as beside:
+        stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
+        stream.save(beside, default_blueprint=compare_layout.two(names, ground))
+        stream.set_log_time_enabled(False)
+        stream.send_recording_name(comparison.title)
+        for i, recording in enumerate(recordings):
+            _copy(recording, "abcdefgh"[i], names[i], RUNS[i], stream)
+            progress("writing", i + 1, len(recordings))
+        _facts(stream, comparison)
+        if len(recordings) == 2:
+            _gains(stream, names, crossed[0], comparison)
+            _distances(stream, recordings, names)
+            if ground is not None:
+                _legend(stream, names)
+                _frames(stream, *recordings)
+                _where(stream, fine[0], comparison)
+        stream.disconnect()
+        open_store(beside)  # a disk that ran full is told here, before the file gets its name
+
+
+def _copy(recording: Recording, side: str, name: str, colour: paths.Colour, stream: rr.RecordingStream) -> None:
+    """Copy what the layout shows below ``/side``, and give curves the run's name and colour."""
+    chunks = recording.store.stream().filter(content=["/" + path.removeprefix("/") for path in KEPT])
+    rr.send_chunks(
+        chunks.map(lambda chunk: chunk.with_entity_path(f"/{side}{chunk.entity_path}".rstrip("/"))), recording=stream
+    )
+    for path in recording.entities():
+        words = path.split("/")
+        if words[0] == paths.SCORES and path != paths.WORST:
+            what = " ".join(word.replace("_", " ") for word in words[2:] if word != "so_far")
+            style = rr.SeriesLines(names=f"{name} {what}".strip(), colors=colour, widths=2.0)
+            stream.log(f"{side}/{path}", style, static=True)
+    stream.send_property(side, rr.AnyValues(**{k: v for k, v in recording.properties.items() if v != ""}))
+
+
+def _facts(stream: rr.RecordingStream, comparison: Comparison) -> None:
+    facts = {
+        "schema": paths.SCHEMA,
+        "kind": COMPARISON,
+        "title": comparison.title,
+        "sequence": comparison.sequence["name"],
+        "digest": comparison.sequence["digest"],
+        "frames": comparison.sequence["frames"],
+        "points": comparison.sequence["points"],
+        "comparison_json": json.dumps(comparison.to_dict()),
+    }
+    stream.send_property(COMPARISON, rr.AnyValues(**facts))
+    words = rr.TextDocument(comparison.markdown(), media_type=rr.MediaType.MARKDOWN)
+    stream.log(REPORT, words, static=True)
+
+
+def _legend(stream: rr.RecordingStream, names: Sequence[str]) -> None:
+    legend = [
+        (NEITHER, "both wrong", NOBODY),
+        (FIRST, f"only {names[0]} right", RUNS[0]),
+        (SECOND, f"only {names[1]} right", RUNS[1]),
+        (BOTH, "both right", EVERYBODY),
+    ]
+    stream.log(COMPARE, rr.AnnotationContext(legend), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+
+def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: Crossed, comparison: Comparison) -> None:
+    """A curve for each run, apart from 0 where it is the better one; and marks on the frames told."""
+    gain = frame_gains(crossed).sum(1)
+    frames = rr.TimeColumn(paths.FRAME, sequence=np.arange(len(gain)))
+    for side, name, colour, sign in zip("ab", names, RUNS, (-1, 1), strict=False):
+        path = f"{GAIN}/{side}"
+        stream.log(path, rr.SeriesLines(names=f"{name} better", colors=colour, widths=2.0), static=True)
+        values = np.where(gain * sign > 0, gain, 0.0)
+        stream.send_columns(path, indexes=[frames], columns=rr.Scalars.columns(scalars=values))
+    told = sorted(row["frame"] for row in comparison.pairs[0]["frames"])
+    style = rr.SeriesPoints(colors=NOBODY, markers="diamond", marker_sizes=4, names="told in the report")
+    stream.log(CHANGED, style, static=True)
+    if told:
+        marks = rr.TimeColumn(paths.FRAME, sequence=told)
+        stream.send_columns(CHANGED, indexes=[marks], columns=rr.Scalars.columns(scalars=gain[told]))
+
+
+def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording], names: Sequence[str]) -> None:
+    """The runs' histograms with their bars beside each other."""
+    for kind in ("false_negative", "false_positive"):
+        for i, recording in enumerate(recordings):
+            if (bars := _bars(recording, f"{paths.ERROR_DISTANCE}/{kind}/run")) is not None:
+                counts, middles, widths = bars
+                narrow = widths / len(recordings)
+                shifted = middles - widths / 2 + (i + 0.5) * narrow
+                chart = rr.BarChart(counts, abscissa=shifted, widths=narrow, color=RUNS[i])
+                stream.log(f"{DISTANCE}/{kind}/{names[i]}", chart, static=True)
+
+
+def _bars(recording: Recording, path: str) -> tuple[F64, F64, F64] | None:
+    """Heights, middles and widths of a bar chart that was logged once."""
+    for chunk in recording.store.stream().filter(content=f"/{path}", is_static=True):
+        row = {name: values[-1] for name, values in chunk.to_record_batch().to_pydict().items()}
+        heights, middles = (np.array(row[f"BarChart:{part}"][0]["buffer"], float) for part in ("values", "abscissa"))
+        return heights, middles, np.array(row["BarChart:widths"], float)
+    return None
+
+
+def _frames(stream: rr.RecordingStream, first: Recording, second: Recording) -> None:
+    """Each frame's drawn points by who is right."""
+    sides = zip(first.answers(), second.answers(), first.drawn(), second.drawn(), strict=True)
+    for a, b, drawn_a, drawn_b in sides:
+        xyz, who, moves = _who(a, b, drawn_a, drawn_b)
+        stream.reset_time()
+        stream.set_time(paths.FRAME, sequence=a.frame)
+        sizes = -SIZES[who] * np.where(moves, np.float32(MOVES), np.float32(1))
+        stream.log(SCAN, rr.Points3D(xyz, class_ids=who.astype(np.uint16), radii=sizes))
+
+
+def _who(a: Answers, b: Answers, drawn_a: Drawn, drawn_b: Drawn) -> tuple[F32, U8, NDArray[np.bool_]]:
+    """The labelled points that either recording drew: where, who is right, and whether they move."""
+    points, at = np.unique(np.concatenate([drawn_a.point, drawn_b.point]), return_index=True)
+    truth = a.truth[points]
+    labelled = truth != Label.UNLABELLED
+    points, at, truth = points[labelled], at[labelled], truth[labelled]
+    xyz = np.concatenate([drawn_a.xyz, drawn_b.xyz])[at]
+    return xyz, who_is_right(truth, a.dynamic[points], b.dynamic[points]), truth == Label.DYNAMIC
+
+
+def _where(stream: rr.RecordingStream, fine: PlaceGains, comparison: Comparison) -> None:
+    """Marks on the cells of the whole run, and the places told as numbered boxes."""
+    gain = fine.gain.sum(1)
+    changed = gain != 0
+    centres = fine.low[changed] + np.array([fine.size / 2, fine.size / 2, 0.0])
+    size = np.abs(gain[changed])
+    most = np.quantile(size, LARGEST) if len(size) else 1.0
+    radii = BUBBLE * np.sqrt(np.minimum(size / most, 1.0))
+    better = np.where(gain[changed] > 0, SECOND, FIRST).astype(np.uint16)
+    stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii), static=True)
+    told = comparison.pairs[0]["places"]
+    stream.log(
+        PLACES,
+        rr.Boxes3D(
+            mins=[[*row["low"], row["height"] - 0.5] for row in told],
+            sizes=[[*np.subtract(row["high"], row["low"]), 3.0] for row in told],
+            labels=[f"{i} {'B' if row['gain'] > 0 else 'A'} {abs(row['gain']):.2f}" for i, row in enumerate(told, 1)],
+            class_ids=[SECOND if row["gain"] > 0 else FIRST for row in told],
+            show_labels=True,
+        ),
+        static=True,
+    )
