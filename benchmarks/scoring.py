@@ -1,25 +1,33 @@
-"""What scoring costs: metrics per frame and at the end, and the neighbour search beside scipy's kd-tree.
+"""What scoring costs: metrics per frame and at the end, the neighbour search beside scipy's kd-tree, and a whole map.
 
 Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, as KITTI 00, take about a minute)
+       python benchmarks/scoring.py map [SEQ]     OctoMap's map of a sequence, or of 141 frames of a simulated street
 """
 
 from __future__ import annotations
 
+import os
 import resource
+import subprocess
 import sys
+import tempfile
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+import dynaviz as dv
+from dynaviz import kernels
+from dynaviz.io.points import read_points
 from dynaviz.method import MethodInfo, Reason
 from dynaviz.metric import Labelled
-from dynaviz.scan import F32, Scan
+from dynaviz.nearest import Nearest, nearest_distance
+from dynaviz.scan import F32, Scan, stream
 from dynaviz_eval.breakdown import Breakdown
 from dynaviz_eval.confusion import Confusion
 from dynaviz_eval.error_distance import ErrorDistance
-from dynaviz.nearest import nearest_distance
 from dynaviz_eval.reasons import Reasons
 
 INFO = MethodInfo("m", "M", "none", tuple(Reason(f"reason_{k}", "") for k in range(6)))
@@ -90,7 +98,52 @@ def neighbours(n: int, m: int, limit: float) -> None:
     print(f"{n:>10,} in {m:>10,} within {limit} m: {times}; largest difference {error:.0e} m")
 
 
+def whole_map(sequence: Path, folder: Path) -> None:
+    """Score OctoMap's map of a sequence: the tree and all queries alone, then the command."""
+    dv.run("octomap", sequence, out=folder, record="none")
+    path = folder / "static_map.pcd"
+    points = read_points(path)
+    Nearest(points[:100]).within(points[:100], 0.05)  # loads the kernels
+    start = time.perf_counter()
+    tree = Nearest(points)
+    built = time.perf_counter() - start
+    scans = [scan.points for scan in stream(dv.open(sequence))]
+    removed = {}
+    for threads in (None, 1):
+        used = kernels.set_threads(threads)
+        start = time.perf_counter()
+        removed[used] = sum(int((~tree.within(scan, 0.05)).sum()) for scan in scans)
+        seconds = time.perf_counter() - start
+        count = sum(len(scan) for scan in scans)
+        print(
+            f"{count:,} points in a map of {len(points):,}, {used} threads: tree {built:.2f} s, queries {seconds:.2f} s"
+        )
+    assert len(set(removed.values())) == 1, removed
+    start = time.perf_counter()
+    cKDTree(points).query(np.concatenate(scans[::10]), distance_upper_bound=0.06, workers=-1)
+    print(f"kd-tree, all threads, a tenth of the scans: {time.perf_counter() - start:.2f} s")
+    for record in ("none", "errors"):
+        start = time.perf_counter()
+        words = ["score", path, sequence, "-o", folder / "scored", "--record", record]
+        command = subprocess.Popen([sys.executable, "-c", "from dynaviz.cli import main; main()", *words])
+        _, status, usage = os.wait4(command.pid, 0)
+        seconds, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
+        memory = usage.ru_maxrss / 1e3
+        print(f"dynaviz score --record {record}: {seconds:.1f} s, {cpu:.1f} s of processors, {memory:.0f} MB")
+        assert status == 0
+
+
+def simulated(folder: Path) -> Path:
+    subprocess.run([sys.executable, "-c", "from dynaviz.cli import main; main()", "simulate", "street_hdl64",
+                    folder / "street", "--frames", "141"], check=True)  # fmt: skip
+    return folder / "street"
+
+
 if __name__ == "__main__":
+    if sys.argv[1:2] == ["map"]:
+        with tempfile.TemporaryDirectory() as place:
+            whole_map(Path(sys.argv[2]) if sys.argv[2:] else simulated(Path(place)), Path(place) / "run")
+        sys.exit()
     metrics(int(sys.argv[1]) if len(sys.argv) > 1 else 141)
     for limit in (0.05, 2.0):
         for size in (200_000, 2_000_000):
