@@ -108,9 +108,9 @@ class Comparison:
         for run, pair in zip(self.runs[1:], self.pairs, strict=True):
             yield _settings(self.runs[0], run, pair)
 
-    def markdown(self) -> str:
-        """The report of the comparison's recording."""
-        parts = [f"## {self.title}", *(f"**{line}**" for line in self.verdicts())]
+    def markdown(self, legend: str = "") -> str:
+        """The report of the comparison's recording; ``legend`` says what its colours mean."""
+        parts = [f"## {self.title}", *(f"**{line}**" for line in self.verdicts()), *([legend] if legend else [])]
         for section in self.sections():
             lines = [section.head, ("---",) + ("---:",) * (len(section.head) - 1), *section.rows]
             table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)

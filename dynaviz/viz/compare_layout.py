@@ -12,49 +12,88 @@ from dynaviz.scan import F32
 from dynaviz.viz import paths
 
 COMPARE = "compare"  # holds the legend of who is right
+GROUND = "compare/ground"  # static: the first run's map, darker
 SCAN = "compare/scan"  # the frame's points by who is right
 WHERE = "compare/where"  # static: cells of the whole run, in the colour of the better run, as large as its gain
 PLACES = "compare/places"  # static: the places told, numbered
 GAIN = "compare/gain"  # curves: the gain of each frame, above 0 where the second run is better
 CHANGED = "compare/changed_frames"  # marks on these curves
-DISTANCE = "compare/error_distance"  # static: histograms of both runs beside each other
+DISTANCE = "compare/error_distance"  # static: histograms of all runs, their bars beside each other
 REPORT = "compare/report"  # Markdown
 
-SCORES = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
+SIDES = "abcdefgh"  # below these lie the runs
+COLOURS: tuple[tuple[str, paths.Colour], ...] = (  # of the runs; the first two differ to every eye, also from outcomes
+    ("green", (90, 220, 120)),
+    ("purple", (190, 80, 230)),
+    ("yellow", (255, 210, 60)),
+    ("blue", (90, 170, 240)),
+    ("orange", (235, 110, 40)),
+    ("white", (240, 240, 240)),
+    ("olive", (150, 150, 60)),
+    ("pink", (240, 150, 190)),
+)
+ABREAST = 4  # runs whose map and frame are both seen at once
 
 
-def two(names: Sequence[str], map_points: F32 | None) -> rrb.Blueprint:
-    """The layout for two runs.
+def two(names: Sequence[str], places: F32 | None) -> rrb.Blueprint:
+    """The layout for two runs: above, who is better where and who is right in the frame; below, the runs' frames.
+
+    Right, the report, and the curves and histograms of both.
 
     Args:
         names: of the runs.
-        map_points: (N, 3) metres, world frame: where the map lies; None where nothing was drawn.
+        places: (N, 3) metres, world frame: what to look at; None where nothing was drawn.
     """
-    numbers = rrb.Vertical(
-        rrb.Horizontal(*[_curves(score, names) for score in ("SA", "DA")]),
-        _lines("who is better, frame by frame", [f"{GAIN}/**", CHANGED]),
-        rrb.Tabs(_bars("false_negative", "kept"), _bars("false_positive", "removed")),
-        _words(),
-        row_shares=[4, 4, 4, 9],
-    )
-    if map_points is None:
+    gain = f"above 0: {names[1]} is better in this frame; below: {names[0]}"
+    numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
+    if places is None:
+        return _blueprint(_column(numbers, names))
+    which = "right in this frame: green A, purple B, white none"
+    context = [GROUND, f"a/{paths.TRAJECTORY}"]
+    where = _solid("whole run: green A is better, purple B", COMPARE,
+                   [WHERE, PLACES, *context], above(places))  # fmt: skip
+    sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
+    who = _solid(which, COMPARE, [SCAN, *sensor, *context], _follow("a"))
+    frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
+    world = rrb.Grid(where, who, *frames, grid_columns=2)
+    return _blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
+
+
+def many(names: Sequence[str], places: F32 | None) -> rrb.Blueprint:
+    """The layout for more runs, as ``two``: a small map and a small frame of each."""
+    numbers = _column(_numbers(names), names)
+    if places is None:
         return _blueprint(numbers)
-    world = rrb.Vertical(
-        _where(map_points),
-        rrb.Horizontal(*[_frame(side, name) for side, name in zip("ab", names, strict=True)], _who()),
-        row_shares=[1, 1],
-    )
-    return _blueprint(rrb.Horizontal(world, numbers, column_shares=[5, 3]))
+    maps = [_map(side, name, places) for side, name in zip(SIDES, names, strict=False)]
+    frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
+    if len(names) <= ABREAST:
+        grid = rrb.Grid(*maps, *frames, grid_columns=len(names))
+    else:
+        tabs = [rrb.Tabs(*pair) for pair in zip(frames, maps, strict=True)]
+        grid = rrb.Grid(*tabs, grid_columns=ABREAST)
+    return _blueprint(rrb.Horizontal(grid, numbers, column_shares=[5, 3]))
 
 
-def _where(map_points: F32) -> Any:
-    context = [f"a/{paths.MAP}", f"a/{paths.TRAJECTORY}"]
-    return _solid("who is better, whole run", COMPARE, [WHERE, PLACES, *context], above(map_points))
+def _column(numbers: Sequence[Any], names: Sequence[str]) -> Any:
+    words = rrb.TextDocumentView(name="report", origin=REPORT)
+    return rrb.Vertical(words, *numbers, row_shares=[3.5] + [1.0] * len(numbers))
 
 
-def _who() -> Any:
-    context = [f"a/{path}" for path in (paths.MAP, paths.SENSOR, paths.RINGS, paths.TRAJECTORY)]
-    return _solid("who is right", COMPARE, [SCAN, *context], _follow("a"))
+def _numbers(names: Sequence[str]) -> list[Any]:
+    few = len(names) <= 3
+    key = ": " + ", ".join(f"{name[0]} {word}" for name, (word, _) in zip(names, COLOURS, strict=False))
+    scores = [_curves(score, names, key if few else "") for score in ("SA", "DA")]
+    kinds = {"false_negative": "kept: m to removed", "false_positive": "removed: m to kept"}
+    bars = [
+        rrb.BarChartView(name=title, contents=[f"{DISTANCE}/{kind}/**"], plot_legend=rrb.PlotLegend(visible=False))
+        for kind, title in kinds.items()
+    ]
+    return [rrb.Horizontal(*scores), rrb.Horizontal(*bars)]
+
+
+def _map(side: str, name: str, places: F32) -> Any:
+    shown = [f"{side}/{path}" for path in (f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY)]
+    return _solid(f"{name}: whole run", f"{side}/{paths.WORLD}", shown, above(places))
 
 
 def _frame(side: str, name: str) -> Any:
@@ -62,22 +101,14 @@ def _frame(side: str, name: str) -> Any:
     return _solid(name, f"{side}/{paths.WORLD}", shown, _follow(side))
 
 
-def _curves(score: str, names: Sequence[str]) -> Any:
-    sides = "abcdefgh"[: len(names)]
-    return _lines(f"{score} so far [%]", [f"{side}/{paths.SCORES}/{score}/so_far" for side in sides])
+def _curves(score: str, names: Sequence[str], key: str) -> Any:
+    contents = [f"{side}/{paths.SCORES}/{score}/so_far" for side in SIDES[: len(names)]]
+    return _lines(f"{score} [%]{key or ' so far'}", contents, legend=not key)
 
 
-def _lines(name: str, contents: list[str]) -> Any:
-    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=rrb.Corner2D.LeftBottom)
-
-
-def _bars(kind: str, name: str) -> Any:
-    view = f"{name}: error distance [m]"
-    return rrb.BarChartView(name=view, contents=[f"{DISTANCE}/{kind}/**"], plot_legend=rrb.Corner2D.RightTop)
-
-
-def _words() -> Any:
-    return rrb.TextDocumentView(name="report", origin=REPORT)
+def _lines(name: str, contents: list[str], legend: bool = False) -> Any:
+    shown = rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom, visible=legend)
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=shown)
 
 
 def _solid(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D) -> Any:
@@ -110,11 +141,11 @@ def above(points: F32) -> rrb.EyeControls3D:
     centre = np.median(points, axis=0)
     flat = points[:, :2] - centre[:2]
     along = np.linalg.eigh(flat.T @ flat)[1][:, -1]
-    low, high = np.quantile(flat @ along, [0.05, 0.95])
+    low, high = np.quantile(flat @ along, [0.02, 0.98])
     centre[:2] += along * (low + high) / 2
-    length = max(float(high - low), 10.0)
+    length = max(float(high - low), 20.0)
     side = np.array([along[1], -along[0], 0.0])
-    position = centre + 0.62 * length * (0.55 * side + np.array([0.0, 0.0, 0.95]))
+    position = centre + 0.65 * length * (0.4 * side + np.array([0.0, 0.0, 0.95]))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
     )

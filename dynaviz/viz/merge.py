@@ -17,7 +17,19 @@ from dynaviz.io.atomic import whole_file
 from dynaviz.scan import F32, F64, U8, Label
 from dynaviz.viz import compare_layout, paths
 from dynaviz.viz.answers import Answers
-from dynaviz.viz.compare_layout import CHANGED, COMPARE, DISTANCE, GAIN, PLACES, REPORT, SCAN, WHERE
+from dynaviz.viz.compare_layout import (
+    CHANGED,
+    COLOURS,
+    COMPARE,
+    DISTANCE,
+    GAIN,
+    GROUND,
+    PLACES,
+    REPORT,
+    SCAN,
+    SIDES,
+    WHERE,
+)
 from dynaviz.viz.reader import COMPARISON, Drawn, Recording, open_store
 
 Progress = Callable[[str, int, int], None]
@@ -26,21 +38,15 @@ KEPT = (  # of each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
     f"{paths.SENSOR}/**", f"{paths.SCORES}/**", f"{paths.ERROR_DISTANCE}/**", paths.REPORT,
 )  # fmt: skip
-RUNS: tuple[paths.Colour, ...] = (  # in the order of letters; the first two differ to every eye, and from the outcomes
-    (90, 220, 120),
-    (190, 80, 230),
-    (255, 210, 60),
-    (90, 170, 240),
-    (235, 110, 40),
-    (240, 240, 240),
-    (150, 150, 60),
-    (240, 150, 190),
-)
+LEGEND = "Each run's own views: blue removed, orange moved but kept, yellow stood but removed, grey kept."
 NOBODY: paths.Colour = (235, 235, 235)
 EVERYBODY: paths.Colour = (110, 110, 118)
+DARK: paths.Colour = (62, 64, 72)
+RUNS = [colour for _, colour in COLOURS]
 SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, by who is right
 MOVES = 1.5  # times as large is a point that moves: there are few, and each weighs much
 BUBBLE = 1.2  # metres: radius of the largest cells' marks; their area is the gain
+RAISED = 1.5  # metres above what is wrong, so that marks are not hidden in it
 LARGEST = 0.98  # quantile of the gains that is drawn so large; beyond, marks grow no more
 
 
@@ -66,23 +72,26 @@ def write(
         DataError: where the file cannot be written.
     """
     names = [label(run) for run in comparison.runs]
-    ground = recordings[0].static(paths.MAP)["Points3D:positions"] if fine else None
+    pair = len(recordings) == 2
+    places = np.concatenate([gains.low[gains.gain.any(1)] for gains in fine]) if fine else None
+    layout = (compare_layout.two if pair else compare_layout.many)(names, places)
     with whole_file(out) as beside:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
-        stream.save(beside, default_blueprint=compare_layout.two(names, ground))
+        stream.save(beside, default_blueprint=layout)
         stream.set_log_time_enabled(False)
         stream.send_recording_name(comparison.title)
         for i, recording in enumerate(recordings):
-            _copy(recording, "abcdefgh"[i], names[i], RUNS[i], stream)
+            _copy(recording, SIDES[i], names[i], RUNS[i], stream)
             progress("writing", i + 1, len(recordings))
-        _facts(stream, comparison)
-        if len(recordings) == 2:
+        _facts(stream, comparison, bool(fine))
+        _distances(stream, recordings)
+        if pair:
             _gains(stream, names, crossed[0], comparison)
-            _distances(stream, recordings, names)
-            if ground is not None:
-                _legend(stream, names)
-                _frames(stream, *recordings)
-                _where(stream, fine[0], comparison)
+        if pair and fine:
+            _legend(stream, names)
+            _frames(stream, *recordings)
+            _ground(stream, recordings[0])
+            _where(stream, fine[0], comparison)
         stream.disconnect()
         open_store(beside)  # a disk that ran full is told here, before the file gets its name
 
@@ -102,7 +111,7 @@ def _copy(recording: Recording, side: str, name: str, colour: paths.Colour, stre
     stream.send_property(side, rr.AnyValues(**{k: v for k, v in recording.properties.items() if v != ""}))
 
 
-def _facts(stream: rr.RecordingStream, comparison: Comparison) -> None:
+def _facts(stream: rr.RecordingStream, comparison: Comparison, drawn: bool) -> None:
     facts = {
         "schema": paths.SCHEMA,
         "kind": COMPARISON,
@@ -114,7 +123,7 @@ def _facts(stream: rr.RecordingStream, comparison: Comparison) -> None:
         "comparison_json": json.dumps(comparison.to_dict()),
     }
     stream.send_property(COMPARISON, rr.AnyValues(**facts))
-    words = rr.TextDocument(comparison.markdown(), media_type=rr.MediaType.MARKDOWN)
+    words = rr.TextDocument(comparison.markdown(LEGEND if drawn else ""), media_type=rr.MediaType.MARKDOWN)
     stream.log(REPORT, words, static=True)
 
 
@@ -132,7 +141,7 @@ def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: Crossed, c
     """A curve for each run, apart from 0 where it is the better one; and marks on the frames told."""
     gain = frame_gains(crossed).sum(1)
     frames = rr.TimeColumn(paths.FRAME, sequence=np.arange(len(gain)))
-    for side, name, colour, sign in zip("ab", names, RUNS, (-1, 1), strict=False):
+    for side, name, colour, sign in zip(SIDES, names, RUNS, (-1, 1), strict=False):
         path = f"{GAIN}/{side}"
         stream.log(path, rr.SeriesLines(names=f"{name} better", colors=colour, widths=2.0), static=True)
         values = np.where(gain * sign > 0, gain, 0.0)
@@ -145,7 +154,7 @@ def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: Crossed, c
         stream.send_columns(CHANGED, indexes=[marks], columns=rr.Scalars.columns(scalars=gain[told]))
 
 
-def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording], names: Sequence[str]) -> None:
+def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording]) -> None:
     """The runs' histograms with their bars beside each other."""
     for kind in ("false_negative", "false_positive"):
         for i, recording in enumerate(recordings):
@@ -154,7 +163,7 @@ def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording], name
                 narrow = widths / len(recordings)
                 shifted = middles - widths / 2 + (i + 0.5) * narrow
                 chart = rr.BarChart(counts, abscissa=shifted, widths=narrow, color=RUNS[i])
-                stream.log(f"{DISTANCE}/{kind}/{names[i]}", chart, static=True)
+                stream.log(f"{DISTANCE}/{kind}/{SIDES[i]}", chart, static=True)
 
 
 def _bars(recording: Recording, path: str) -> tuple[F64, F64, F64] | None:
@@ -187,11 +196,17 @@ def _who(a: Answers, b: Answers, drawn_a: Drawn, drawn_b: Drawn) -> tuple[F32, U
     return xyz, who_is_right(truth, a.dynamic[points], b.dynamic[points]), truth == Label.DYNAMIC
 
 
+def _ground(stream: rr.RecordingStream, first: Recording) -> None:
+    """The map once more, darker, so that marks stand out."""
+    xyz = first.static(paths.MAP)["Points3D:positions"]
+    stream.log(GROUND, rr.Points3D(xyz, colors=DARK, radii=rr.Radius.ui_points(1.2)), static=True)
+
+
 def _where(stream: rr.RecordingStream, fine: PlaceGains, comparison: Comparison) -> None:
     """Marks on the cells of the whole run, and the places told as numbered boxes."""
     gain = fine.gain.sum(1)
     changed = gain != 0
-    centres = fine.low[changed] + np.array([fine.size / 2, fine.size / 2, 0.0])
+    centres = fine.low[changed] + np.array([fine.size / 2, fine.size / 2, RAISED])
     size = np.abs(gain[changed])
     most = np.quantile(size, LARGEST) if len(size) else 1.0
     radii = BUBBLE * np.sqrt(np.minimum(size / most, 1.0))
@@ -203,8 +218,9 @@ def _where(stream: rr.RecordingStream, fine: PlaceGains, comparison: Comparison)
         rr.Boxes3D(
             mins=[[*row["low"], row["height"] - 0.5] for row in told],
             sizes=[[*np.subtract(row["high"], row["low"]), 3.0] for row in told],
-            labels=[f"{i} {'B' if row['gain'] > 0 else 'A'} {abs(row['gain']):.2f}" for i, row in enumerate(told, 1)],
+            labels=[str(number) for number in range(1, len(told) + 1)],
             class_ids=[SECOND if row["gain"] > 0 else FIRST for row in told],
+            radii=rr.Radius.ui_points(0.8),
             show_labels=True,
         ),
         static=True,
