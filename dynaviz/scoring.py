@@ -127,7 +127,8 @@ class CleanedMap(Given):
         if not len(self.points):
             problem = "has no point" if not len(points) else "has no point with finite coordinates"
             raise DataError(path, problem, hint="A cleaned map holds what stands still: see what its program printed")
-        self.info = MethodInfo(name, name, f"another program, which wrote {path.name}", _REASONS)
+        title = f"{name} (a map, within {radius:g} m)"
+        self.info = MethodInfo(name, title, f"another program, which wrote {path.name}", _REASONS)
         # By columns, here and below, for numpy is ten times slower along rows of three.
         self._low, self._high = (np.array([f(column) for column in self.points.T]) for f in (np.min, np.max))
         self._last: tuple[Scan, U8] | None = None
@@ -215,7 +216,7 @@ class GivenLabels(Given):
         if len(self._reasons) != total or len(self._dynamic) != -(-total // 8) or len(self._rows) != len(points):
             raise DataError(path, "holds parts that do not fit together", hint="Write or copy the file again")
         reasons = tuple(Reason(reason, "as told by the labels") for reason in legend)
-        self.info = MethodInfo(name, name, f"another run, which wrote {path.name}", reasons)
+        self.info = MethodInfo(name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons)
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: as the file tells."""

@@ -7,7 +7,7 @@ inside it, and the answer equals the minimum over all pairs, bit by bit.
 import numpy as np
 from numba import njit, prange
 
-LEAF = 8  # points under a leaf of the tree
+LEAF = 16  # points under a leaf of the tree
 _BLOCK = 1024  # queries that a thread takes at once
 
 
