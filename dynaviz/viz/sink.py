@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import re
@@ -15,6 +16,7 @@ import rerun as rr
 
 from dynaviz.errors import DataError
 from dynaviz.viz import paths, viewer
+from dynaviz.viz.tap import Tap
 
 FLUSH_SECONDS = 60.0
 
@@ -48,13 +50,11 @@ class Sink:
         self.path, self._port = path, live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part_of(path).touch()
+            self._tap = Tap(part_of(path))
         except OSError as error:
-            raise DataError(
-                path, f"cannot be written ({error.strerror})", hint="Choose another folder with -o"
-            ) from None
+            raise self._unwritable(error) from None
         self._file = _stream(layout_id)
-        self._file.save(part_of(path), default_blueprint=blueprint)
+        self._file.save(self._tap.inlet, default_blueprint=blueprint)
         self._streams = [self._file]  # a stream of its own for the viewer: whatever happens to it, the file is whole
         if live is not None and viewer.listens(live):
             self._streams.append(_stream(layout_id))
@@ -91,20 +91,44 @@ class Sink:
             stream.send_property(paths.PROPERTIES, rr.AnyValues(**kept))
 
     def flush(self) -> None:
-        """Hand all that was logged to the operating system; let go of a viewer that was closed."""
+        """Hand all that was logged to the operating system; let go of a viewer that was closed.
+
+        Raises:
+            DataError: where it cannot be written, as on a full disk.
+        """
         self._file.flush(timeout_sec=FLUSH_SECONDS)
+        try:
+            self._tap.settle()
+        except OSError as error:
+            raise self._unwritable(error) from None
         if len(self._streams) > 1 and self._port is not None and not viewer.listens(self._port):
             self._streams.pop().disconnect()
 
     def finish(self) -> None:
-        """Close the file and give it its name."""
-        self.close()
-        os.replace(part_of(self.path), self.path)
+        """Close the file and give it its name.
+
+        Raises:
+            DataError: where its end cannot be written; what was written stays where it is, for repair.
+        """
+        try:
+            self._close()
+            os.replace(part_of(self.path), self.path)
+        except OSError as error:
+            raise self._unwritable(error) from None
 
     def close(self) -> None:
-        """Close the file and leave it where it is, for repair."""
+        """Close the file and leave it where it is, for repair. What cannot be written was told already, or is lost."""
+        with contextlib.suppress(OSError):
+            self._close()
+
+    def _close(self) -> None:
         for stream in self._streams:
             stream.disconnect()
+        self._tap.close()
+
+    def _unwritable(self, error: OSError) -> DataError:
+        hint = "Free space or choose another folder with -o, and run again"
+        return DataError(self.path, f"cannot be written ({error.strerror})", hint=hint)
 
 
 def _stream(layout_id: str) -> rr.RecordingStream:
