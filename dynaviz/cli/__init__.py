@@ -9,7 +9,7 @@ from types import FrameType
 
 import typer
 
-from dynaviz.cli import bench, compare, config, demo, failures, info, list, run, score, shot, simulate, view
+from dynaviz.cli import bench, compare, config, demo, failures, info, list, repair, run, score, shot, simulate, view
 from dynaviz.errors import DynavizError
 
 app = typer.Typer(
@@ -21,7 +21,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for verb in (demo, run, score, failures, compare, bench, info, list, config, simulate, view, shot):
+for verb in (demo, run, score, failures, compare, bench, info, list, config, simulate, view, shot, repair):
     verb.add_to(app)
 
 

@@ -26,6 +26,12 @@ def part_of(path: Path) -> Path:
     return path.with_name(f".{path.name}.part")
 
 
+def of_part(path: Path) -> Path | None:
+    """The recording's place, from where it was being written; None for another path."""
+    name = path.name.removeprefix(".").removesuffix(".part")
+    return path.with_name(name) if path == part_of(path.with_name(name)) else None
+
+
 def sha256(path: str | os.PathLike[str]) -> str:
     """Digest of a finished recording's file."""
     with open(path, "rb") as file:
