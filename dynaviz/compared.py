@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynaviz.comparison import LEVEL, RESAMPLES, SCORES, SEED, TRUTHS, WRONG, block_length
+from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.result import Result
 
@@ -81,13 +82,18 @@ class Comparison:
 
         Args:
             below: percentage points; AA minus the first's AA must not be less.
+
+        Raises:
+            UsageError: where AA is undefined, so that nothing can fall.
         """
         said = []
         for run, pair in zip(self.runs[1:], self.pairs, strict=True):
             aa = pair["scores"]["AA"]
             if aa["delta"] is None:
-                said.append(f"{label(run)}: AA is undefined, as nothing labelled static or nothing dynamic is there")
-            elif aa["delta"] < below:
+                raise UsageError(
+                    "AA is undefined without static and dynamic points, so it cannot fall. Compare SA or DA"
+                )
+            if aa["delta"] < below:
                 change = f"AA fell from {aa['first']:.2f} to {aa['second']:.2f}"
                 said.append(f"{label(run)}: {change}, by {aa['delta']:+.2f}, below {below:+g}")
         return said

@@ -80,6 +80,10 @@ def write(
         stream.save(beside, default_blueprint=layout)
         stream.set_log_time_enabled(False)
         stream.send_recording_name(comparison.title)
+        if pair and fine:  # first, for the viewer complains of views whose world it does not know yet
+            _legend(stream, names)
+            _ground(stream, recordings[0])
+            _where(stream, fine[0], comparison)
         for i, recording in enumerate(recordings):
             _copy(recording, SIDES[i], names[i], RUNS[i], stream)
             progress("writing", i + 1, len(recordings))
@@ -88,10 +92,7 @@ def write(
         if pair:
             _gains(stream, names, crossed[0], comparison)
         if pair and fine:
-            _legend(stream, names)
             _frames(stream, *recordings)
-            _ground(stream, recordings[0])
-            _where(stream, fine[0], comparison)
         stream.disconnect()
         open_store(beside)  # a disk that ran full is told here, before the file gets its name
 

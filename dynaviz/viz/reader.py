@@ -88,7 +88,7 @@ class Recorded:
 
     def curve(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
-        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self._frames(path)]
+        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
         return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
 
     def entities(self) -> list[str]:
@@ -104,7 +104,7 @@ class Recorded:
                 found |= _row(batch, row, chunk.timeline_names)
         return found
 
-    def _frames(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    def rows(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
         """Rows of an entity by frame; parts of a row may lie in several chunks, in any order."""
         places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
         for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
@@ -188,7 +188,7 @@ class Recording(Recorded):
         Raises:
             DataError: for a frame whose answers are damaged.
         """
-        for frame, components in self._frames(paths.ANSWERS):
+        for frame, components in self.rows(paths.ANSWERS):
             values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
             try:
                 yield Answers.unpacked(frame, values)
@@ -199,11 +199,11 @@ class Recording(Recorded):
 
     def drawn(self) -> Iterator[Drawn]:
         """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
-        positions = {frame: c["Transform3D:translation"][0] for frame, c in self._frames(paths.SENSOR)}
+        positions = {frame: c["Transform3D:translation"][0] for frame, c in self.rows(paths.SENSOR)}
         reasons = (
             {answers.frame: answers.reasons for answers in self.answers()} if self.properties["mode"] == "full" else {}
         )
-        for frame, components in self._frames(paths.SCAN):
+        for frame, components in self.rows(paths.SCAN):
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
             yield Drawn(

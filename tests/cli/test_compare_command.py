@@ -1,0 +1,96 @@
+"""dynaviz compare, as a user types it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from worlds import room
+
+import dynaviz as dv
+from dynaviz.cli import main
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def dynaviz(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("runs")
+    for name, size in (("a", 0.2), ("b", 0.6)):
+        dv.run("octomap", room(5, 1500), out=folder / name, record="scores", settings=(f"resolution={size}",))
+    return folder / "a/run.rrd", folder / "b/run.rrd"
+
+
+def test_tables_a_recording_and_json(dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+    out, plain = tmp_path / "deep/both.rrd", tmp_path / "both.json"
+    code, said, err = dynaviz("compare", *recordings, "-o", out, "--json", plain)
+    assert code == 0, err
+    assert "answers 1/1" in err
+    content = json.loads(plain.read_text())
+    score = content["pairs"][0]["scores"]["AA"]
+    assert f"{score['first']:.2f}" in said
+    assert f"{score['delta']:+.2f}" in said
+    assert "holds no coordinates" in said
+    assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["both.json", "both.rrd"]
+    code, said, _ = dynaviz("info", out)
+    assert (code, "octomap resolution=0.6" in said) == (0, True)
+
+
+def test_without_a_name_it_lands_here(
+    dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert dynaviz("compare", *recordings, recordings[0])[0] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["compare.rrd"]
+
+
+def test_exit_codes_of_a_fall(dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+    out = ("-o", tmp_path / "x.rrd")
+    delta = dv.compare(*recordings).pairs[0]["scores"]["AA"]["delta"]
+    for order, fall in ((recordings, delta), (recordings[::-1], -delta)):
+        assert dynaviz("compare", *order, *out, "--fail-below", fall - 1e-6)[0] == 0
+        code, said, err = dynaviz("compare", *order, *out, "--fail-below", fall + 1e-6)
+        assert code == 1
+        assert "AA" in err
+        assert "below" in err
+        assert "Scores" in said
+    code, _, err = dynaviz("compare", recordings[0], *recordings, *out, "--fail-below", 100)
+    assert code == 1
+    assert [line.split()[1] for line in err.splitlines() if line.startswith("dynaviz:")] == ["B", "C"]
+
+
+@pytest.mark.parametrize(
+    "typed", ["{0}", "{0} absent.rrd", "{0} {1} -o {1}", "{0} {1} --json {0}/x.json", "{0} {0} --fail-below x"]
+)
+def test_a_mistake_is_answered_without_a_traceback(
+    dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = dynaviz("compare", *typed.format(*recordings).split())
+    assert code == 2
+    assert "Traceback" not in err
+    told = [line for line in err.splitlines() if line.startswith("dynaviz:")]
+    assert len(told) == (0 if "below" in typed else 1)
+
+
+def test_help_begins_with_examples(dynaviz: Command) -> None:
+    code, out, _ = dynaviz("compare", "--help")
+    assert code == 0
+    assert out.index("  dynaviz compare") < out.index("Options:")
