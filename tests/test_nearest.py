@@ -55,7 +55,7 @@ def test_the_limit_itself_is_found():
     assert np.isinf(nearest_distance(query, reference, 0.0499))
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(CLOUD, CLOUD, st.sampled_from([0.0, 1e-30, 0.05, 1.0, 30.0, 1e30, np.inf]))
 def test_within_asks_whether_the_distance_is_in_the_limit(query, reference, limit):
     tree = Nearest(reference)
@@ -64,7 +64,7 @@ def test_within_asks_whether_the_distance_is_in_the_limit(query, reference, limi
     np.testing.assert_array_equal(np.isfinite(tree.distance(query, limit)), expected)
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(CLOUD, CLOUD, st.data())
 def test_a_limit_that_is_a_distance_is_within(query, reference, data):
     exact = brute_force(query, reference, np.inf)
