@@ -1,0 +1,287 @@
+"""Whether results are good enough: against limits, and against a baseline that was committed. For CI."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dynaviz.errors import DataError, UsageError
+from dynaviz.io.atomic import opened, write_whole
+from dynaviz.result import Result
+
+if TYPE_CHECKING:
+    from dynaviz.study import Cell
+
+SCHEMA = 1
+HEADLINE = ("SA", "DA", "AA", "HA")
+ROUNDING = 1e-9  # percentage points
+_HINT = "Write one with: dynaviz check RESULTS --write-baseline FILE"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a baseline keeps of a result: what ran on what, counts and metrics.
+
+    Attributes:
+        sequence: name, digest, frames and points.
+        counts, metrics: as in ``Result``; metrics in percent, None where undefined.
+        mean_s: seconds a frame, for telling; None in a baseline, which holds on any machine.
+    """
+
+    sequence: dict[str, Any]
+    method: str
+    variant: str
+    online: bool
+    parameters: dict[str, Any]
+    scoring: str
+    counts: dict[str, int]
+    metrics: dict[str, float | None]
+    mean_s: float | None = None
+
+    @classmethod
+    def of(cls, result: Result) -> Entry:
+        """What is kept of a result."""
+        return cls(
+            dict(result.sequence),
+            result.method,
+            result.variant,
+            result.online,
+            dict(result.parameters),
+            result.scoring,
+            dict(result.counts),
+            dict(result.metrics),
+            result.runtime.get("mean_s"),
+        )
+
+    @property
+    def label(self) -> str:
+        """Method and sequence, and what sets this run of it apart."""
+        apart = [text for text in (self.variant, "online" if self.online else "") if text]
+        return " ".join([self.method, *(f"({text})" for text in apart), "on", str(self.sequence.get("name"))])
+
+    @property
+    def digest(self) -> str:
+        """Of the sequence."""
+        return str(self.sequence.get("digest"))
+
+
+class Verdict(IntEnum):
+    """How a finding is to be taken, the worst first."""
+
+    FELL = 0
+    BETTER = 1
+    TOLD = 2
+    HOLDS = 3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One comparison.
+
+    Attributes:
+        run: method and sequence.
+        what: the metric, or another matter.
+        value, limit: in percent (seconds for ``s/frame``); None where undefined or none.
+        remark: a sentence, where numbers do not say it.
+        counts: of the result, and by how much they differ from the baseline's.
+    """
+
+    verdict: Verdict
+    run: str
+    what: str
+    value: float | None = None
+    limit: float | None = None
+    remark: str = ""
+    counts: Mapping[str, tuple[int, int | None]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings, the worst first."""
+
+    findings: list[Finding]
+
+    @property
+    def fallen(self) -> list[Finding]:
+        """What fell."""
+        return [finding for finding in self.findings if finding.verdict is Verdict.FELL]
+
+
+def check(
+    cells: Sequence[Cell],
+    minima: Iterable[tuple[str, float]] = (),
+    baseline: Sequence[Entry] | None = None,
+    tolerance: float = 0.5,
+    complete: bool = False,
+) -> Check:
+    """Compare results with limits and with a baseline.
+
+    Args:
+        cells: the results; a cell that failed falls.
+        minima: metrics and the least value in percent that each result must have.
+        baseline: what results were; those that it does not hold are told.
+        tolerance: percentage points by which a headline metric may be lower.
+        complete: whether every entry of the baseline must have its result.
+
+    Raises:
+        UsageError: for a metric that a result does not have, and where a result is of another sequence or another
+            scoring than its entry in the baseline.
+    """
+    minima, findings = list(minima), []
+    left = list(baseline or [])
+    for cell in cells:
+        if cell.result is None:
+            run = f"{cell.method} on {cell.sequence}"
+            findings.append(Finding(Verdict.FELL, run, "run", remark=f"failed: {cell.error}"))
+            left = [
+                entry for entry in left if (entry.method, entry.sequence.get("name")) != (cell.method, cell.sequence)
+            ]
+            continue
+        now = Entry.of(cell.result)
+        findings += [_least(now, name, least) for name, least in minima]
+        before = None
+        if baseline is not None:
+            before = _match(now, baseline, alone=len(baseline) == len(cells) == 1)
+            findings += _changes(now, before, tolerance)
+            left = [entry for entry in left if entry is not before]
+        findings.append(_runtime(now, before))
+    if complete:
+        findings += [
+            Finding(Verdict.FELL, e.label, "run", remark="is in the baseline, but has no result") for e in left
+        ]
+    return Check(sorted(findings, key=lambda finding: finding.verdict))
+
+
+def _least(now: Entry, name: str, least: float) -> Finding:
+    if name not in now.metrics:
+        raise UsageError(f"--min {name}: {now.label} has the metrics {', '.join(now.metrics) or 'none'}")
+    value, counts = now.metrics[name], _counts(now, None)
+    if value is None:
+        return Finding(Verdict.FELL, now.label, name, None, least, f"is undefined: {_why_undefined(now)}", counts)
+    return Finding(Verdict.FELL if value < least else Verdict.HOLDS, now.label, name, value, least, "", counts)
+
+
+def _changes(now: Entry, before: Entry | None, tolerance: float) -> list[Finding]:
+    if before is None:
+        return [Finding(Verdict.TOLD, now.label, "run", remark="is not in the baseline")]
+    findings, counts = [], _counts(now, before)
+    for name in HEADLINE:
+        new, old = now.metrics.get(name), before.metrics.get(name)
+        verdict, remark = Verdict.HOLDS, ""
+        if new is None and old is not None:
+            verdict, remark = Verdict.FELL, f"is undefined: {_why_undefined(now)}"
+        elif new is not None and old is not None:
+            if new < old - tolerance - ROUNDING:
+                verdict = Verdict.FELL
+            elif new > old + tolerance + ROUNDING:
+                verdict, remark = Verdict.BETTER, f"better by {new - old:.2f}"
+        findings.append(Finding(verdict, now.label, name, new, old, remark, counts))
+    if now.method != before.method:
+        findings.append(Finding(Verdict.TOLD, now.label, "method", remark=f"was {before.method}"))
+    elif now.parameters != before.parameters:
+        names = sorted(now.parameters.keys() | before.parameters.keys())
+        changed = [n for n in names if now.parameters.get(n) != before.parameters.get(n)]
+        told = ", ".join(f"{n} {before.parameters.get(n)} -> {now.parameters.get(n)}" for n in changed)
+        findings.append(Finding(Verdict.TOLD, now.label, "parameters", remark=told))
+    return findings
+
+
+def _runtime(now: Entry, before: Entry | None) -> Finding:
+    was = None if before is None else before.mean_s
+    return Finding(Verdict.TOLD, now.label, "s/frame", now.mean_s, was, "is never a reason to fall")
+
+
+def _counts(now: Entry, before: Entry | None) -> dict[str, tuple[int, int | None]]:
+    return {
+        name: (count, None if before is None else count - before.counts.get(name, 0))
+        for name, count in now.counts.items()
+    }
+
+
+def _why_undefined(now: Entry) -> str:
+    count = now.counts
+    if not count.get("dynamic_removed", 0) + count.get("dynamic_kept", 0):
+        return "no point is labelled as dynamic"
+    if not count.get("static_kept", 0) + count.get("static_removed", 0):
+        return "no point is labelled as static"
+    return "nothing was removed"
+
+
+def _match(now: Entry, baseline: Sequence[Entry], alone: bool) -> Entry | None:
+    """The entry of the same run; of several, the one that agrees in data, then scoring, then parameters."""
+
+    def akin(e: Entry) -> bool:
+        same_run = (e.method, e.variant, e.online) == (now.method, now.variant, now.online)
+        return same_run and (e.digest == now.digest or e.sequence.get("name") == now.sequence.get("name"))
+
+    found = [entry for entry in baseline if alone or akin(entry)]
+    if not found:
+        return None
+    agreeing = [(e.digest == now.digest, e.scoring == now.scoring, e.parameters == now.parameters) for e in found]
+    before = found[agreeing.index(max(agreeing))]
+    if before.digest != now.digest:
+        raise UsageError(
+            f"{now.label} is of other data than the baseline: digest {now.digest[:12]} ({_size(now)}), there "
+            f"{before.digest[:12]} ({_size(before)}). Use the same frames of the same sequence (simulated: the same "
+            "scene, frames, seed and dynaviz), or write a baseline of this one"
+        )
+    if before.scoring != now.scoring:
+        raise UsageError(
+            f"{now.label} has the scoring {now.scoring}, the baseline {before.scoring}: these numbers do not compare. "
+            "Score both in the same way"
+        )
+    return before
+
+
+def _size(entry: Entry) -> str:
+    return f"{entry.sequence.get('frames')} frames, {entry.sequence.get('points')} points"
+
+
+def read_baseline(path: str | os.PathLike[str]) -> list[Entry]:
+    """Read a baseline, or the ``result.json`` of one run as one.
+
+    Raises:
+        DataError: where the file is neither, or was written by a newer dynaviz.
+    """
+    with opened(path, _HINT) as file:
+        try:
+            plain = json.load(file)
+        except ValueError as error:
+            raise DataError(path, f"is not JSON ({error})", hint=_HINT) from None
+    if not isinstance(plain, dict) or "baseline" not in plain:
+        return [Entry.of(Result.from_dict(plain, path))]
+    if plain["baseline"] > SCHEMA:
+        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+    try:
+        return [Entry(**row) for row in plain["results"]]
+    except (KeyError, TypeError) as error:
+        raise DataError(path, f"is not a baseline ({error})", hint=_HINT) from None
+
+
+def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> None:
+    """Write a baseline: of each result what ran on what, counts and metrics; no runtime, so that it holds anywhere.
+
+    Raises:
+        UsageError: where two results of the same run differ.
+        DataError: where the file cannot be written.
+    """
+    entries: dict[str, Entry] = {}
+    for entry in map(Entry.of, results):
+        same = entries.setdefault(
+            json.dumps([entry.label, entry.digest, entry.scoring, entry.parameters], sort_keys=True), entry
+        )
+        if same.counts != entry.counts:
+            raise UsageError(f"two results of {entry.label} differ: leave one out of the baseline")
+    rows = []
+    for entry in sorted(entries.values(), key=lambda e: (str(e.sequence.get("name")), e.method, e.variant, e.online)):
+        row = asdict(entry)
+        del row["mean_s"]
+        rows.append(json.dumps(row))
+    # A line each, so that a diff of two versions shows which runs changed.
+    text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
+    write_whole(Path(path), text.encode())

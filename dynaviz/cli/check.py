@@ -1,0 +1,149 @@
+"""dynaviz check."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dynaviz.cli.console import show
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from dynaviz.check import Check, Finding
+
+ROWS = 40  # of a table; what holds is only counted beyond
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("check")(check)
+
+
+def check(
+    results: Annotated[
+        list[Path], typer.Argument(metavar="RESULT.json|DIR...", help="Results, or folders with results below them.")
+    ],
+    minima: Annotated[
+        list[str] | None,
+        typer.Option("--min", metavar="METRIC=PERCENT", help="The least value of a metric; may be repeated."),
+    ] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(help="What results were: a baseline, or the result.json of an earlier run.")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, help="Percentage points by which SA, DA, AA and HA may be lower.")
+    ] = 0.5,
+    write_baseline: Annotated[
+        Path | None, typer.Option(metavar="F", help="Write a baseline of these results, unless one falls.")
+    ] = None,
+) -> None:
+    """Say whether results are good enough, and what fell: exit 0 or 1, for CI.
+
+    \b
+    dynaviz check recordings/street/octomap/result.json --min AA=90 --min SA=95
+    dynaviz check new/result.json --baseline old/result.json --tolerance 0.5
+    dynaviz check bench --write-baseline baseline.json
+    dynaviz check bench --baseline baseline.json
+    """
+    from dynaviz import check as core
+    from dynaviz.errors import UsageError
+    from dynaviz.study import collect
+
+    if not minima and baseline is None and write_baseline is None:
+        raise UsageError("nothing to check: give --min METRIC=PERCENT or --baseline FILE")
+    limits = [_limit(text) for text in minima or []]
+    old = None if baseline is None else core.read_baseline(baseline)
+    cells = collect(results)
+    found = core.check(cells, limits, old, tolerance, complete=any(path.is_dir() for path in results))
+    show(table(found), _verdict(found, len(cells), baseline))
+    if found.fallen:
+        raise typer.Exit(1)
+    if write_baseline is not None:
+        core.write_baseline(write_baseline, (cell.result for cell in cells if cell.result))
+        show(f"Written to {write_baseline}.")
+
+
+def _limit(text: str) -> tuple[str, float]:
+    from dynaviz.errors import UsageError
+
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise UsageError(f"--min {text}: give a metric and its least value in percent, as AA=90") from None
+
+
+def _verdict(found: Check, results: int, baseline: Path | None) -> str:
+    from dynaviz.check import Verdict
+
+    compared = [f for f in found.findings if f.verdict is not Verdict.TOLD]
+    better = [f for f in found.findings if f.verdict is Verdict.BETTER]
+    head = f"{len(found.fallen)} of {len(compared)} fell" if found.fallen else f"all {len(compared)} hold"
+    words = f"{results} result{'s' * (results != 1)}: {head}."
+    if better:
+        runs = len({finding.run for finding in better})
+        words += f" {runs} run{'s are' if runs > 1 else ' is'} better; consider updating the baseline {baseline}."
+    return words
+
+
+def table(found: Check) -> Table:
+    """A row a finding, failures first, in 80 columns."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from dynaviz.check import Verdict
+
+    looks = {
+        Verdict.FELL: "[bold red]FELL[/]",
+        Verdict.BETTER: "[green]better[/]",
+        Verdict.TOLD: "",
+        Verdict.HOLDS: "ok",
+    }
+    rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for name in ("", "run", "metric"):
+        rows.add_column(name, overflow="fold")
+    for name in ("value", "limit", "diff"):
+        rows.add_column(name, justify="right", no_wrap=True)
+    rows.add_column("what it is", overflow="fold")
+    shown = [f for f in found.findings if f.verdict is not Verdict.HOLDS]
+    shown += [f for f in found.findings if f.verdict is Verdict.HOLDS][: max(0, ROWS - len(shown))]
+    for finding in shown:
+        numbers = _numbers(finding)
+        rows.add_row(
+            looks[finding.verdict], escape(finding.run), finding.what, *numbers, escape(", ".join(_words(finding)))
+        )
+    if hidden := len(found.findings) - len(shown):
+        rows.caption, rows.caption_justify = f"and {hidden} that hold", "left"
+    return rows
+
+
+def _numbers(finding: Finding) -> tuple[str, str, str]:
+    """Value, limit and their difference."""
+    digits = 3 if finding.what == "s/frame" else 2
+    value, limit = finding.value, finding.limit
+    if value is None and limit is None:
+        return "", "", ""
+    texts = ["" if number is None else f"{number:.{digits}f}" for number in (value, limit)]
+    difference = "" if value is None or limit is None else f"{value - limit:+.{digits}f}"
+    return texts[0] or "n/a", texts[1], difference
+
+
+PARTS = {  # the counts that a metric is made of
+    "SA": ("static_removed",),
+    "DA": ("dynamic_kept",),
+    "precision": ("static_removed", "dynamic_removed"),
+}
+
+
+def _words(finding: Finding) -> Iterator[str]:
+    if finding.remark:
+        yield finding.remark
+    for part in PARTS.get(finding.what, ("static_removed", "dynamic_kept")):
+        if part in finding.counts:
+            count, change = finding.counts[part]
+            yield f"{count:,} {part.replace('_', ' ')}" + (f" ({change:+,})" if change else "")
