@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from dynaviz.api import compare, open, run, score
     from dynaviz.benches import bench
     from dynaviz.result import Result
+    from dynaviz.study import report
 
-__all__ = ["Result", "bench", "compare", "open", "run", "score"]
+__all__ = ["Result", "bench", "compare", "open", "report", "run", "score"]
 
 _HOMES = {
     "bench": "dynaviz.benches",
     "compare": "dynaviz.api",
     "open": "dynaviz.api",
+    "report": "dynaviz.study",
     "run": "dynaviz.api",
     "score": "dynaviz.api",
     "Result": "dynaviz.result",

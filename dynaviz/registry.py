@@ -1,4 +1,4 @@
-"""Methods, datasets and metrics, found through entry points: ours and anyone else's, in the same way."""
+"""Methods, datasets, metrics and reports, found through entry points: ours and anyone else's, in the same way."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Handle:
     """A plug-in that is installed but not loaded.
 
     Attributes:
-        kind: ``methods``, ``datasets`` or ``metrics``.
+        kind: ``methods``, ``datasets``, ``metrics`` or ``reports``.
         name: as in the command line.
-        target: ``module:Class``.
+        target: ``module:Class``, for reports ``module:function``.
         distribution, version: the package it came with.
     """
 

@@ -59,7 +59,7 @@ METHODS_MAY = (
     "sensors",
     "errors",
 )
-EVAL_MAY = ("scan", "metric", "method", "result", "grid", "nearest", "kernels", "errors", "io")
+EVAL_MAY = ("scan", "metric", "method", "result", "study", "grid", "nearest", "kernels", "errors", "io")
 
 
 @pytest.mark.parametrize(("package", "allowed"), [("dynaviz_methods", METHODS_MAY), ("dynaviz_eval", EVAL_MAY)])
@@ -76,7 +76,15 @@ def test_no_generic_name_is_ever_installed() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [["--help"], ["list"], ["list", "methods"], ["run", "--help"], ["score", "--help"], ["config", "octomap_gf"]],
+    [
+        ["--help"],
+        ["list"],
+        ["list", "methods"],
+        ["run", "--help"],
+        ["score", "--help"],
+        ["report", "--help"],
+        ["config", "octomap_gf"],
+    ],
 )
 def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
     code = (
@@ -85,7 +93,8 @@ def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
         "from dynaviz.cli import main\n"
         "try:\n    main()\n"
         "except SystemExit as end:\n    assert not end.code, end.code\n"
-        "heavy = {'open3d', 'cv2', 'rerun', 'numba', 'scipy', 'pyarrow'} & set(sys.modules)\n"
+        "heavy = {'open3d', 'cv2', 'rerun', 'numba', 'scipy', 'pyarrow', 'matplotlib', 'jinja2', 'PIL'}\n"
+        "heavy &= set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -9,7 +9,23 @@ from types import FrameType
 
 import typer
 
-from dynaviz.cli import bench, compare, config, demo, failures, info, list, repair, run, score, shot, simulate, view
+from dynaviz.cli import (
+    bench,
+    check,
+    compare,
+    config,
+    demo,
+    failures,
+    info,
+    list,
+    repair,
+    report,
+    run,
+    score,
+    shot,
+    simulate,
+    view,
+)
 from dynaviz.errors import DynavizError
 
 app = typer.Typer(
@@ -21,7 +37,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for verb in (demo, run, score, failures, compare, bench, info, list, config, simulate, view, shot, repair):
+for verb in (demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, view, shot, repair):
     verb.add_to(app)
 
 

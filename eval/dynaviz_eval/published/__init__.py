@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -73,6 +74,53 @@ def published(sequence: str) -> tuple[Published, ...]:
         )
         for row in content["results"]
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """A sequence that goes by the name of a public one, and how far that is true.
+
+    Attributes:
+        name: of the public sequence, as ``published`` takes it.
+        same: frames and points are those of the public sequence, as far as these are known.
+        doubt: what is known of the likeness, a sentence.
+    """
+
+    name: str
+    same: bool
+    doubt: str
+
+
+def matching(sequence: Mapping[str, Any], frames: Sequence[int] = ()) -> Match | None:
+    """The public sequence that a result may belong to, by its name; None where there is none.
+
+    Args:
+        sequence: name, frames and points, as in a result.
+        frames: the data set's own numbers of the frames, where known.
+    """
+    for name in published_sequences():
+        facts = _load(name)["sequence"]
+        if sequence.get("name") in facts["names"]:
+            same, doubt = _likeness(facts, sequence, frames)
+            return Match(name, same, doubt)
+    return None
+
+
+def _likeness(facts: Mapping[str, Any], sequence: Mapping[str, Any], frames: Sequence[int]) -> tuple[bool, str]:
+    here = f"{sequence.get('frames', 0):,} frames"
+    there = f"{facts['frames']:,} frames"
+    numbered = "first" in facts and len(frames) > 0
+    if numbered:
+        here += f" from {min(frames)} to {max(frames)}"
+        there += f" from {facts['first']} to {facts['last']}"
+    if here != there:
+        return False, f"Only the name matches: {here} here, {there} there."
+    points, known = sequence.get("points", 0), facts.get("points")
+    if known is None:
+        return True, f"Name and frames match ({there}); the number of points was not published."
+    if points != known:
+        return False, f"Name and frames match ({there}), the points do not: {points:,} here, {known:,} there."
+    return True, f"Name, frames and points match ({there}, {known:,} points)."
 
 
 def published_runtimes() -> tuple[PublishedRuntime, ...]:

@@ -1,0 +1,48 @@
+"""dynaviz report."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import progress
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("report")(report)
+
+
+def report(
+    results: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Folders with results in or below them, or result.json files."),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The file to write. [default: standard output]")
+    ] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(
+            help="html, md, latex, csv, or another that is installed. [default: by the suffix of -o, else md]"
+        ),
+    ] = None,
+) -> None:
+    """Write tables and figures of one or many results.
+
+    \b
+    dynaviz report recordings/demo -o report.html
+    dynaviz report bench/ -o tables.tex
+    dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
+    """
+    from dynaviz.study import report as write_report
+
+    with progress("report") as tell:
+        text = write_report(*results, out=out, format=format, progress=tell)
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        print(f"Written to {out}.")

@@ -1,0 +1,214 @@
+"""Many results as one study: found in folders, and reported in one of the formats that are installed."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynaviz import registry
+from dynaviz.errors import DataError, UsageError
+from dynaviz.io.atomic import opened, write_whole
+from dynaviz.result import Result
+
+if TYPE_CHECKING:
+    from dynaviz.loop import Progress
+    from dynaviz.scan import F32, U8
+
+SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # beside those that are a format's name
+_HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o FOLDER' writes one)"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of a study, or what became of it.
+
+    Attributes:
+        file: its ``result.json`` or ``error.json``.
+        result: None where it failed.
+        error: why it failed; None where it did not.
+        method, sequence, variant: what was to run on what.
+        given: the path that a user named and in which it was found.
+    """
+
+    file: Path
+    result: Result | None
+    error: str | None
+    method: str
+    sequence: str
+    variant: str
+    given: Path
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self.file.parent
+
+    @property
+    def label(self) -> str:
+        """The method, and what sets this run of it apart."""
+        online = "online" if self.result is not None and self.result.online else ""
+        apart = dict.fromkeys([self.variant, online])
+        return " ".join([self.method, *(f"({text})" for text in apart if text)])
+
+    @property
+    def recording(self) -> Path | None:
+        """The run's recording, where there is one."""
+        path = self.folder / "run.rrd"
+        return path if path.is_file() else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """The map of a whole run with its wrong points, thinned.
+
+    Attributes:
+        points: (N, 3) float32, metres, world frame.
+        outcome: (N,) uint8, an ``Outcome`` per point.
+    """
+
+    points: F32
+    outcome: U8
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a report is made of.
+
+    Attributes:
+        cells: in the order of their folders.
+        home: the folder in which the report will lie; links are relative to it.
+        progress: to be told a phase, and how much of how much is done.
+    """
+
+    cells: Sequence[Cell]
+    home: Path = Path()
+    progress: Progress = lambda phase, done, total: None
+
+    def link(self, path: Path) -> str:
+        """A path relative to the report, with forward slashes."""
+        return Path(os.path.relpath(path, self.home)).as_posix()
+
+    def overview(self, cell: Cell) -> Overview | None:
+        """The map of a run from its recording; None where there is no recording, or none with points.
+
+        Raises:
+            DataError: for a recording that cannot be read.
+        """
+        if cell.recording is None:
+            return None
+        import numpy as np
+
+        from dynaviz.viz import paths
+        from dynaviz.viz.reader import Recording
+
+        recording = Recording(cell.recording)
+        parts = [recording.static(path) for path in (paths.MAP, paths.REMOVED, paths.REMOVED_WRONG, paths.MAP_WRONG)]
+        drawn = [part for part in parts if "Points3D:positions" in part]
+        if not drawn:
+            return None
+        return Overview(
+            np.concatenate([part["Points3D:positions"] for part in drawn]),
+            np.concatenate([part["Points3D:class_ids"].astype(np.uint8) for part in drawn]),
+        )
+
+
+def collect(paths: Sequence[str | os.PathLike[str]]) -> list[Cell]:
+    """Find all results, and all failures of a bench, in folders and below them.
+
+    Args:
+        paths: folders, or ``result.json`` files by whatever name.
+
+    Returns:
+        One cell a folder, sorted by folder within each path; what two paths hold is found once.
+
+    Raises:
+        DataError: for a path that does not exist or holds no result, and for a file that is none.
+    """
+    cells: dict[Path, Cell] = {}
+    for given in map(Path, paths):
+        found = list(_found(given))
+        if not found:
+            raise DataError(given, "holds no result.json, nor does any folder in it", hint=_HINT)
+        for file in found:
+            cells.setdefault(file.resolve(), _cell(file, given))
+    return list(cells.values())
+
+
+def report(
+    *paths: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    format: str | None = None,
+    progress: Progress = lambda phase, done, total: None,
+) -> str:
+    """Write tables and figures of one or many results.
+
+    Args:
+        paths: folders with results in them, or ``result.json`` files.
+        out: the file to write; None writes none.
+        format: ``html``, ``md``, ``latex``, ``csv`` or another that is installed (``dynaviz.reports``); by default
+            that of the suffix of ``out``, or ``md`` without one.
+        progress: called with a phase, and how much of how much is done.
+
+    Returns:
+        The report.
+
+    Raises:
+        UsageError: for no path, or a format that is not installed.
+        DataError: for paths without results, files that cannot be read, or one that cannot be written.
+    """
+    if not paths:
+        raise UsageError(f"no results. {_HINT}")
+    render = registry.load("reports", format or _format(out))
+    home = Path() if out is None else Path(out).parent
+    text: str = render(Study(collect(paths), home, progress))
+    if out is not None:
+        write_whole(out, text.encode())
+    return text
+
+
+def _format(out: str | os.PathLike[str] | None) -> str:
+    """The format that a file's suffix stands for."""
+    if out is None:
+        return "md"
+    suffix = Path(out).suffix.lower().removeprefix(".")
+    known = [handle.name for handle in registry.handles("reports")]
+    name = SUFFIXES.get(suffix, suffix)
+    if name not in known:
+        raise UsageError(f"{os.fspath(out)} does not tell its format by its suffix: give --format {'|'.join(known)}")
+    return name
+
+
+def _found(given: Path) -> Iterator[Path]:
+    """The files that stand for cells: of a folder's two, its result."""
+    if given.is_file():
+        yield given
+        return
+    if not given.is_dir():
+        raise DataError(given, "does not exist", hint=_HINT)
+    for folder in sorted({file.parent for name in ("result.json", "error.json") for file in given.rglob(name)}):
+        result = folder / "result.json"
+        yield result if result.is_file() else folder / "error.json"
+
+
+def _cell(file: Path, given: Path) -> Cell:
+    if file.name == "error.json":
+        return _failed(file, given)
+    result = Result.load(file)
+    name = str(result.sequence.get("name", ""))
+    return Cell(file, result, None, result.method, name, result.variant, given)
+
+
+def _failed(file: Path, given: Path) -> Cell:
+    hint = "Remove it, or run its bench again"
+    with opened(file, hint) as content:
+        try:
+            facts = json.load(content)
+            method, sequence, error = (str(facts[key]) for key in ("method", "sequence", "error"))
+            variant = str(facts.get("variant") or "")
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise DataError(file, "does not tell which run failed, and why", hint=hint) from None
+    return Cell(file, None, error, method, sequence, variant, given)

@@ -1,0 +1,1 @@
+"""Reports on many results: the numbers (boards), the tables, the figures, and four formats."""

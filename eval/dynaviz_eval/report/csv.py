@@ -1,0 +1,58 @@
+"""A report as comma-separated values: every run in a line, with all that there is."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+from dynaviz.study import Cell, Study
+from dynaviz_eval.report.boards import n_parameters
+
+_COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
+_METRICS = ("SA", "DA", "AA", "HA", "precision", "IoU")
+_RUNTIME = ("mean_s", "std_s", "prepare_s", "threads", "peak_rss_mb")
+COLUMNS = (
+    *("sequence", "method", "variant", "online", "seed", "scoring", "frames", "points", *_COUNTS, *_METRICS),
+    *(f"runtime_{name}" for name in _RUNTIME),
+    *("instrumented", "machine", "n_parameters", "parameters", "sequence_digest", "labels_sha256"),
+    *("recording_sha256", "recording", "command", "error"),
+)
+
+
+def csv_report(study: Study) -> str:
+    """Comma-separated values, a line a run, failed ones too; numbers in full, empty where undefined."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    for cell in study.cells:
+        writer.writerow(_line(study, cell))
+    return text.getvalue()
+
+
+def _line(study: Study, cell: Cell) -> dict[str, object]:
+    result = cell.result
+    head: dict[str, object] = dict.fromkeys(COLUMNS)
+    head |= {"sequence": cell.sequence, "method": cell.method, "variant": cell.variant, "error": cell.error}
+    if result is None:
+        return head
+    return {
+        **head,
+        "online": result.online,
+        "seed": result.seed,
+        "scoring": result.scoring,
+        "frames": result.sequence.get("frames"),
+        "points": result.sequence.get("points"),
+        **{name: result.counts.get(name) for name in _COUNTS},
+        **{name: result.metrics.get(name) for name in _METRICS},
+        **{f"runtime_{name}": result.runtime.get(name) for name in _RUNTIME},
+        "instrumented": result.instrumented,
+        "machine": json.dumps(result.environment.get("machine", {}), sort_keys=True),
+        "n_parameters": n_parameters(result),
+        "parameters": json.dumps(result.parameters, sort_keys=True),
+        "sequence_digest": result.sequence.get("digest"),
+        "labels_sha256": result.labels_sha256,
+        "recording_sha256": result.recording_sha256,
+        "recording": study.link(cell.recording) if cell.recording else None,
+        "command": result.command,
+    }

@@ -1,0 +1,333 @@
+"""The figures of a report, as SVG: each gives None where there is nothing to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynaviz_eval.error_distance import BIN, LIMIT
+from dynaviz_eval.report.boards import KINDS, Board, Row, by_method, losses
+from dynaviz_eval.report.drawing import FAINT, INK, Looks, panels, style, svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FEW = 100  # points below which an accuracy is drawn hollow
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a page: the element, and what it tells."""
+
+    name: str
+    svg: str
+    caption: str
+
+
+def scores(boards: Sequence[Board], looks: Looks) -> Picture | None:
+    """SA against DA, with lines of equal AA."""
+    drawn = [board for board in boards if any(row.score("AA") is not None for row in board.rows)]
+    if not drawn:
+        return None
+    with style():
+        figure, grid = panels(len(drawn), 3.4)
+        for axes, board in zip(grid, drawn, strict=True):
+            points = [
+                (row, row.score("SA") or 0.0, row.score("DA") or 0.0)
+                for row in board.rows
+                if row.score("AA") is not None
+            ]
+            low = [max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))]
+            _iso(axes, low)
+            for row, sa, da in points:
+                axes.plot(sa, da, linestyle="", **looks.point(row.result.method))
+            for row, sa, da in points:
+                if row.label in board.best("AA"):
+                    _name(axes, row.label, sa, da, low[0])
+            axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
+        _legend(figure, grid[0], [row for board in drawn for row in board.rows], looks, "DA [%]: dynamic removed")
+        caption = (
+            "Static against dynamic accuracy: the best corner is top right. Thin lines join points of equal AA; "
+            "the best method of each sequence is named."
+        )
+        return Picture("scores", svg(figure, "scores", caption), caption)
+
+
+def speed(boards: Sequence[Board], looks: Looks) -> Picture | None:
+    """Runtime against AA."""
+    drawn = [board for board in boards if _timed(board)]
+    if not drawn:
+        return None
+    with style():
+        figure, grid = panels(len(drawn), 3.2)
+        for axes, board in zip(grid, drawn, strict=True):
+            for row in _timed(board):
+                look = looks.point(row.result.method)
+                hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
+                axes.plot(row.result.runtime["mean_s"], row.score("AA") or 0.0, linestyle="", **look, **hollow)
+            axes.set(title=board.title, xlabel="seconds per frame (log)")
+            _log(axes)
+        _legend(figure, grid[0], [row for board in drawn for row in board.rows], looks, "AA [%]")
+        hollow_note = (
+            " Hollow: while states were recorded, so slower than the method alone."
+            if any(row.result.instrumented for b in drawn for row in b.rows)
+            else ""
+        )
+        caption = "Runtime against AA: the best corner is top left." + hollow_note
+        return Picture("speed", svg(figure, "speed", caption), caption)
+
+
+def ranges(board: Board, name: str, looks: Looks) -> Picture | None:
+    """SA and DA by range from the sensor."""
+    drawn = [row for row in best_of_each_method(board) if row.result.sections.get("breakdown", {}).get("range")]
+    if not drawn:
+        return None
+    with style():
+        figure, grid = panels(2, 2.9, across=2)
+        bins = drawn[0].result.sections["breakdown"]["range"]
+        ticks = [f"{b['from'] or 0:.0f}–{b['to']:.0f}" if b["to"] is not None else f"{b['from']:.0f}+" for b in bins]
+        for axes, (kind, (score, right, wrong)) in zip(grid, KINDS.items(), strict=True):
+            for row in drawn:
+                here = row.result.sections["breakdown"]["range"]
+                values = [np.nan if b[score] is None else b[score] for b in here]
+                few = [b[right] + b[wrong] < FEW for b in here]
+                look = looks.line(row.result.method)
+                axes.plot(range(len(here)), values, **{**look, "marker": ""})
+                for at, (value, hollow) in enumerate(zip(values, few, strict=True)):
+                    face: dict[str, Any] = {"markerfacecolor": "none"} if hollow else {}
+                    axes.plot(
+                        at, value, linestyle="", **{k: look[k] for k in ("color", "marker", "markersize")}, **face
+                    )
+            said = "static kept" if kind == "false_positive" else "dynamic removed"
+            axes.set(title=f"{score}: {said}", ylabel=f"{score} [%]", xlabel="range from the sensor [m]")
+            axes.set_xticks(range(len(ticks)), ticks)
+        _legend(figure, grid[0], drawn, looks)
+        caption = f"Accuracy against range on {board.title}. Hollow marks stand for fewer than {FEW} points."
+        return Picture(name, svg(figure, name, caption), caption)
+
+
+def distances(board: Board, name: str, looks: Looks) -> Picture | None:
+    """How far wrong points lie from right ones, a line of bars a method (paper, Fig. 5)."""
+    drawn = [row for row in best_of_each_method(board) if row.result.sections.get("error_distance")]
+    if not drawn:
+        return None
+    titles = {
+        "false_negative": "dynamic points kept:\nto the nearest one that was removed",
+        "false_positive": "static points removed:\nto the nearest one that was kept",
+    }
+    with style():
+        figure, grid = panels(2, 0.42 * len(drawn) + 1.1, across=2)
+        for axes, (kind, title) in zip(grid, titles.items(), strict=True):
+            for at, row in enumerate(drawn):
+                _ridge(axes, -at, row, kind, looks)
+            axes.set(
+                title=title,
+                xlabel="distance [m]; the last bar: farther",
+                xlim=(0, LIMIT + 0.35),
+                ylim=(-len(drawn) + 0.9, 1.05),
+            )
+            axes.set_yticks([-at + 0.3 for at in range(len(drawn))], [row.label for row in drawn])
+            axes.tick_params(axis="y", length=0)
+            axes.grid(False, axis="y")
+            axes.spines["left"].set_visible(False)
+        grid[1].set_yticklabels([])
+        caption = (
+            f"How far wrong points lie from right ones on {board.title}. Bars: share of a method's wrong points in "
+            "5 cm, each row to its own height. Dashed line: a tenth (10 %) of the points lies nearer. "
+            "Right: how many points."
+        )
+        return Picture(name, svg(figure, name, caption), caption)
+
+
+def _ridge(axes: Axes, base: float, row: Row, kind: str, looks: Looks) -> None:
+    section = row.result.sections["error_distance"].get(kind, {})
+    histogram, number = (
+        section.get("histogram"),
+        row.result.counts.get("dynamic_kept" if kind == "false_negative" else "static_removed", 0),
+    )
+    axes.axhline(base, color=FAINT, linewidth=0.8)
+    if not histogram or not sum(histogram):
+        axes.text(0.02, base + 0.2, "no point to measure to" if number else "none wrong", fontsize=7.5, color=INK)
+    else:
+        shares = np.array(histogram, float) / max(histogram)
+        edges = np.arange(len(histogram)) * BIN
+        colour = looks.point(row.result.method)["color"]
+        for heights, ends in ((shares[:-1], edges), (shares[-1:], LIMIT + 0.06 + np.array([0, BIN]))):
+            axes.stairs(base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0)
+        if section.get("p10") is not None:
+            axes.plot([section["p10"]] * 2, [base, base + 0.9], color=INK, linestyle=(0, (2, 1)), linewidth=1.3)
+    axes.text(LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK)
+
+
+def causes(boards: Sequence[Board], order: Sequence[str]) -> Picture | None:
+    """What each cause costs each method, as bars."""
+    groups = by_method(boards)
+    several = len({scoring for _, scoring in groups}) > 1
+    keys = sorted(groups, key=lambda key: order.index(key[0]))
+    found = {(key, kind): losses(groups[key], kind) for key in keys for kind in KINDS}
+    totals: dict[str, float] = {}
+    for loss in found.values():
+        for cause, cost in loss.causes.items():
+            totals[cause] = totals.get(cause, 0.0) + cost
+    if not totals:
+        return None
+    shown = sorted(totals, key=lambda cause: (-totals[cause], cause))[: len(_FILLS) - 1]
+    rest = ["other"] if len(totals) > len(shown) else []
+    with style():
+        import matplotlib as mpl
+
+        mpl.rcParams["hatch.linewidth"] = 0.7
+        figure, grid = panels(2, 0.3 * len(keys) + 1.2, across=2)
+        for axes, kind in zip(grid, KINDS, strict=True):
+            left = np.zeros(len(keys))
+            for cause, (colour, hatch) in zip([*shown, *rest], _FILLS, strict=False):
+                costs = [
+                    sum(
+                        cost
+                        for name, cost in found[key, kind].causes.items()
+                        if name == cause or (cause == "other" and name not in shown)
+                    )
+                    for key in keys
+                ]
+                axes.barh(
+                    range(len(keys)),
+                    costs,
+                    0.7,
+                    left=left,
+                    label=cause,
+                    color=colour,
+                    hatch=hatch,
+                    edgecolor="#ffffff",
+                    linewidth=0.4,
+                )
+                left += costs
+            said = "static points removed" if kind == "false_positive" else "dynamic points kept"
+            axes.set(title=said, xlabel=f"{KINDS[kind][0]} lost [percentage points]")
+            axes.set_yticks(range(len(keys)), [f"{label}, {scoring}" if several else label for label, scoring in keys])
+            axes.invert_yaxis()
+            axes.grid(False, axis="y")
+        grid[1].set_yticklabels([])
+        figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, handleheight=1.1)
+        caption = "What each cause costs, over all sequences that a method ran on; short bars are good."
+        return Picture("causes", svg(figure, "causes", caption), caption)
+
+
+_FILLS = (
+    ("#0a7abf", ""), ("#d55e00", "//"), ("#009e73", ".."), ("#c7669e", "xx"), ("#b58900", "--"),
+    ("#3fa7dd", "\\\\"), ("#8a6fd1", "++"), ("#7d7d7d", "oo"), ("#555555", ""),
+)  # fmt: skip
+
+
+def pareto(board: Board, name: str, looks: Looks) -> Picture | None:
+    """Variants of each method that has several: SA against DA and AA against runtime, the front marked."""
+    variants: dict[str, list[Row]] = {}
+    for row in board.rows:
+        if row.score("AA") is not None:
+            variants.setdefault(row.result.method, []).append(row)
+    drawn = {method: rows for method, rows in sorted(variants.items()) if len(rows) > 1}
+    if not drawn:
+        return None
+    timed = {method: [row for row in rows if row.result.runtime.get("mean_s")] for method, rows in drawn.items()}
+    views: list[tuple[str, list[Row], str, str, Callable[[Row], float], Callable[[Row], float]]] = []
+    for method, rows in drawn.items():
+        views.append((method, rows, "SA [%]", "DA [%]", lambda r: r.score("SA") or 0.0, lambda r: r.score("DA") or 0.0))
+        if len(timed[method]) > 1:
+            views.append(
+                (
+                    method,
+                    timed[method],
+                    "seconds per frame (log)",
+                    "AA [%]",
+                    lambda r: r.result.runtime["mean_s"],
+                    lambda r: r.score("AA") or 0.0,
+                )
+            )
+    with style():
+        figure, grid = panels(len(views), 3.1)
+        for axes, (method, rows, xlabel, ylabel, x, y) in zip(grid, views, strict=True):
+            fast = xlabel.startswith("seconds")
+            front = _front([(-x(row) if fast else x(row), y(row)) for row in rows])
+            look = looks.point(method)
+            axes.plot([x(row) for row in rows], [y(row) for row in rows], linestyle="", markerfacecolor="none", **look)
+            best = sorted((rows[k] for k in front), key=x)
+            axes.plot([x(row) for row in best], [y(row) for row in best], **look)
+            for row in best:
+                text = row.label.removeprefix(method).strip(" ()[]") or "default"
+                axes.annotate(text, (x(row), y(row)), (4, 4), textcoords="offset points", fontsize=7.5, color=INK)
+            axes.margins(0.18)
+            axes.set(title=method, xlabel=xlabel, ylabel=ylabel)
+            if fast:
+                _log(axes)
+        caption = (
+            f"Variants on {board.title}. Filled and joined: those that no other variant beats in both; "
+            "hollow: the others."
+        )
+        return Picture(name, svg(figure, name, caption), caption)
+
+
+def _front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Points that no other one beats in both, where more is better."""
+    return [k for k, (a, b) in enumerate(points) if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)]
+
+
+def best_of_each_method(board: Board) -> list[Row]:
+    """One row a method, that with the best AA; the best method first."""
+    best: dict[str, Row] = {}
+    for row in board.rows:
+        best.setdefault(row.result.method, row)
+    return list(best.values())
+
+
+def _timed(board: Board) -> list[Row]:
+    return [row for row in board.rows if row.result.runtime.get("mean_s") and row.score("AA") is not None]
+
+
+def _iso(axes: Axes, low: Sequence[float]) -> None:
+    """Lines of equal AA = sqrt(SA * DA), with their values where they leave to the right."""
+    last = -np.inf
+    for aa in range(10, 100, 10):
+        sa = np.linspace(max(low[0], 1e-6, aa * aa / 101), 101, 60)
+        axes.plot(sa, aa * aa / sa, color=FAINT, linewidth=1.0, zorder=0.5)
+        at = aa * aa / 101
+        if low[1] < at and at - last > 0.07 * (101 - low[1]):
+            axes.text(
+                101.3 - 0.003 * low[0], at, f" {aa}", fontsize=7, color=INK, alpha=0.7, va="center", clip_on=False
+            )
+            last = at
+    axes.text(1.01, 1.0, "AA", transform=axes.transAxes, fontsize=7, color=INK, alpha=0.7, va="center")
+    axes.grid(False)
+
+
+def _name(axes: Axes, label: str, x: float, y: float, left: float) -> None:
+    side = "right" if x > (left + 101) / 2 else "left"
+    axes.annotate(
+        label, (x, y), (-7 if side == "right" else 7, -3), textcoords="offset points", ha=side, fontsize=8, color=INK
+    )
+
+
+def _log(axes: Axes) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _legend(figure: Figure, axes: Axes, rows: Sequence[Row], looks: Looks, ylabel: str = "") -> None:
+    """One legend of methods above all panels."""
+    from matplotlib.lines import Line2D
+
+    methods = list(dict.fromkeys(row.result.method for row in rows))
+    if ylabel:
+        axes.set_ylabel(ylabel)
+    handles = [
+        Line2D([], [], **({**looks.line(m), "linestyle": ""} if ylabel else looks.line(m)), label=m) for m in methods
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=min(len(methods), 8), handlelength=2.4, columnspacing=1.4
+    )
