@@ -9,42 +9,24 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import geometry
+from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import holds, numbered, only_folder
+from dynaviz.datasets.truth import Truth
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import REGION, Box, read_boxes
+from dynaviz.io.boxes import REGION, read_boxes
+from dynaviz.io.boxes import Box as Line
 from dynaviz.io.calib import matrix_of, read_calib, rigid_of
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.scan import F64, U8, Bool, Label, Scan
+from dynaviz.scan import F64, Scan
 from dynaviz.sensors import Sensor, load_sensor
 
 KINDS = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")  # Scan.classes counts these
 CLASS_NAMES = {number: kind.lower() for number, kind in enumerate(KINDS)}
-IMAGE = (1242, 375)  # pixels of camera 2; nothing outside its image has boxes
 SWEEP = 0.1036  # seconds between two sweeps
-MOVING = 0.5  # metres a second over its life, from which a track is dynamic
-SLACK = 0.05  # metres by which a box is grown, for its sides are drawn tight
-RIM = 0.25  # metres around a moving box in which nobody knows
-FEET = 0.12  # metres at the bottom of the grown box that are ground
-
-
-@dataclass(frozen=True)
-class Camera:
-    """Camera 2: where points lie in its frame and its image."""
-
-    T_camera_sensor: F64
-    projection: F64
-
-    def sees(self, points: F64) -> tuple[Bool, F64, F64]:
-        """Whether (N, 3) points in the camera frame lie in the image, and the columns and rows where, in pixels."""
-        image = geometry.apply(self.projection, points)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            column, row = image[:, 0] / image[:, 2], image[:, 1] / image[:, 2]
-        seen: Bool = (points[:, 2] > 0.5) & (column >= 0) & (column < IMAGE[0]) & (row >= 0) & (row < IMAGE[1])
-        return seen, column, row
 
 
 @dataclass(frozen=True)
@@ -62,7 +44,7 @@ class KittiTrackingSequence:
     scans: dict[int, Path]
     poses: F64
     camera: Camera
-    boxes: dict[int, list[Box]] | None
+    boxes: dict[int, list[Line]] | None
     moving: frozenset[int]
 
     @classmethod
@@ -93,7 +75,7 @@ class KittiTrackingSequence:
         camera = Camera(geometry.compose(T_rectified, T_camera_sensor), matrix_of(calib, rows, "P2"))
         boxes = read_boxes(labels) if labels.is_file() else None
         moving = _moving(boxes or [], geometry.compose(poses, geometry.inverse(camera.T_camera_sensor)))
-        by_frame = None if boxes is None else _by(boxes, "frame")
+        by_frame = None if boxes is None else _by_frame(boxes)
         return cls(number, load_sensor("hdl64e"), scans, poses, camera, by_frame, moving)
 
     @property
@@ -106,6 +88,11 @@ class KittiTrackingSequence:
         """Whether there are boxes."""
         return self.boxes is not None
 
+    @property
+    def facts(self) -> dict[str, str]:
+        """How many objects have boxes."""
+        return track_facts({box.track for boxes in (self.boxes or {}).values() for box in boxes} - {-1}, self.moving)
+
     def __len__(self) -> int:
         return len(self.scans)
 
@@ -116,26 +103,23 @@ class KittiTrackingSequence:
         points = geometry.transform(T_world_sensor, xyz)
         if self.boxes is None:
             return Scan(index, points, T_world_sensor)
-        boxes = self.boxes.get(index, [])
-        seen_from = geometry.apply(self.camera.T_camera_sensor, xyz)
-        classes, instances = _objects(seen_from, boxes)
-        labels = self._labels(seen_from, boxes)
+        truth = self._truth(geometry.apply(self.camera.T_camera_sensor, xyz), self.boxes.get(index, []))
         return Scan(
-            index, points, T_world_sensor, labels=labels, classes=classes, instances=instances, class_names=CLASS_NAMES
+            index=index,
+            points=points,
+            T_world_sensor=T_world_sensor,
+            labels=truth.labels,
+            classes=truth.classes,
+            instances=truth.instances,
+            class_names=CLASS_NAMES,
         )
 
-    def _labels(self, points: F64, boxes: Iterable[Box]) -> U8:
-        """Labels of (N, 3) points in the camera frame."""
+    def _truth(self, points: F64, boxes: Iterable[Line]) -> Truth:
+        """The truth of (N, 3) points in the camera frame."""
         seen, column, row = self.camera.sees(points)
-        labels = np.where(seen, Label.STATIC, Label.UNLABELLED).astype(np.uint8)
-        moving = [box for box in boxes if box.track in self.moving]
         for left, top, right, bottom in (box.rectangle for box in boxes if box.kind == REGION):
-            labels[seen & (column >= left) & (column <= right) & (row >= top) & (row <= bottom)] = Label.UNLABELLED
-        for box in moving:
-            labels[_inside(points, box, RIM)] = Label.UNLABELLED
-        for box in moving:
-            labels[_inside(points, box, SLACK, FEET)] = Label.DYNAMIC
-        return labels
+            seen &= ~((column >= left) & (column <= right) & (row >= top) & (row <= bottom))
+        return boxed_truth(points, [_box(box) for box in boxes if box.kind != REGION], self.moving, seen)
 
 
 def _split(path: Path) -> tuple[Path, str | None] | None:
@@ -152,40 +136,26 @@ def _split(path: Path) -> tuple[Path, str | None] | None:
     return None
 
 
-def _by(boxes: Iterable[Box], key: str) -> dict[int, list[Box]]:
+def _by_frame(boxes: Iterable[Line]) -> dict[int, list[Line]]:
     groups = defaultdict(list)
     for box in boxes:
-        groups[getattr(box, key)].append(box)
+        groups[box.frame].append(box)
     return dict(groups)
 
 
-def _moving(boxes: Iterable[Box], T_world_camera: F64) -> frozenset[int]:
-    """Tracks that end elsewhere than they begin: faster than ``MOVING`` over their life."""
-    moving = set()
-    for track, life in _by((box for box in boxes if box.kind != REGION), "track").items():
-        first, last = life[0], life[-1]
-        start, end = (geometry.apply(T_world_camera[box.frame], np.array([box.bottom]))[0] for box in (first, last))
-        seconds = max(1, last.frame - first.frame) * SWEEP
-        if np.sqrt(((end - start) ** 2).sum()) > MOVING * seconds:
-            moving.add(track)
-    return frozenset(moving)
+def _moving(boxes: Iterable[Line], T_world_camera: F64) -> frozenset[int]:
+    """Tracks that move, as numbered in ``Scan.instances``."""
+    return moving_tracks(
+        (box.track + 1, box.frame * SWEEP, geometry.apply(T_world_camera[box.frame], np.array([box.bottom]))[0])
+        for box in boxes
+        if box.kind != REGION and 0 <= box.frame < len(T_world_camera)
+    )
 
 
-def _inside(points: F64, box: Box, margin: float, feet: float = 0.0) -> Bool:
-    """Which (N, 3) points in the camera frame lie in a box that is grown by a margin, but for its feet."""
+def _box(box: Line) -> Box:
+    """A box in the camera frame, whose y axis points down."""
     height, width, length = box.size
-    x, y, z = (points[:, axis] - box.bottom[axis] for axis in range(3))
-    along = np.cos(box.yaw) * x - np.sin(box.yaw) * z
-    across = np.sin(box.yaw) * x + np.cos(box.yaw) * z
-    inside: Bool = (np.abs(along) < length / 2 + margin) & (np.abs(across) < width / 2 + margin)
-    return inside & (y < margin - feet) & (y > -height - margin)
-
-
-def _objects(points: F64, boxes: Iterable[Box]) -> tuple[NDArray[np.uint16], NDArray[np.int32]]:
-    """Class (a position in ``KINDS``) and instance (track + 1) of (N, 3) points in the camera frame; 0 outside."""
-    classes, instances = np.zeros(len(points), np.uint16), np.zeros(len(points), np.int32)
-    for box in boxes:
-        if box.kind in KINDS:
-            inside = _inside(points, box, SLACK, FEET)
-            classes[inside], instances[inside] = KINDS.index(box.kind), box.track + 1
-    return classes, instances
+    c, s = np.cos(box.yaw), np.sin(box.yaw)
+    T_camera_box = np.eye(4)
+    T_camera_box[:3] = np.column_stack([(c, 0, -s), (s, 0, c), (0, -1, 0), box.bottom])
+    return Box(box.track + 1, KINDS.index(box.kind) if box.kind in KINDS else 0, T_camera_box, (length, width, height))
