@@ -71,12 +71,12 @@ class Entry:
 
 
 class Verdict(IntEnum):
-    """How a finding is to be taken, the worst first."""
+    """How a finding is to be taken, in the order of a table."""
 
     FELL = 0
     BETTER = 1
-    TOLD = 2
-    HOLDS = 3
+    HOLDS = 2
+    TOLD = 3
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class Finding:
     Attributes:
         run: method and sequence.
         what: the metric, or another matter.
-        value, limit: in percent (seconds for ``s/frame``); None where undefined or none.
-        remark: a sentence, where numbers do not say it.
+        value, limit: in percent (seconds for ``s/frame``); None where undefined, both where it is no number.
+        remark: what numbers do not say.
         counts: of the result, and by how much they differ from the baseline's.
     """
 
@@ -98,6 +98,11 @@ class Finding:
     limit: float | None = None
     remark: str = ""
     counts: Mapping[str, tuple[int, int | None]] = field(default_factory=dict)
+
+    @property
+    def in_words(self) -> bool:
+        """Whether it has no numbers."""
+        return self.value is None and self.limit is None
 
 
 @dataclass(frozen=True)
@@ -149,7 +154,7 @@ def check(
             before = _match(now, baseline, alone=len(baseline) == len(cells) == 1)
             findings += _changes(now, before, tolerance)
             left = [entry for entry in left if entry is not before]
-        findings.append(_runtime(now, before))
+        findings += _runtime(now, before)
     if complete:
         findings += [
             Finding(Verdict.FELL, e.label, "run", remark="is in the baseline, but has no result") for e in left
@@ -162,7 +167,7 @@ def _least(now: Entry, name: str, least: float) -> Finding:
         raise UsageError(f"--min {name}: {now.label} has the metrics {', '.join(now.metrics) or 'none'}")
     value, counts = now.metrics[name], _counts(now, None)
     if value is None:
-        return Finding(Verdict.FELL, now.label, name, None, least, f"is undefined: {_why_undefined(now)}", counts)
+        return Finding(Verdict.FELL, now.label, name, None, least, _why_undefined(now), counts)
     return Finding(Verdict.FELL if value < least else Verdict.HOLDS, now.label, name, value, least, "", counts)
 
 
@@ -174,12 +179,12 @@ def _changes(now: Entry, before: Entry | None, tolerance: float) -> list[Finding
         new, old = now.metrics.get(name), before.metrics.get(name)
         verdict, remark = Verdict.HOLDS, ""
         if new is None and old is not None:
-            verdict, remark = Verdict.FELL, f"is undefined: {_why_undefined(now)}"
-        elif new is not None and old is not None:
+            verdict, remark = Verdict.FELL, _why_undefined(now)
+        elif new is not None and old is not None:  # what becomes defined is no loss
             if new < old - tolerance - ROUNDING:
                 verdict = Verdict.FELL
             elif new > old + tolerance + ROUNDING:
-                verdict, remark = Verdict.BETTER, f"better by {new - old:.2f}"
+                verdict = Verdict.BETTER
         findings.append(Finding(verdict, now.label, name, new, old, remark, counts))
     if now.method != before.method:
         findings.append(Finding(Verdict.TOLD, now.label, "method", remark=f"was {before.method}"))
@@ -191,9 +196,10 @@ def _changes(now: Entry, before: Entry | None, tolerance: float) -> list[Finding
     return findings
 
 
-def _runtime(now: Entry, before: Entry | None) -> Finding:
-    was = None if before is None else before.mean_s
-    return Finding(Verdict.TOLD, now.label, "s/frame", now.mean_s, was, "is never a reason to fall")
+def _runtime(now: Entry, before: Entry | None) -> list[Finding]:
+    if now.mean_s is None or before is None or before.mean_s is None:
+        return []
+    return [Finding(Verdict.TOLD, now.label, "s/frame", now.mean_s, before.mean_s, "only told")]
 
 
 def _counts(now: Entry, before: Entry | None) -> dict[str, tuple[int, int | None]]:
@@ -206,10 +212,10 @@ def _counts(now: Entry, before: Entry | None) -> dict[str, tuple[int, int | None
 def _why_undefined(now: Entry) -> str:
     count = now.counts
     if not count.get("dynamic_removed", 0) + count.get("dynamic_kept", 0):
-        return "no point is labelled as dynamic"
+        return "undefined: no point is labelled as dynamic"
     if not count.get("static_kept", 0) + count.get("static_removed", 0):
-        return "no point is labelled as static"
-    return "nothing was removed"
+        return "undefined: no point is labelled as static"
+    return "undefined: nothing labelled was removed"
 
 
 def _match(now: Entry, baseline: Sequence[Entry], alone: bool) -> Entry | None:

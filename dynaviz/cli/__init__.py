@@ -37,7 +37,10 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for verb in (demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, view, shot, repair):
+VERBS = (
+    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, view, shot, repair
+)  # fmt: skip
+for verb in VERBS:
     verb.add_to(app)
 
 

@@ -59,7 +59,8 @@ def check(
     old = None if baseline is None else core.read_baseline(baseline)
     cells = collect(results)
     found = core.check(cells, limits, old, tolerance, complete=any(path.is_dir() for path in results))
-    show(table(found), _verdict(found, len(cells), baseline))
+    if found.findings:
+        show(*_lines(found, fell=True), table(found), *_lines(found, fell=False), _verdict(found, len(cells), baseline))
     if found.fallen:
         raise typer.Exit(1)
     if write_baseline is not None:
@@ -90,60 +91,67 @@ def _verdict(found: Check, results: int, baseline: Path | None) -> str:
     return words
 
 
+def _lines(found: Check, fell: bool) -> Iterator[str]:
+    """What has no numbers: before the table if it fell, else after it."""
+    from rich.markup import escape
+
+    from dynaviz.check import Verdict
+
+    for finding in found.findings:
+        if finding.in_words and finding.remark and (finding.verdict is Verdict.FELL) == fell:
+            what = "" if finding.what == "run" else f" {finding.what}"
+            yield ("[bold red]FELL[/]  " if fell else "") + escape(f"{finding.run}:{what} {finding.remark}")
+
+
 def table(found: Check) -> Table:
-    """A row a finding, failures first, in 80 columns."""
+    """A row a number, failures first, in 80 columns."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
     from dynaviz.check import Verdict
 
-    looks = {
-        Verdict.FELL: "[bold red]FELL[/]",
-        Verdict.BETTER: "[green]better[/]",
-        Verdict.TOLD: "",
-        Verdict.HOLDS: "ok",
-    }
-    rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    for name in ("", "run", "metric"):
-        rows.add_column(name, overflow="fold")
+    looks = {Verdict.FELL: "[bold red]FELL[/]", Verdict.BETTER: "[green]better[/]", Verdict.HOLDS: "ok"}
+    rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, width=80)
+    rows.caption, rows.caption_justify = "in %; FP: static points removed, FN: dynamic points kept", "left"
+    rows.add_column("")
+    rows.add_column("run", overflow="fold", ratio=1)
+    rows.add_column("metric", no_wrap=True)
     for name in ("value", "limit", "diff"):
         rows.add_column(name, justify="right", no_wrap=True)
-    rows.add_column("what it is", overflow="fold")
-    shown = [f for f in found.findings if f.verdict is not Verdict.HOLDS]
-    shown += [f for f in found.findings if f.verdict is Verdict.HOLDS][: max(0, ROWS - len(shown))]
-    for finding in shown:
-        numbers = _numbers(finding)
-        rows.add_row(
-            looks[finding.verdict], escape(finding.run), finding.what, *numbers, escape(", ".join(_words(finding)))
-        )
-    if hidden := len(found.findings) - len(shown):
-        rows.caption, rows.caption_justify = f"and {hidden} that hold", "left"
+    rows.add_column("points", no_wrap=True)
+    numbers = [finding for finding in found.findings if not finding.in_words]
+    holds = [finding for finding in numbers if finding.verdict is Verdict.HOLDS]
+    hidden = holds[max(0, ROWS - len(numbers) + len(holds)) :]
+    for finding in numbers:
+        if not any(finding is other for other in hidden):
+            look = looks.get(finding.verdict, "")
+            rows.add_row(look, escape(finding.run), finding.what, *_numbers(finding), "\n".join(_words(finding)))
+    if hidden:
+        rows.caption = f"and {len(hidden)} that hold; {rows.caption}"
     return rows
 
 
 def _numbers(finding: Finding) -> tuple[str, str, str]:
     """Value, limit and their difference."""
     digits = 3 if finding.what == "s/frame" else 2
-    value, limit = finding.value, finding.limit
-    if value is None and limit is None:
-        return "", "", ""
-    texts = ["" if number is None else f"{number:.{digits}f}" for number in (value, limit)]
-    difference = "" if value is None or limit is None else f"{value - limit:+.{digits}f}"
-    return texts[0] or "n/a", texts[1], difference
+    value, limit = ("n/a" if x is None else f"{x:.{digits}f}" for x in (finding.value, finding.limit))
+    if finding.value is None or finding.limit is None:
+        return value, limit, ""
+    return value, limit, f"{finding.value - finding.limit:+.{digits}f}"
 
 
-PARTS = {  # the counts that a metric is made of
-    "SA": ("static_removed",),
-    "DA": ("dynamic_kept",),
-    "precision": ("static_removed", "dynamic_removed"),
-}
+SHORT = {"static_removed": "FP", "dynamic_kept": "FN"}
+PARTS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that a metric falls by
 
 
 def _words(finding: Finding) -> Iterator[str]:
+    from dynaviz.check import Verdict
+
     if finding.remark:
         yield finding.remark
-    for part in PARTS.get(finding.what, ("static_removed", "dynamic_kept")):
-        if part in finding.counts:
-            count, change = finding.counts[part]
-            yield f"{count:,} {part.replace('_', ' ')}" + (f" ({change:+,})" if change else "")
+    if finding.verdict in (Verdict.FELL, Verdict.BETTER):
+        for part in PARTS.get(finding.what, tuple(SHORT)):
+            if part in finding.counts:
+                count, change = finding.counts[part]
+                yield f"{SHORT[part]} {count:,}" + (f" ({change:+,})" if change else "")
