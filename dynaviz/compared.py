@@ -69,6 +69,7 @@ class Comparison:
             "kind": "comparison",
             "sequence": self.sequence,
             "interval": interval,
+            "verdicts": self.verdicts(),
             "runs": self.runs,
             "pairs": self.pairs,
         }
@@ -141,7 +142,7 @@ class Comparison:
             )
             table.box, table.padding, table.pad_edge, table.min_width = box.SIMPLE_HEAD, (0, 1, 0, 0), False, 60
             for i, name in enumerate(section.head):
-                table.add_column(name, justify="right" if i else "left")
+                table.add_column(name, justify="right" if i else "left", no_wrap=True)
             for row in section.rows:
                 table.add_row(*map(escape, row))
             yield "" if section.rows else f"\n[italic]{section.title}[/]: {escape(section.note)}"
@@ -315,9 +316,9 @@ def _places(pair: dict[str, Any]) -> Section:
         return Section(title, ("place",), (), pair["places_note"])
     rows = []
     for number, row in enumerate(pair["places"], 1):
-        (x, y), height = row["low"], row["height"]
-        rows.append((f"{number}", f"{x:g}, {y:g}, {height:.1f}", f"{row['frame']}", *_change(row)))
-    head = ("#", "x, y, z [m]", "see frame", *_CHANGES)
+        x, y = row["low"]
+        rows.append((f"{number}", f"{x:g}, {y:g}", f"{row['frame']}", *_change(row)))
+    head = ("#", "x, y [m]", "frame", *_CHANGES)
     return Section(title, head, tuple(rows), pair["places_note"])
 
 

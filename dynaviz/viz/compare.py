@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaviz.compared import Comparison, differences, names, runtimes
-from dynaviz.comparison import Crossed, PlaceGains, Places, compare_pair, cross, place_gains, run_scores
+from dynaviz.comparison import PLACE, Crossed, PlaceGains, Places, compare_pair, cross, place_gains, run_scores
 from dynaviz.errors import DataError, UsageError
 from dynaviz.result import Result
 from dynaviz.viz.reader import Recording
@@ -130,7 +130,7 @@ def _note(first: Recording, second: Recording) -> str:
     for recording in (first, second):
         if recording.properties["mode"] == "scores":
             return f"none: {recording.path} holds no coordinates (--record scores)"
-    return f"columns of {Places().size:g} m, told by their lower corner and mean height of wrong points"
+    return f"columns of {PLACE:g} m by their lower corner, and the frame that changes each most"
 
 
 def _run(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
-from dynaviz.scan import F32
+from dynaviz.scan import F64
 from dynaviz.viz import paths
 
 COMPARE = "compare"  # holds the legend of who is right
@@ -35,7 +35,7 @@ COLOURS: tuple[tuple[str, paths.Colour], ...] = (  # of the runs; the first two 
 ABREAST = 4  # runs whose map and frame are both seen at once
 
 
-def two(names: Sequence[str], places: F32 | None) -> rrb.Blueprint:
+def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     """The layout for two runs: above, who is better where and who is right in the frame; below, the runs' frames.
 
     Right, the report, and the curves and histograms of both.
@@ -59,7 +59,7 @@ def two(names: Sequence[str], places: F32 | None) -> rrb.Blueprint:
     return _blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
 
 
-def many(names: Sequence[str], places: F32 | None) -> rrb.Blueprint:
+def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     """The layout for more runs, as ``two``: a small map and a small frame of each."""
     numbers = _column(_numbers(names), names)
     if places is None:
@@ -91,7 +91,7 @@ def _numbers(names: Sequence[str]) -> list[Any]:
     return [rrb.Horizontal(*scores), rrb.Horizontal(*bars)]
 
 
-def _map(side: str, name: str, places: F32) -> Any:
+def _map(side: str, name: str, places: F64) -> Any:
     shown = [f"{side}/{path}" for path in (f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY)]
     return _solid(f"{name}: whole run", f"{side}/{paths.WORLD}", shown, above(places))
 
@@ -133,17 +133,17 @@ def _follow(side: str) -> rrb.EyeControls3D:
     )
 
 
-def above(points: F32) -> rrb.EyeControls3D:
-    """A steep look from above on the bulk of the points, their long side across the picture."""
-    points = points[np.isfinite(points).all(1)]
+def above(points: F64) -> rrb.EyeControls3D:
+    """A steep look from above on all (N, 3) points, the long side across the picture."""
     if not len(points):
-        points = np.zeros((1, 3), np.float32)
-    centre = np.median(points, axis=0)
-    flat = points[:, :2] - centre[:2]
-    along = np.linalg.eigh(flat.T @ flat)[1][:, -1]
-    low, high = np.quantile(flat @ along, [0.02, 0.98])
-    centre[:2] += along * (low + high) / 2
-    length = max(float(high - low), 20.0)
+        points = np.zeros((1, 3))
+    flat = points[:, :2] - points[:, :2].mean(0)
+    axes = np.linalg.eigh(flat.T @ flat)[1]  # short, long
+    spans = flat @ axes
+    middle = points[:, :2].mean(0) + axes @ (spans.min(0) + spans.max(0)) / 2
+    centre, along = np.array([*middle, np.median(points[:, 2])]), axes[:, 1]
+    across, length = np.ptp(spans, axis=0)
+    length = max(float(length), 1.2 * float(across), 20.0)
     side = np.array([along[1], -along[0], 0.0])
     position = centre + 0.65 * length * (0.4 * side + np.array([0.0, 0.0, 0.95]))
     return rrb.EyeControls3D(

@@ -47,6 +47,7 @@ SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, b
 MOVES = 1.5  # times as large is a point that moves: there are few, and each weighs much
 BUBBLE = 1.2  # metres: radius of the largest cells' marks; their area is the gain
 RAISED = 1.5  # metres above what is wrong, so that marks are not hidden in it
+SEEN = 0.95  # of all change: so much is in the picture when it opens
 LARGEST = 0.98  # quantile of the gains that is drawn so large; beyond, marks grow no more
 
 
@@ -73,7 +74,7 @@ def write(
     """
     names = [label(run) for run in comparison.runs]
     pair = len(recordings) == 2
-    places = np.concatenate([gains.low[gains.gain.any(1)] for gains in fine]) if fine else None
+    places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     layout = (compare_layout.two if pair else compare_layout.many)(names, places)
     with whole_file(out) as beside:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
@@ -95,6 +96,14 @@ def write(
             _frames(stream, *recordings)
         stream.disconnect()
         open_store(beside)  # a disk that ran full is told here, before the file gets its name
+
+
+def _bulk(gains: PlaceGains) -> F64:
+    """(N, 3): the places that make up most of what changes."""
+    order = gains.order()
+    size = np.abs(gains.gain.sum(1))[order]
+    seen: F64 = gains.low[order[np.cumsum(size) <= SEEN * size.sum()]]
+    return seen
 
 
 def _copy(recording: Recording, side: str, name: str, colour: paths.Colour, stream: rr.RecordingStream) -> None:

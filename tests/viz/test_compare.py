@@ -369,7 +369,7 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     comparison.save(tmp_path / "c.json")
     plain = json.loads((tmp_path / "c.json").read_text())
     assert (plain["schema"], plain["kind"]) == (1, "comparison")
-    assert set(plain) == {"schema", "kind", "sequence", "interval", "runs", "pairs"}
+    assert set(plain) == {"schema", "kind", "sequence", "interval", "verdicts", "runs", "pairs"}
     assert plain["interval"]["block"] == 2
     assert {"letter", "name", "path", "sha256", "method", "parameters", "scores", "runtime"} <= set(plain["runs"][0])
     told = {"first", "second", "scores", "right", "by_range", "by_reason", "frames", "places", "places_note"}
