@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -34,7 +35,7 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
     best: dict[tuple[object, str], float] = {}
     for result in results:
         best[_group(result)] = max(best.get(_group(result), -math.inf), _aa(result))
-    for result in results:
+    for result, following in itertools.zip_longest(results, results[1:]):
         aa = _percent(result, "AA")
         champion = len(results) > 1 and _aa(result) == best[_group(result)] >= 0
         table.add_row(
@@ -48,6 +49,7 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
             _count(result, "dynamic_kept"),
             _runtime(result),
             *([result.scoring] if len(scorings) > 1 else []),
+            end_section=following is not None and following.sequence.get("name") != result.sequence.get("name"),
         )
     return table
 

@@ -11,8 +11,9 @@ from typing import Any, Protocol
 
 from dynaviz.benches import cell as cells
 from dynaviz.benches.board import Board, Found, Row, combined
+from dynaviz.benches.file import plan_of, read
 from dynaviz.benches.local import Local
-from dynaviz.benches.plan import Cell, ParameterSet, Plan, Source, read
+from dynaviz.benches.plan import Cell, ParameterSet, Plan, Source
 from dynaviz.benches.source import open_source, placed, simulated
 from dynaviz.errors import DynavizError, UsageError
 
@@ -70,7 +71,7 @@ def bench(
         UsageError, DataError: for a plan with a mistake in it, and for a sequence that cannot be opened.
     """
     given = read(Path(plan)) if isinstance(plan, (str, os.PathLike)) else plan
-    checked = Plan.of(given, "bench" if given is plan else os.fspath(plan))  # type: ignore[arg-type]
+    checked = plan_of(given, "bench" if given is plan else os.fspath(plan))  # type: ignore[arg-type]
     if scheduler and checked.timing:
         raise UsageError("timing needs this machine alone: leave out --scheduler")
     folder, watcher = Path(out), watcher or Watcher()
@@ -88,11 +89,14 @@ def bench(
         if not checked.search:
             return Board(rows)
         tried, found = study.search(desk, checked.search, learning, folder)
+        best = [one.best for one in found if one.best.variant]
+        rows += desk.rows(best, learning)
+        shown = {row.folder for row in rows}
+        trials = {row.folder: row for row in tried if row.folder not in shown}
         # Only now is anything looked at that was held out.
         held = [source for source in checked.sources if source.name in checked.holdout]
-        finals = [*checked.sets, *(one.best for one in found if one.best.variant)]
-        rows += [row for row in tried if row.folder not in {other.folder for other in rows}]
-        return Board(rows + desk.rows(finals, held), checked.holdout, found)
+        rows += desk.rows([*checked.sets, *best], held)
+        return Board(rows, checked.holdout, found, [*trials.values()])
 
 
 @contextlib.contextmanager

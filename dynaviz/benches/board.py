@@ -63,11 +63,13 @@ class Board:
         rows: one a cell.
         holdout: names of the sequences that were held out.
         found: one for each method that was searched.
+        trials: the rows of all sets that were tried and are not the best.
     """
 
     rows: list[Row]
     holdout: frozenset[str] = frozenset()
     found: list[Found] = field(default_factory=list)
+    trials: list[Row] = field(default_factory=list)
 
     @property
     def results(self) -> list[Result]:
@@ -76,8 +78,8 @@ class Board:
 
     @property
     def failed(self) -> list[Row]:
-        """The cells that are not."""
-        return [row for row in self.rows if row.error]
+        """The cells that are not, trials too."""
+        return [row for row in [*self.rows, *self.trials] if row.error]
 
     def totals(self, held_out: bool = False) -> list[Result]:
         """One result for each method and variant all whose cells are done, where there are several sequences."""

@@ -24,12 +24,11 @@ DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions dec
 
 
 def run(cell: Cell, folder: Path, threads: int | None, progress: Progress = lambda phase, done, total: None) -> Result:
-    """Run a cell in this process; its files of an earlier run vanish first.
+    """Run a cell in this process, into a folder without files of an earlier run.
 
     Raises:
         DynavizError: as ``dynaviz.run``, or where the data are others than those that the bench began with.
     """
-    clear(folder)
     result = api.run(
         cell.what.method,
         open_source(cell.source),

@@ -58,7 +58,7 @@ class Cluster:
         self._client.subscribe_topic(TOPIC, lambda event: self._heard(by_key, event[1]))
         futures = [self._client.submit(remote, cell, key, key=key, pure=False) for key, cell in by_key.items()]
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=self._client.loop):
                 cell = by_key[future.key]
                 self._fetch(cell, future)
                 future.release()

@@ -92,6 +92,8 @@ def bench(
     from dynaviz.benches import read
 
     table = read(file) if file else {}
+    if timing:
+        table = {key: value for key, value in table.items() if key not in ("workers", "record")}
     table |= _given(
         methods=methods,
         sequences=sequences,
@@ -122,7 +124,7 @@ def _assigned(
     seed: int | None,
 ) -> dict[str, Any]:
     """Grid and search, as the tables of the file."""
-    from dynaviz.benches.plan import assignment, values_of
+    from dynaviz.benches.file import assignment, values_of
 
     given: dict[str, Any] = {}
     for text in grid or []:
@@ -141,12 +143,15 @@ def _words(board: Board, out: Path) -> Iterator[str]:
     """What was found, and where everything is."""
     for found in board.found:
         default = "n/a" if found.default_aa is None else f"{found.default_aa:.2f}"
-        yield f"{found.best.method}: AA {found.aa:.2f} in {found.trials} trials, {default} by default: {found.preset}"
-    kept = sum(row.kept for row in board.rows)
-    yield (
-        f"{len(board.results)} cells done{f', {kept} of them before' if kept else ''}, {len(board.failed)} failed. "
-        + (f"Each has its folder: {out}/SEQUENCE/METHOD.")
-    )
+        if found.best.variant:
+            yield f"{found.best.method}: AA {found.aa:.2f} is the best of {found.trials} trials; {default} by default."
+        else:
+            yield f"{found.best.method}: none of {found.trials} trials is better than the defaults, AA {default}."
+        yield f"Use it with: dynaviz run {found.best.method} SEQ --config {found.preset}"
+    every = [*board.rows, *board.trials]
+    kept, failed = sum(row.kept for row in every), len(board.failed)
+    done = f"{len(every) - failed} cells done" + (f", {kept} of them before" if kept else "")
+    yield f"{done}, {failed} failed. Each has its folder: {out}/SEQUENCE/METHOD."
     if board.failed:
         yield f"What went wrong: {board.failed[0].folder}/error.log. The same command runs only what is not done."
 

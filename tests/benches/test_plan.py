@@ -1,0 +1,137 @@
+"""What a bench is to run: files, flags, and the mistakes in them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dynaviz.benches.file import KEYS, plan_of, read, values_of
+from dynaviz.benches.plan import ParameterSet, settings, variant
+from dynaviz.errors import DataError, UsageError
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples/bench.toml"
+HALL = {"simulate": "hall_vlp16"}
+
+
+def test_the_example_explains_every_key() -> None:
+    plan = plan_of(read(EXAMPLE))
+    assert plan.search
+    assert plan.holdout
+    explained = set(re.findall(r"^(?:# )?(\w+) = .+# \S", EXAMPLE.read_text(), re.M))
+    tables = {"sequences", "variants", "grid", "search", "ranges"}
+    assert {key for keys in KEYS.values() for key in keys} - tables <= explained
+
+
+def test_paths_in_a_file_are_relative_to_it(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text('methods = ["octomap"]\nsequences = ["a/b", "semantickitti:c", "/d", "simulate:demo:9"]\n')
+    sources = plan_of(read(file)).sources
+    assert [source.path for source in sources] == [f"{tmp_path}/a/b", f"semantickitti:{tmp_path}/c", "/d", ""]
+    assert [source.name for source in sources] == ["b", "c", "d", "demo-9"]
+
+
+def test_methods_variants_and_grids_become_sets() -> None:
+    table = {
+        "methods": ["octomap"],
+        "sequences": ["simulate:demo"],
+        "variants": [
+            {"method": "octomap", "preset": "av2"},
+            {"method": "removert", "name": "few", "set": {"resolutions": [2.5]}, "online": True, "seed": 7},
+        ],
+        "grid": {"octomap_g": {"resolution": [0.1, 0.2], "cast_ground_rays": [True, False]}},
+    }
+    named = {(what.method, what.variant): what for what in plan_of(table).sets}
+    assert list(named)[:3] == [("octomap", ""), ("octomap", "av2"), ("removert", "few")]
+    assert named["octomap", "av2"].parameters["resolution"] == 0.2
+    few = named["removert", "few"]
+    assert (few.parameters["resolutions"], few.online, few.seed) == ((2.5,), True, 7)
+    assert len(named) == 7
+    assert named["octomap_g", "cast_ground_rays=false,resolution=0.1"].parameters["cast_ground_rays"] is False
+
+
+def test_every_method_runs_where_none_is_named() -> None:
+    methods = {what.method for what in plan_of({"sequences": [HALL]}).sets}
+    assert {"octomap", "erasor", "dynablox"} <= methods
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"method": ["octomap"]}, "unknown key 'method'. Did you mean 'methods'"),
+        ({"methods": "octomap"}, "methods = 'octomap': give a value of type list"),
+        ({"methods": ["octomapp"]}, "Did you mean 'octomap'"),
+        ({"sequences": []}, "at least one sequence"),
+        ({"sequences": [{"path": "a", "frame": "0:3"}]}, "[[sequences]] 1: unknown key 'frame'. Did you mean 'frames'"),
+        ({"sequences": [{"name": "a"}]}, "either path or simulate"),
+        ({"sequences": [{"simulate": "dmo"}]}, "Did you mean 'demo'"),
+        ({"sequences": [{"simulate": "demo", "frames": "0:9"}]}, "takes a number of frames"),
+        ({"sequences": ["simulate:demo:few"]}, "simulate:SCENE"),
+        ({"sequences": [{"path": "a", "sensor": "eye"}]}, "eye"),
+        ({"sequences": [{"path": "a", "seed": 1}]}, "seed is for a scene"),
+        ({"sequences": [{"path": "a", "name": "../a"}]}, "names no folder"),
+        ({"sequences": [HALL, HALL]}, "two sequences are called 'hall_vlp16'"),
+        ({"variants": [{"method": "octomap"}]}, "[[variants]] 1: give a method, and what is special"),
+        ({"variants": [{"method": "octomap", "set": {"resolutoin": 1}}]}, "[[variants]] 1: octomap has no parameter"),
+        ({"variants": [{"method": "octomap", "online": 1}]}, "type bool"),
+        ({"grid": {"octomap": {"resolution": 0.1}}}, "[grid.octomap]: give each parameter a list"),
+        ({"grid": {"octomap": {"resolution": [0.1, "x"]}}}, "[grid.octomap]: octomap.resolution = 'x'"),
+        ({"grid": {"octomap": {"resolution": [-1]}}}, "give a number above 0"),
+        ({"grid": {"octomap": {"resolution": [0.2, 0.2]}}}, "two variants are called 'octomap-resolution=0.2'"),
+        ({"record": "eror"}, "record"),
+        ({"workers": 0}, "at least 1"),
+        ({"timing": True, "workers": 2}, "one cell at a time"),
+        ({"holdout": ["hall_vlp16"]}, "at least one sequence that is not held out"),
+        ({"holdout": ["nowhere"]}, "nowhere is no path"),
+        ({"search": {"kind": "bayes"}}, "[search]: give trials"),
+        ({"search": {"kind": "bays", "trials": 1}}, "Did you mean 'bayes'"),
+        ({"search": {"kind": "bayes", "trials": 1, "ranges": {"octomap": "0.1:0.2"}}}, "METHOD.PARAM"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_with_its_place(table: dict[str, object], says: str) -> None:
+    with pytest.raises(UsageError) as told:
+        plan_of({"sequences": [HALL], **table})
+    assert says in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_text("methods = [")
+    for name in ("bench.toml", "absent.toml"):
+        with pytest.raises(DataError, match=name):
+            read(tmp_path / name)
+
+
+def test_values_are_as_in_toml() -> None:
+    assert values_of("0.05,1,true") == [0.05, 1, True]
+    assert values_of("[2.5, 1.5], [2.0]") == [[2.5, 1.5], [2.0]]
+    assert values_of("near, far") == ["near", "far"]
+
+
+VALUES = st.dictionaries(
+    st.sampled_from(["a", "b", "c"]),
+    st.one_of(
+        st.integers(-9, 9), st.floats(allow_nan=False, allow_infinity=False), st.booleans(), st.text("aé /", max_size=3)
+    ),
+    min_size=1,
+)
+
+
+@given(one=VALUES, other=VALUES)
+def test_a_variant_is_named_after_its_values_and_fits_a_folder(
+    one: dict[str, object], other: dict[str, object]
+) -> None:
+    name = variant(one)
+    assert name == variant(dict(reversed(one.items())))
+    assert len(name) <= 48
+    assert not set(name) & set('/\\: "')
+    assert (repr(sorted(one.items())) == repr(sorted(other.items()))) == (name == variant(other))
+
+
+def test_settings_give_back_the_same_parameters() -> None:
+    what = ParameterSet.of("removert", "", {"resolutions": [2.5, 1e-7]})
+    assert ParameterSet.of("removert", "", what.parameters) == what
+    assert "resolutions" in settings(what.parameters)[0]
