@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.scan import F32, F64
+from dynaviz.scan import F32, F64, Bool
 
 REACH = 1 << 20  # voxels to each side of the origin
 
@@ -34,6 +34,14 @@ def pack(points: F32 | F64, size: float) -> NDArray[np.int64]:
             f"points must be finite and within {REACH * size:.0f} m of the world's origin for {size} m voxels"
         )
     return keys  # type: ignore[no-any-return]
+
+
+def has_voxel(points: F32 | F64, size: float) -> Bool:
+    """(N,) bool: whether each of (N, 3) points, metres, is finite and near enough to have a voxel of this edge."""
+    limit, near = REACH * size, np.ones(len(points), np.bool_)
+    for axis in range(3):  # by columns, which is far quicker than along the rows
+        near &= np.abs(points[:, axis]) < limit
+    return near
 
 
 def unpack(keys: NDArray[np.int64]) -> NDArray[np.int32]:

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from dynaviz.grid import REACH, KeySet, pack, thin
+from dynaviz.grid import KeySet, has_voxel, pack, thin
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import F32, F64, Bool, Outcome, Scan
 from dynaviz.survey import CELL, Extent
@@ -99,7 +99,7 @@ class Scene:
         """Draw a frame's points by outcome, and remember them for the map."""
         self._trajectory.append(labelled.scan.position)
         local = labelled.scan.points - self._middle
-        finite = (np.abs(local) < REACH * FINE).all(1)  # nor so far that it has no voxel
+        finite = has_voxel(local, FINE)
         for outcome, thinned in self._maps.items():
             thinned.add(local[finite & (labelled.outcome == outcome)])
         if self._full:

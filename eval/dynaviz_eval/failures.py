@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.grid import REACH, pack
+from dynaviz.grid import has_voxel, pack
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameBoxes, Labelled
 from dynaviz.scan import F32, Bool, Label, Outcome, Scan
@@ -50,7 +50,7 @@ class Failures:
         self._totals["false_positive"] += int((scan.labels == Label.STATIC).sum())
         for kind, cases in self._cases.items():
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
-            wrong = wrong[(np.abs(scan.points[wrong]) < REACH * EDGE).all(1)]  # not those without a place
+            wrong = wrong[has_voxel(scan.points[wrong], EDGE)]  # not those without a place
             points, groups = scan.points[wrong], _groups(scan, wrong, kind)
             ranges = np.sqrt(((points - _origins(scan, wrong)) ** 2).sum(1))
             beside = _beside(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
@@ -153,7 +153,7 @@ def _origins(scan: Scan, chosen: NDArray[np.intp]) -> F32:
 def _beside(points: F32, scan: Scan) -> Bool:
     """(N,) bool: whether something that moves lies in a point's cell, or in one that touches it, in the same scan."""
     moving = scan.points[scan.labels == Label.DYNAMIC]
-    moving = moving[(np.abs(moving) < (REACH - 1) * EDGE).all(1)]
+    moving = moving[has_voxel(moving, EDGE)]
     if not len(moving) or not len(points):
         return np.zeros(len(points), np.bool_)
     steps = np.arange(-1, 2)

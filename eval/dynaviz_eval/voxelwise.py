@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.grid import KeySet, pack
+from dynaviz.grid import KeySet, has_voxel, pack
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import F32, Label, Outcome
@@ -39,7 +39,7 @@ class Voxelwise:
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Note the voxels of one scan."""
         if labelled.scan.labels is not None:
-            finite = np.isfinite(labelled.scan.points).all(1)
+            finite = has_voxel(labelled.scan.points, EDGE)
             keys = np.zeros(len(labelled.scan), np.int64)
             keys[finite] = pack(labelled.scan.points[finite], EDGE)
             kept = np.isin(labelled.outcome, (Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE))
