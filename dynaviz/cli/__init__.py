@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from types import FrameType
 
 import typer
@@ -45,18 +46,29 @@ for verb in VERBS:
 
 
 def main() -> None:
-    """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted."""
+    """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted, 143 terminated."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
         app(standalone_mode=True)
     except DynavizError as error:
         if os.environ.get("DYNAVIZ_DEBUG"):
             raise
-        print(f"dynaviz: {error}", file=sys.stderr)
+        print("dynaviz:", error, *_notes(error), file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("dynaviz: interrupted", file=sys.stderr)
-        sys.exit(130)
+    except (KeyboardInterrupt, SystemExit) as end:
+        code = 130 if isinstance(end, KeyboardInterrupt) else end.code
+        if code in (130, 143):
+            print("dynaviz:", "interrupted." if code == 130 else "terminated.", *_notes(end), file=sys.stderr)
+        sys.exit(code)
+
+
+def _notes(error: BaseException | None) -> Iterator[str]:
+    """What was added to an error on its way here, as where the rest of a recording lies; each once."""
+    notes: dict[str, None] = {}
+    while error is not None:
+        notes |= dict.fromkeys(f"{note}." for note in getattr(error, "__notes__", ()))
+        error = error.__cause__ or error.__context__
+    yield from notes
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

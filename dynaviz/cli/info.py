@@ -31,7 +31,7 @@ def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]
         from dynaviz.result import Result
 
         _show_result(Result.load(what))
-    elif suffix == ".rrd":
+    elif suffix == ".rrd" or what.endswith(".rrd.part"):
         from dynaviz.viz.reader import Recording, read
 
         recording = read(what)

@@ -8,6 +8,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,10 @@ from dynaviz.result import Result
 from dynaviz.scan import F32, F64, U8
 from dynaviz.viz import paths
 from dynaviz.viz.answers import ARCHETYPE, Answers
+from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
+_HINT = "Give the run.rrd of a run"
 COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
 
 
@@ -204,6 +207,8 @@ class Recording(Recorded):
             {answers.frame: answers.reasons for answers in self.answers()} if self.properties["mode"] == "full" else {}
         )
         for frame, components in self.rows(paths.SCAN):
+            if "Points3D:positions" not in components or frame not in positions:
+                continue  # a killed run's last frame, cut off within
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
             yield Drawn(
@@ -227,19 +232,43 @@ def open_store(path: Path) -> Any:
     """
     try:
         with path.open("rb") as file:
-            magic = file.read(4)
+            head = file.read(8)
     except OSError as error:
-        raise DataError(path, error.strerror or "cannot be read", hint="Give the run.rrd of a run") from None
-    if magic not in MAGIC:
-        raise DataError(path, "is not a recording", at="byte 0", hint="Give the run.rrd of a run")
+        part = part_of(path)
+        hint = f"Its run did not finish; salvage it with: dynaviz repair {part}" if part.is_file() else _HINT
+        raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
+    if head[:4] not in MAGIC:
+        raise DataError(path, "is not a recording", at="byte 0", hint=_HINT)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a file that was cut off, told below
             return RrdReader(path).store()
     except (RuntimeError, ValueError, OSError) as error:
-        raise DataError(
-            path, "was cut off, its writer did not finish it", hint=f"Salvage its frames with: dynaviz repair {path}"
-        ) from error
+        raise _broken(path, head) from error
+
+
+def viewable(path: Path) -> None:
+    """See to it that the viewer opens a recording, before it is asked to.
+
+    Raises:
+        DataError: as ``open_store``; and for a name that does not end in ``.rrd``, for the viewer goes by that.
+    """
+    open_store(path)
+    if path.suffix != ".rrd":
+        hint = f"dynaviz repair {path}" if of_part(path) else f"mv {path} {path.with_suffix('.rrd')}"
+        raise DataError(path, "has no name that the viewer knows", hint=f"Give it one with: {hint}")
+
+
+def _broken(path: Path, head: bytes) -> DataError:
+    """Why a recording does not open, and what to do."""
+    here, there = metadata.version("rerun-sdk"), tuple(head[4:6])
+    if head[:4] != MAGIC[0]:
+        return DataError(path, "was written by a rerun before 0.23, too old to read", hint="Run the method again")
+    if there > tuple(map(int, here.split(".")[:2])):
+        problem = f"was written by rerun {'.'.join(map(str, there))}, and here is {here}"
+        return DataError(path, problem, hint="Upgrade with: pip install -U dynaviz")
+    hint = f"Salvage its frames with: dynaviz repair {path}"
+    return DataError(path, "was cut off, its writer did not finish it", hint=hint)
 
 
 def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:

@@ -59,10 +59,12 @@ class Recorder(Listener):
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(self, *error: Any) -> None:
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if self._sink is not None:
             self._curves.write()
             self._sink.close()
+            if error is not None:
+                error.add_note(f"Salvage what was recorded with: dynaviz repair {sink.part_of(self.path)}")
 
     def sha256(self) -> str:
         """Digest of the finished recording."""

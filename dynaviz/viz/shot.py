@@ -13,7 +13,7 @@ from rerun.experimental import ViewerClient
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.reader import Recorded
+from dynaviz.viz.reader import Recorded, viewable
 
 SIZE = (1600, 900)
 SECONDS_TO_LOAD = 120.0
@@ -44,6 +44,7 @@ def shot(
         UsageError: for a frame or view that it does not have.
         MissingDependency: where there is nothing to draw with.
     """
+    viewable(Path(recording))
     source, out = Recorded(recording), Path(out)
     count = source.frames
     frames = tuple(frames) or (max(count - 1, 0),)

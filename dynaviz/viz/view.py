@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from dynaviz.viz import viewer
-from dynaviz.viz.reader import open_store
+from dynaviz.viz.reader import viewable
 
 
 def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False) -> None:
@@ -26,7 +26,7 @@ def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False) -> Non
     """
     files = [Path(recording) for recording in recordings]
     for file in files:
-        open_store(file)
+        viewable(file)
     if web:
         _serve(files)
     else:
