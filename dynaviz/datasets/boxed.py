@@ -106,4 +106,5 @@ def _inside(local: F64, box: Box, margin: float, feet: float = 0.0) -> Bool:
     length, width, height = box.size
     along, across, up = local.T
     inside: Bool = (np.abs(along) < length / 2 + margin) & (np.abs(across) < width / 2 + margin)
-    return inside & (up > feet - margin) & (up < height + margin)
+    inside &= (up > feet - margin) & (up < height + margin)
+    return inside

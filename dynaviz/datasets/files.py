@@ -1,10 +1,14 @@
-"""What the formats share: numbered files."""
+"""What the formats share: numbered files, and one thing among several."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from dynaviz.errors import DataError
+
+T = TypeVar("T")
 
 
 def holds(folder: Path, pattern: str) -> bool:
@@ -38,9 +42,18 @@ def only_folder(folder: Path, what: str) -> Path:
     Raises:
         DataError: where there is none, or a choice.
     """
-    inside = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
-    if len(inside) == 1:
-        return inside[0]
-    names = ", ".join(path.name for path in inside[:30])
-    problem = f"holds several {what}: {names}" if inside else f"holds no {what}"
-    raise DataError(folder, problem, hint=f"Give one of the {what}" if inside else f"Give a folder with {what}")
+    inside = [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
+    return only(folder, what, {path.name: path for path in sorted(inside)})
+
+
+def only(folder: Path, what: str, choices: Mapping[str, T]) -> T:
+    """The only one of several things in a folder, by name.
+
+    Raises:
+        DataError: where there is none, or a choice.
+    """
+    if len(choices) == 1:
+        return next(iter(choices.values()))
+    names = ", ".join(list(choices)[:30])
+    problem = f"holds several {what}: {names}" if choices else f"holds no {what}"
+    raise DataError(folder, problem, hint=f"Give one of the {what}" if choices else f"Give a folder with {what}")

@@ -24,7 +24,7 @@ def test_a_missing_path_is_told(tmp_path: Path) -> None:
 
 
 def test_an_empty_folder_is_told_with_the_layouts(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"but an empty folder\. Known layouts: benchmark \(pcd/.*semantickitti"):
+    with pytest.raises(DataError, match=r"but an empty folder\. Known layouts: .*benchmark \(pcd/.*semantickitti"):
         open_sequence(str(tmp_path))
 
 
