@@ -27,21 +27,33 @@ Record = Literal[Mode, "none"]
 
 
 def open(
-    path: str | os.PathLike[str], *, frames: str | None = None, stride: int = 1, sensor: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    frames: str | None = None,
+    stride: int = 1,
+    sensor: str | None = None,
+    poses: str | os.PathLike[str] | None = None,
+    points_in: str | None = None,
+    deskew: bool | None = None,
 ) -> Sequence:
     """Open a sequence of any known format.
 
     Args:
-        path: a folder; the format is guessed, or forced with a prefix (``semantickitti:PATH``).
+        path: a folder or a bag; the format is guessed, or forced with a prefix (``semantickitti:PATH``).
         frames: ``A:B``, positions as in a Python slice.
         stride: every how manieth frame.
         sensor: name of the sensor, where the data do not tell or are wrong (``dynaviz list sensors``).
+        poses: for folders of scans and for bags: a file of the sensor's poses (KITTI, TUM, CSV); for bags also a topic
+            or the TF frame that is the world.
+        points_in: for the same: ``sensor`` or ``world``, the frame of the points as they are stored.
+        deskew: for bags: False leaves each sweep as it is, although its points have times.
 
     Raises:
         DataError: where nothing known is at the path.
-        UsageError: for frames or a sensor that do not exist.
+        UsageError: for frames or a sensor that do not exist, or options that the format does not take.
     """
-    sequence = open_sequence(os.fspath(path))
+    named = None if poses is None else os.fspath(poses)
+    sequence = open_sequence(os.fspath(path), poses=named, points_in=points_in, deskew=deskew)
     return part(sequence, frames, stride, load_sensor(sensor) if sensor else None)
 
 

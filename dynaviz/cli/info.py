@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
+from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
 
 if TYPE_CHECKING:
     from dynaviz.result import Result
+    from dynaviz.scan import Sequence
 
 
 def add_to(app: typer.Typer) -> None:
@@ -18,11 +20,17 @@ def add_to(app: typer.Typer) -> None:
     app.command("info")(info)
 
 
-def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]) -> None:
+def info(
+    what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")],
+    poses: Poses = None,
+    points_in: PointsIn = None,
+    deskew: Deskew = None,
+) -> None:
     """Say what a sequence, a recording or a result is.
 
     \b
     dynaviz info path/to/sequence
+    dynaviz info path/to/scans --poses trajectory.tum
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
     """
@@ -39,7 +47,7 @@ def info(what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")]
         if isinstance(recording, Recording) and recording.result is not None:
             _show_result(recording.result)
     else:
-        _show_pairs(what, _sequence_facts(what))
+        _show_pairs(what, _sequence_facts(open_sequence(what, poses=poses, points_in=points_in, deskew=deskew)))
 
 
 def _show_result(result: Result) -> None:
@@ -55,11 +63,9 @@ def _show_result(result: Result) -> None:
             show(f"\n{meaning}, by reason", table)
 
 
-def _sequence_facts(path: str) -> dict[str, str]:
-    from dynaviz import api
+def _sequence_facts(sequence: Sequence) -> dict[str, str]:
     from dynaviz.survey import survey
 
-    sequence = api.open(path)
     with progress(sequence.name) as tell:
         seen = survey(sequence, lambda done: tell("reading", done, len(sequence)))
     low, high = seen.extent.low, seen.extent.high

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
+from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
 
 
 class Record(StrEnum):
@@ -28,7 +29,7 @@ def add_to(app: typer.Typer) -> None:
 
 def run(
     method: Annotated[str, typer.Argument(help="A method's name (dynaviz list methods).")],
-    sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder; FORMAT:PATH forces its format.")],
+    sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder or bag; FORMAT:PATH forces its format.")],
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/METHOD]"),
@@ -47,6 +48,9 @@ def run(
     sensor: Annotated[
         str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
     ] = None,
+    poses: Poses = None,
+    points_in: PointsIn = None,
+    deskew: Deskew = None,
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
     view: Annotated[bool, typer.Option("--view", help="Show the run in a viewer while it goes on.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
@@ -58,10 +62,14 @@ def run(
     dynaviz run octomap_gf path/to/sequence
     dynaviz run octomap kitti/sequences/08 --frames 0:100 -o out/08
     dynaviz run octomap path/to/sequence --set resolution=0.2 --record scores
+    dynaviz run dufomap path/to/scans --poses trajectory.tum
+    dynaviz run dufomap "drive.bag#/velodyne_points" --poses map
     """
     from dynaviz import api
 
-    opened = api.open(sequence, frames=frames, stride=stride, sensor=sensor)
+    opened = open_sequence(
+        sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew
+    )
     folder = out or Path("recordings") / opened.name / method
     with progress(f"{method} on {opened.name}") as tell:
         result = api.run(

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
+from dynaviz.cli.opening import PointsIn, Poses, open_sequence
 from dynaviz.cli.run import Record
 
 
@@ -37,6 +38,8 @@ def score(
     ] = 0.05,
     name: Annotated[str | None, typer.Option(help="For tables. [default: the map's file name]")] = None,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
+    poses: Poses = None,
+    points_in: PointsIn = None,
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
 ) -> None:
@@ -49,7 +52,7 @@ def score(
     """
     from dynaviz import api
 
-    opened = api.open(sequence, frames=frames)
+    opened = open_sequence(sequence, frames=frames, poses=poses, points_in=points_in)
     called = map.stem if name is None else name
     folder = out or Path("recordings") / opened.name / called
     with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings():

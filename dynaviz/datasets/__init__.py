@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 from dynaviz import registry
-from dynaviz.errors import DataError, PluginError
+from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.scan import Sequence, part
 from dynaviz.sensors import load_sensor
 
@@ -18,6 +20,7 @@ class Dataset(Sequence, Protocol):
 
     Attributes:
         layout: the files that make the format, in a few words, for messages.
+        fallback: True for a format so general that it is guessed only where no other one matches; may be left out.
     """
 
     layout: ClassVar[str]
@@ -31,25 +34,29 @@ class Dataset(Sequence, Protocol):
     def open(cls, path: Path) -> Self:
         """Open a sequence.
 
+        Where it takes the keywords ``poses``, ``points_in`` or ``deskew``, those of ``dynaviz.open`` are handed on.
+
         Raises:
             DataError: where the path does not hold what the format needs.
         """
         ...
 
 
-def open_sequence(text: str, sensor: str | None = None) -> Sequence:
+def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Sequence:
     """Open a sequence.
 
     Args:
         text: a path whose format is guessed, or ``format:PATH``.
         sensor: name of the sensor, where the data do not tell it.
+        options: what the format's ``open`` takes beside the path; None stands for its default.
 
     Raises:
         DataError: where nothing is at the path, or nothing known.
-        UsageError: for a format or sensor that is not known.
+        UsageError: for a format or sensor that is not known, or an option that the format does not take.
     """
+    given = {name: value for name, value in options.items() if value is not None}
     kind, path = _asked(text)
-    sequence: Sequence = (kind or _guess(path)).open(path)
+    sequence: Sequence = (kind or _guess(path, given)).open(path, **(_fitting(kind, given) if kind else given))
     return part(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 
@@ -61,16 +68,36 @@ def _asked(text: str) -> tuple[type[Dataset] | None, Path]:
     return registry.load("datasets", prefix), Path(os.path.abspath(rest))
 
 
-def _guess(path: Path) -> type[Dataset]:
-    layouts = []
+def _takes(kind: type[Dataset], options: Mapping[str, Any]) -> bool:
+    return options.keys() <= inspect.signature(kind.open).parameters.keys()
+
+
+def _fitting(kind: type[Dataset], options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options, if the format takes them."""
+    if not _takes(kind, options):
+        flags = ", ".join("--" + name.replace("_", "-") for name in options)
+        raise UsageError(
+            f"{flags}: {kind.__name__} tells that itself. Leave it out, or force another format (files:PATH)"
+        )
+    return options
+
+
+def _guess(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
+    """The first format that matches; with options, of those that take them."""
+    layouts, kinds = [], []
     for handle in registry.handles("datasets"):
         try:
             kind: type[Dataset] = handle.load()
         except PluginError:  # it breaks nobody else; asking for it by name tells what is wrong
             continue
-        if kind.matches(path):
-            return kind
+        kinds.append(kind)
         layouts.append(f"{handle.name} ({kind.layout})")
+    kinds.sort(key=lambda kind: getattr(kind, "fallback", False))
+    for kind in kinds:
+        if _takes(kind, options) and kind.matches(path):
+            return kind
+    if options and (other := next((kind for kind in kinds if kind.matches(path)), None)):
+        _fitting(other, options)
     if not path.exists():  # asked last: KITTI tracking knows a sequence by training/0012, which is no folder
         raise DataError(path, "does not exist", hint="Give the folder of a sequence")
     hint = f"Known layouts: {'; '.join(layouts)}. Give such a folder, or force a format as in benchmark:PATH"

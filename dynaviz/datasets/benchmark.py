@@ -15,6 +15,7 @@ from dynaviz.datasets.files import holds, numbered
 from dynaviz.datasets.truth import GroundTruth
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
+from dynaviz.io.poses import find_poses
 from dynaviz.scan import F64, Scan
 from dynaviz.sensors import Sensor, load_sensor
 
@@ -46,8 +47,9 @@ class BenchmarkSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path holds ``pcd/*.pcd``, or is that folder of scans itself."""
-        return holds(path / "pcd", "*.pcd") or holds(path, "*[0-9].pcd")
+        """Whether a path holds ``pcd/*.pcd``, or is that folder of scans itself, without a file of poses."""
+        itself = any(file.stem.isdigit() for file in path.glob("*[0-9].pcd"))
+        return holds(path / "pcd", "*.pcd") or (itself and find_poses(path) is None)
 
     @classmethod
     def open(cls, path: Path) -> Self:

@@ -1,0 +1,45 @@
+"""What the verbs that open a sequence share: the options that say how, and warnings of one line."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from dynaviz.scan import Sequence
+
+
+class Frame(StrEnum):
+    """Where points may be."""
+
+    sensor = "sensor"
+    world = "world"
+
+
+Poses = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE", help="Poses of a folder of scans (KITTI, TUM, CSV); of a bag also a topic or TF frame."
+    ),
+]
+PointsIn = Annotated[Frame | None, typer.Option(help="Frame of the points in the files. [default: sensor]")]
+Deskew = Annotated[
+    bool | None,
+    typer.Option("--deskew/--no-deskew", help="Whether to move points of a bag by their own times. [default: do]"),
+]
+
+
+def open_sequence(path: str, **how: Any) -> Sequence:
+    """``dynaviz.open``; what is remarkable about the data is written to standard error, a line each."""
+    from dynaviz import api
+
+    with warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", UserWarning)
+        sequence = api.open(path, **how)
+    for remark in remarks:
+        print(f"dynaviz: warning: {remark.message}.", file=sys.stderr)
+    return sequence
