@@ -28,7 +28,7 @@ import dynaviz as dv
 from dynaviz.loop import peak_rss_mb
 comparison = dv.compare(*sys.argv[2:], out=sys.argv[1] or None)
 seconds, points = time.perf_counter() - start, comparison.sequence["points"]
-print(json.dumps({"seconds": seconds, "peak_mb": peak_rss_mb(), "points": points}))
+print(json.dumps({"seconds": seconds, "cpu": time.process_time(), "peak_mb": peak_rss_mb(), "points": points}))
 """
 
 
@@ -60,7 +60,10 @@ def main(recordings: list[str]) -> None:
         for out in ("", str(folder / "compare.rrd")):
             cost = measure(out, recordings)
             what = f"compared and written ({Path(out).stat().st_size / 1e6:.0f} MB)" if out else "compared"
-            print(f"{what}: {cost['seconds']:.1f} s, {cost['peak_mb']:.0f} MB at most, {cost['points']:,} points")
+            print(
+                f"{what}: {cost['seconds']:.1f} s, {cost['cpu']:.1f} s of processor time, "
+                f"{cost['peak_mb']:.0f} MB at most, {cost['points']:,} points"
+            )
 
 
 if __name__ == "__main__":
