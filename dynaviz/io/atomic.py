@@ -55,6 +55,20 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             beside.unlink()
 
 
+def remove(path: str | os.PathLike[str]) -> None:
+    """Remove a file, where there is one.
+
+    Raises:
+        DataError: where it is there and stays.
+    """
+    try:
+        os.unlink(path)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise DataError(path, f"cannot be removed ({error.strerror})", hint="Choose another folder with -o") from None
+
+
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes, whole or not at all."""
     with whole_file(path) as beside:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import uuid
 from collections.abc import Callable, Sequence
@@ -30,7 +31,8 @@ from dynaviz.viz.compare_layout import (
     SIDES,
     WHERE,
 )
-from dynaviz.viz.reader import COMPARISON, Drawn, Recording, open_store
+from dynaviz.viz.reader import COMPARISON, Drawn, Recording
+from dynaviz.viz.tap import Tap
 
 Progress = Callable[[str, int, int], None]
 
@@ -76,9 +78,10 @@ def write(
     pair = len(recordings) == 2
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     layout = (compare_layout.two if pair else compare_layout.many)(names, places)
-    with whole_file(out) as beside:
+    with whole_file(out) as beside, Tap(beside) as tap, contextlib.ExitStack() as stack:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
-        stream.save(beside, default_blueprint=layout)
+        stack.callback(stream.disconnect)
+        stream.save(tap.inlet, default_blueprint=layout)
         stream.set_log_time_enabled(False)
         stream.send_recording_name(comparison.title)
         if pair and fine:  # first, for the viewer complains of views whose world it does not know yet
@@ -94,8 +97,6 @@ def write(
             _gains(stream, names, crossed[0], comparison)
         if pair and fine:
             _frames(stream, *recordings)
-        stream.disconnect()
-        open_store(beside)  # a disk that ran full is told here, before the file gets its name
 
 
 def _bulk(gains: PlaceGains) -> F64:

@@ -11,6 +11,7 @@ import termios
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 PIPE_BYTES = 1 << 20
 
@@ -39,6 +40,12 @@ class Tap:
             fcntl.fcntl(self._in, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self._thread = threading.Thread(target=self._copy, name="tap", daemon=True)
         self._thread.start()
+
+    def __enter__(self) -> Tap:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
 
     @property
     def inlet(self) -> str:
