@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from toys import TOY, Here, write_room
 
-from dynaviz import benches
+from dynaviz import benches, registry
 
 
 @pytest.fixture(scope="session")
@@ -35,6 +35,12 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def here(toy: None, monkeypatch: pytest.MonkeyPatch) -> type[Here]:
-    """Have cells run in this process: quick, where processes are not what is tested."""
+    """Have cells run in this process and count points only: quick, where nothing else is tested."""
+    every = registry.handles
+
+    def handles(kind: str) -> list[registry.Handle]:
+        return [handle for handle in every(kind) if kind != "metrics" or handle.name == "confusion"]
+
+    monkeypatch.setattr(registry, "handles", handles)
     monkeypatch.setattr(benches, "Local", Here)
     return Here

@@ -21,7 +21,7 @@ from dynaviz import api
 from dynaviz.benches import Board, bench, combined
 from dynaviz.benches.cell import difference
 from dynaviz.cli import main
-from dynaviz.errors import DataError, DynavizError
+from dynaviz.errors import DataError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.result import Result
 from dynaviz.simulate import recording
@@ -44,7 +44,7 @@ def states(board: Board) -> dict[str, str]:
 def mixed(toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Board, Path]:
     """A real bench of two workers: cells that go well, one that fails, and one that is killed."""
     out = tmp_path_factory.mktemp("mixed")
-    table = {"methods": ["removert", "toy"], "sequences": [str(rooms[0])], "record": "scores", "workers": 2}
+    table = {"methods": ["beautymap", "toy"], "sequences": [str(rooms[0])], "record": "scores", "workers": 2}
     return bench({**table, "grid": {"toy": {"act": ["raise", "die"]}}}, out), out
 
 
@@ -87,7 +87,7 @@ def test_the_command_of_a_cell_gives_the_same_labels(
 def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
     mixed: tuple[Board, Path], rooms: list[Path], tmp_path: Path
 ) -> None:
-    (timed,) = bench({"methods": ["removert"], "sequences": [str(rooms[0])], "timing": True}, tmp_path).results
+    (timed,) = bench({"methods": ["beautymap"], "sequences": [str(rooms[0])], "timing": True}, tmp_path).results
     shared = mixed[0].results[0]
     assert (timed.method, timed.labels_sha256) == (shared.method, shared.labels_sha256)
     assert timed.counts["dynamic_removed"] + timed.counts["static_removed"] > 0
@@ -217,17 +217,24 @@ def test_data_that_cannot_be_read_are_rows_and_what_is_not_there_is_told_at_once
 
 
 def test_scenes_are_simulated_once(here: type[Here], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = {**NONE, "sequences": ["simulate:hall_vlp16:1"]}
-    bench(table, tmp_path)
-    assert (tmp_path / "sequences/hall_vlp16-1/gt_cloud.pcd").exists()
+    simulated = []
 
     def simulate(scene: str, out: Path, frames: int, seed: int, progress: object) -> None:
-        raise DynavizError(f"simulates {scene} {frames} {seed}")
+        simulated.append((scene, frames, seed))
+        write_room(out, frames=1, rays=99, seed=seed)
+        facts = {"preset": scene, "frames": frames, "seed": seed, "generator": recording.VERSION}
+        (out / "sequence.toml").write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in facts.items()))
 
     monkeypatch.setattr(recording, "simulate", simulate)
-    assert list(states(bench(table, tmp_path)).values()) == ["kept"]
+    table = {**NONE, "sequences": ["simulate:hall_vlp16:1"]}
+    assert [[*states(bench(table, tmp_path)).values()] for _ in range(2)] == [["ran"], ["kept"]]
     other = {"simulate": "hall_vlp16", "frames": 1, "seed": 5, "name": "hall_vlp16-1"}
-    assert bench({**table, "sequences": [other]}, tmp_path).failed[0].error == "simulates hall_vlp16 1 5"
+    assert list(states(bench({**table, "sequences": [other]}, tmp_path)).values()) == ["ran"]
+    assert simulated == [("hall_vlp16", 1, 0), ("hall_vlp16", 1, 5)]
+    (tmp_path / "sequences/hall_vlp16-1/sequence.toml").write_text('name = "mine"')
+    board = bench({**table, "sequences": [other]}, tmp_path)
+    assert "is no simulated scene" in board.failed[0].error
+    assert (tmp_path / "sequences/hall_vlp16-1/pcd").exists(), "nobody's data are removed"
 
 
 def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
