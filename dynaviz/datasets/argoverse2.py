@@ -104,7 +104,8 @@ class Argoverse2Sequence:
         Raises:
             DataError: where sweeps, poses or calibration are missing or damaged, or there are several logs.
         """
-        log = only(path, "logs", {log.name: log for log in _logs(path)})
+        found = _logs(path)
+        log = only(found[0].parent if found else path, "logs", {log.name: log for log in found})
         scans = numbered(log / "sensors/lidar", ".feather")
         mounts = _mounts(log / "calibration/egovehicle_SE3_sensor.feather")
         poses = _poses(log / "city_SE3_egovehicle.feather")

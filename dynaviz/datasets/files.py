@@ -47,7 +47,7 @@ def only_folder(folder: Path, what: str) -> Path:
 
 
 def only(folder: Path, what: str, choices: Mapping[str, T]) -> T:
-    """The only one of several things in a folder, by name.
+    """The only one of the things in a folder, by name.
 
     Raises:
         DataError: where there is none, or a choice.
@@ -56,4 +56,5 @@ def only(folder: Path, what: str, choices: Mapping[str, T]) -> T:
         return next(iter(choices.values()))
     names = ", ".join(list(choices)[:30])
     problem = f"holds several {what}: {names}" if choices else f"holds no {what}"
-    raise DataError(folder, problem, hint=f"Give one of the {what}" if choices else f"Give a folder with {what}")
+    one = f"Give one of the {what}, as in {folder.name}/{next(iter(choices), '')}"
+    raise DataError(folder, problem, hint=one if choices else f"Give a folder with {what}")

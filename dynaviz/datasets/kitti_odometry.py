@@ -21,9 +21,9 @@ from dynaviz.sensors import Sensor, load_sensor
 class KittiOdometrySequence:
     """A sequence of KITTI odometry, which has no ground truth.
 
-    The world is the sensor's frame at the start: x forward, y left, z up. Poses of the camera become poses of the sensor
-    by the calibration ``Tr``. They are read from ``poses/NN.txt`` beside ``sequences``, or from ``poses.txt`` in the
-    sequence.
+    The world is the sensor's frame at the start: x forward, y left, z up. Poses of the camera become poses of the
+    sensor by the calibration ``Tr``. They are read from ``poses/NN.txt`` beside ``sequences``, or from ``poses.txt`` in
+    the sequence.
     """
 
     layout: ClassVar[str] = "sequences/NN/{velodyne/*.bin, calib.txt}, poses/NN.txt"
@@ -58,8 +58,8 @@ class KittiOdometrySequence:
         Raises:
             DataError: where sweeps, poses or calibration are missing or do not fit together.
         """
-        found = {folder.name: folder for folder in sequences_of(path)}
-        folder = only(path, "sequences", found) if found else path
+        found = sequences_of(path)
+        folder = only(found[0].parent, "sequences", {folder.name: folder for folder in found}) if found else path
         scans = cls.chosen(folder, numbered(folder / "velodyne", ".bin"))
         calib, file = folder / "calib.txt", cls.trajectory(folder)
         T_camera_sensor = rigid_of(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")

@@ -16,10 +16,10 @@ _HINT = "A line of a calibration file reads NAME: NUMBERS, with 12 numbers for a
 
 
 def read_calib(path: str | os.PathLike[str]) -> dict[str, F64]:
-    """Read all lines; the colon may be missing, as in some of KITTI's own files.
+    """Read all lines but the date; the colon may be missing, as in some of KITTI's own files.
 
     Returns:
-        By name, (12,) or (9,) float64 as in the file.
+        By name, (12,), (9,) or another number of float64 as in the file.
 
     Raises:
         DataError: for a file that cannot be read, or a line that is not numbers.
@@ -28,6 +28,8 @@ def read_calib(path: str | os.PathLike[str]) -> dict[str, F64]:
     with opened(path, _HINT) as file:
         for number, line in enumerate(file, 1):
             name, *values = line.decode("latin-1").split() or [""]
+            if name == "calib_time:":
+                continue
             try:
                 rows[name.removesuffix(":")] = np.array(values, np.float64)
             except ValueError:

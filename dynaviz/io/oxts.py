@@ -1,4 +1,4 @@
-"""KITTI's ``oxts`` records: the car's GPS and inertial unit, a line a frame."""
+"""KITTI's ``oxts`` records: the car's GPS and inertial unit."""
 
 from __future__ import annotations
 
@@ -6,26 +6,36 @@ import os
 
 import numpy as np
 
+from dynaviz.errors import DataError
 from dynaviz.io.text import read_table
 from dynaviz.scan import F64
 
 _EARTH_RADIUS = 6378137.0  # metres
+_HINT = "A line of oxts has 30 numbers, from latitude on"
 _COLUMNS = 30  # lat lon alt roll pitch yaw, then speeds, accelerations and qualities
 
 
-def read_oxts(path: str | os.PathLike[str]) -> F64:
-    """Read poses of the inertial unit.
+def read_oxts(*paths: str | os.PathLike[str]) -> F64:
+    """Read poses of the inertial unit: a file with a line a frame, or a file a frame.
 
     Latitude and longitude are projected by Mercator, at the scale of the first line's latitude (KITTI raw development
     kit, ``latlonToMercator``).
+
+    Args:
+        paths: the only file, or files of one line each, in the order of frames.
 
     Returns:
         (lines, 4, 4) float64, metres: T_earth_imu; x east, y north, z up.
 
     Raises:
-        DataError: for a file that cannot be read, or a line without 30 numbers.
+        DataError: for a file that cannot be read, a line without 30 numbers, or other than one line where there
+            are several files.
     """
-    table = read_table(path, _COLUMNS, "A line of oxts has 30 numbers, from latitude on")
+    tables = [read_table(path, _COLUMNS, _HINT) for path in paths]
+    for path, rows in zip(paths, tables, strict=True):
+        if len(paths) > 1 and len(rows) != 1:
+            raise DataError(path, f"has {len(rows)} lines, where a frame has one", hint=_HINT)
+    table = np.concatenate(tables)
     latitude, longitude = np.radians(table[:, 0]), np.radians(table[:, 1])
     scale = np.cos(latitude[:1]) * _EARTH_RADIUS
     poses = np.tile(np.eye(4), (len(table), 1, 1))

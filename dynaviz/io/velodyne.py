@@ -1,4 +1,4 @@
-"""KITTI's ``velodyne/*.bin``: x y z intensity of each point, float32, sensor frame."""
+"""KITTI's ``velodyne/*.bin`` and nuScenes' ``*.pcd.bin``: numbers of each point, float32, sensor frame."""
 
 from __future__ import annotations
 
@@ -11,19 +11,27 @@ from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
 from dynaviz.scan import F32
 
+FIELDS = ("x", "y", "z", "intensity", "ring")
 
-def read_velodyne(path: str | os.PathLike[str]) -> F32:
+
+def read_velodyne(path: str | os.PathLike[str], fields: int = 4) -> F32:
     """Read a sweep.
 
+    Args:
+        path: the file.
+        fields: numbers of a point: 4 for KITTI, 5 for nuScenes, which adds the ring.
+
     Returns:
-        (N, 4) float32: x y z in metres, sensor frame, and intensity.
+        (N, fields) float32: x y z in metres, sensor frame, and intensity.
 
     Raises:
-        DataError: for a file that cannot be read, or whose size is not a multiple of 16 bytes.
+        DataError: for a file that cannot be read, or ends in the middle of a point.
     """
-    with opened(path, "Give a KITTI velodyne file") as file:
+    row = 4 * fields
+    with opened(path, f"Give a file of float32 {' '.join(FIELDS[:fields])}") as file:
         size = os.fstat(file.fileno()).st_size
-        if size % 16:
-            problem = f"ends in the middle of a point: {size} bytes are no multiple of 16 (x y z intensity, float32)"
-            raise DataError(Path(path), problem, at=f"byte {size - size % 16}", hint="Copy the file again")
-        return np.fromfile(file, "<f4").reshape(-1, 4)
+        if size % row:
+            kind = f"{' '.join(FIELDS[:fields])}, float32"
+            problem = f"ends in the middle of a point: {size} bytes are no multiple of {row} ({kind})"
+            raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint="Copy the file again")
+        return np.fromfile(file, "<f4").reshape(-1, fields)

@@ -1,0 +1,190 @@
+"""KITTI raw (Geiger et al. 2013): HDL-64E sweeps, GPS poses, and for some drives boxes of what camera 2 sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynaviz import geometry
+from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.datasets.camera import Camera
+from dynaviz.datasets.files import holds, numbered, only
+from dynaviz.datasets.kitti_tracking import CLASS_NAMES, KINDS, SWEEP
+from dynaviz.errors import DataError
+from dynaviz.io.atomic import opened
+from dynaviz.io.calib import matrix_of, read_calib, rigid_of
+from dynaviz.io.oxts import read_oxts
+from dynaviz.io.tracklets import Tracklet, read_tracklets
+from dynaviz.io.velodyne import read_velodyne
+from dynaviz.scan import F64, Scan
+from dynaviz.sensors import Sensor, load_sensor
+
+_CALIB = "The calibration of a day lies in DATE/calib_*.txt, beside its drives; download it there"
+
+
+@dataclass(frozen=True)
+class KittiRawSequence:
+    """A drive of KITTI raw. The world is the sensor's frame at the first record: x forward, y left, z up.
+
+    Poses are those of the GPS and inertial unit. Where there is a ``tracklet_labels.xml``, points in the box of a track
+    that moves are dynamic, other points in the image of camera 2 static, and all else unlabelled.
+    """
+
+    layout: ClassVar[str] = "DATE/{calib_imu_to_velo.txt, DATE_drive_0001_sync/{velodyne_points/data/*.bin, oxts/data}}"
+
+    drive: Path
+    sensor: Sensor
+    scans: dict[int, Path]
+    poses: dict[int, F64]
+    stamps: dict[int, int]
+    camera: Camera | None
+    boxes: dict[int, list[Box]]
+    moving: frozenset[int]
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a path is a drive, its folder of sweeps, or what holds drives or days."""
+        return bool(_drives(path))
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a drive.
+
+        Raises:
+            DataError: where sweeps, poses or calibration are missing, or there are several drives to choose from.
+        """
+        found = _drives(path)
+        drive = only(found[0].parent if found else path, "drives", {drive.name: drive for drive in found})
+        scans = numbered(drive / "velodyne_points/data", ".bin")
+        records = numbered(drive / "oxts/data", ".txt")
+        if missing := sorted(scans.keys() - records.keys()):
+            problem = f"has no record of frame {missing[0]}, which has a sweep"
+            raise DataError(drive / "oxts/data", problem, hint="Copy the folder again")
+        T_sensor_imu = _transform(drive.parent / "calib_imu_to_velo.txt")
+        poses = geometry.compose(read_oxts(*records.values()), geometry.inverse(T_sensor_imu))
+        poses = geometry.compose(geometry.inverse(poses[0]), poses)
+        by_frame = dict(zip(records, poses, strict=True))
+        stamps = _stamps(drive / "velodyne_points/timestamps.txt", scans)
+        tracklets = drive / "tracklet_labels.xml"
+        if not tracklets.is_file():
+            return cls(drive, load_sensor("hdl64e"), scans, by_frame, stamps, None, {}, frozenset())
+        boxes = _boxes(read_tracklets(tracklets))
+        moving = moving_tracks(
+            (box.track, frame * SWEEP, geometry.compose(by_frame[frame], box.T_frame_box)[:3, 3])
+            for frame in sorted(boxes.keys() & by_frame.keys())
+            for box in boxes[frame]
+        )
+        return cls(drive, load_sensor("hdl64e"), scans, by_frame, stamps, _camera(drive.parent), boxes, moving)
+
+    @property
+    def name(self) -> str:
+        """As in ``kitti_raw_2011_09_26_drive_0001``."""
+        return f"kitti_raw_{self.drive.name.removesuffix('_sync')}"
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether there are tracklets."""
+        return self.camera is not None
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How many objects have boxes."""
+        return track_facts({box.track for boxes in self.boxes.values() for box in boxes}, self.moving)
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def __getitem__(self, position: int) -> Scan:
+        index = list(self.scans)[position]
+        xyz = read_velodyne(self.scans[index])[:, :3].astype(np.float64)
+        T_world_sensor = self.poses[index]
+        truth = None
+        if self.camera is not None:
+            seen, _, _ = self.camera.sees(geometry.apply(self.camera.T_camera_sensor, xyz))
+            truth = boxed_truth(xyz, self.boxes.get(index, []), self.moving, seen)
+        return Scan(
+            index=index,
+            points=geometry.transform(T_world_sensor, xyz),
+            T_world_sensor=T_world_sensor,
+            stamp_ns=self.stamps.get(index),
+            labels=truth.labels if truth else None,
+            classes=truth.classes if truth else None,
+            instances=truth.instances if truth else None,
+            class_names=CLASS_NAMES if truth else {},
+        )
+
+
+def _drives(path: Path) -> list[Path]:
+    """The drives that a path may mean."""
+    for drive in (path, path.parent, path.parent.parent):
+        sweeps = drive / "velodyne_points/data"
+        if path in (drive, sweeps.parent, sweeps) and holds(sweeps, "*.bin"):
+            return [drive]
+    found = [*path.glob("*_drive_*/velodyne_points/data"), *path.glob("*/*_drive_*/velodyne_points/data")]
+    return sorted(sweeps.parent.parent for sweeps in found if holds(sweeps, "*.bin"))
+
+
+def _transform(path: Path) -> F64:
+    """(4, 4) float64, metres: the transform in a file with R and T."""
+    try:
+        rows = read_calib(path)
+    except DataError as error:
+        raise DataError(path, error.problem, at=error.at, hint=_CALIB) from None
+    T = rigid_of(path, rows, "R")
+    if "T" not in rows or rows["T"].shape != (3,) or not np.isfinite(rows["T"]).all():
+        raise DataError(path, "has no line T with 3 numbers", hint=_CALIB)
+    T[:3, 3] = rows["T"]
+    return T
+
+
+def _camera(day: Path) -> Camera:
+    """Camera 2 by the calibration of a day."""
+    path = day / "calib_cam_to_cam.txt"
+    rows = read_calib(path)
+    T_camera_sensor = geometry.compose(rigid_of(path, rows, "R_rect_00"), _transform(day / "calib_velo_to_cam.txt"))
+    if "S_rect_02" not in rows or rows["S_rect_02"].shape != (2,):
+        raise DataError(path, "has no line S_rect_02 with 2 numbers", hint=_CALIB)
+    width, height = rows["S_rect_02"].tolist()
+    return Camera(T_camera_sensor, matrix_of(path, rows, "P_rect_02"), (width, height))
+
+
+def _stamps(path: Path, scans: dict[int, Path]) -> dict[int, int]:
+    """Nanoseconds by frame: a line each, or a line each sweep where some are missing; none without the file."""
+    if not path.is_file():
+        return {}
+    with opened(path, "A line is a time as 2011-09-26 13:02:25.594360375") as file:
+        lines = file.read().decode("latin-1").split("\n")
+    lines = lines[: len(lines) - 1 if not lines[-1].strip() else None]
+    if len(lines) <= max(scans) and len(lines) != len(scans):
+        problem = f"has {len(lines)} lines, but there is a sweep {max(scans)}"
+        raise DataError(path, problem, hint="Each sweep needs a line; copy the file again")
+    frames = range(len(lines)) if len(lines) > max(scans) else scans
+    return {
+        frame: _time(path, n, line)
+        for n, (frame, line) in enumerate(zip(frames, lines, strict=True), 1)
+        if line.strip()
+    }
+
+
+def _time(path: Path, number: int, line: str) -> int:
+    try:
+        return int(np.datetime64(line.strip(), "ns").astype(np.int64))
+    except ValueError:
+        hint = "A line reads 2011-09-26 13:02:25.594360375"
+        raise DataError(path, "has no time", at=f"line {number}", hint=hint) from None
+
+
+def _boxes(tracklets: list[Tracklet]) -> dict[int, list[Box]]:
+    """Boxes in the sensor frame by frame."""
+    boxes: dict[int, list[Box]] = {}
+    for track, tracklet in enumerate(tracklets, 1):
+        kind = tracklet.kind.partition(" ")[0]  # Person (sitting)
+        number = KINDS.index(kind) if kind in KINDS else 0
+        height, width, length = tracklet.size
+        for frame, (x, y, z, yaw) in enumerate(tracklet.places, tracklet.first):
+            T_sensor_box = geometry.pose((x, y, z), (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)))
+            boxes.setdefault(frame, []).append(Box(track, number, T_sensor_box, (length, width, height)))
+    return boxes
