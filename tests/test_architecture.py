@@ -94,6 +94,7 @@ def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:
         "try:\n    main()\n"
         "except SystemExit as end:\n    assert not end.code, end.code\n"
         "heavy = {'open3d', 'cv2', 'rerun', 'numba', 'scipy', 'pyarrow', 'matplotlib', 'jinja2', 'PIL'}\n"
+        "heavy |= {'distributed', 'optuna'}\n"
         "heavy &= set(sys.modules)\n"
         "sys.exit(f'loaded {heavy}' if heavy else 0)\n"
     )

@@ -159,7 +159,7 @@ def test_info_of_a_run(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
 
 
 def test_help_begins_with_examples(dynaviz: Command) -> None:
-    for verb in ("demo", "run", "score", "info", "list", "config", "simulate", "view", "shot"):
+    for verb in ("demo", "run", "score", "bench", "info", "list", "config", "simulate", "view", "shot"):
         code, out, _ = dynaviz(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
