@@ -96,7 +96,8 @@ class View:
     @classmethod
     def of(cls, overview: Overview) -> View:
         """Of most of what has a label: the outermost points would make all others small."""
-        known = np.isin(overview.outcome, (*_STATIC, *_MOVING)) if len(overview.points) else slice(None)
+        known = np.isin(overview.outcome, (*_STATIC, *_MOVING))
+        known |= not known.any()
         points, outcome = overview.points[known].astype(np.float64), overview.outcome[known]
         finite = np.isfinite(points).all(1)
         points, outcome = points[finite], outcome[finite]

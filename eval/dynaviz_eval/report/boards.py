@@ -13,6 +13,7 @@ from dynaviz.result import Result
 from dynaviz.study import Cell, Study
 from dynaviz_eval.confusion import Counts
 
+UNKNOWN = "unknown"  # the cause of what no method explains
 SCORES = ("SA", "DA", "AA", "HA")
 KINDS = {
     "false_positive": ("SA", "static_kept", "static_removed"),
@@ -204,7 +205,7 @@ def losses(rows: Sequence[Row], kind: str) -> Losses:
     total = sum(result.counts.get(wrong, 0) for result in results)
     return Losses(
         100 * total / whole,
-        {cause or "unknown": 100 * count / whole for cause, count in sorted(points.items(), key=_largest) if count},
+        {cause or UNKNOWN: 100 * count / whole for cause, count in sorted(points.items(), key=_largest) if count},
         not known,
     )
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+BEST = " Of several variants of a method, the best."
 FEW = 100  # points below which an accuracy is drawn hollow
 
 
@@ -107,6 +108,7 @@ def ranges(board: Board, name: str, looks: Looks) -> Picture | None:
             axes.set_xticks(range(len(ticks)), ticks)
         _legend(figure, grid[0], drawn, looks)
         caption = f"Accuracy against range on {board.title}. Hollow marks stand for fewer than {FEW} points."
+        caption += BEST * (len(drawn) < len(board.rows))
         return Picture(name, svg(figure, name, caption), caption)
 
 
@@ -140,6 +142,7 @@ def distances(board: Board, name: str, looks: Looks) -> Picture | None:
             "5 cm, each row to its own height. Dashed line: a tenth (10 %) of the points lies nearer. "
             "Right: how many points."
         )
+        caption += BEST * (len(drawn) < len(board.rows))
         return Picture(name, svg(figure, name, caption), caption)
 
 
@@ -167,7 +170,10 @@ def causes(boards: Sequence[Board], order: Sequence[str]) -> Picture | None:
     """What each cause costs each method, as bars."""
     groups = by_method(boards)
     several = len({scoring for _, scoring in groups}) > 1
-    keys = sorted(groups, key=lambda key: order.index(key[0]))
+    first: dict[tuple[str, str], tuple[str, str]] = {}
+    for key in sorted(groups, key=lambda key: order.index(key[0])):
+        first.setdefault((groups[key][0].result.method, key[1]), key)
+    keys = list(first.values())
     found = {(key, kind): losses(groups[key], kind) for key in keys for kind in KINDS}
     totals: dict[str, float] = {}
     for loss in found.values():
@@ -213,6 +219,7 @@ def causes(boards: Sequence[Board], order: Sequence[str]) -> Picture | None:
         grid[1].set_yticklabels([])
         figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, handleheight=1.1)
         caption = "What each cause costs, over all sequences that a method ran on; short bars are good."
+        caption += BEST * (len(keys) < len(groups))
         return Picture("causes", svg(figure, "causes", caption), caption)
 
 
@@ -304,16 +311,15 @@ def _iso(axes: Axes, low: Sequence[float]) -> None:
 
 def _name(axes: Axes, label: str, x: float, y: float, left: float) -> None:
     side = "right" if x > (left + 101) / 2 else "left"
-    axes.annotate(
-        label, (x, y), (-7 if side == "right" else 7, -3), textcoords="offset points", ha=side, fontsize=8, color=INK
-    )
+    place = (6 if side == "right" else -6, 7)
+    axes.annotate(label, (x, y), place, textcoords="offset points", ha=side, fontsize=8, color=INK)
 
 
 def _log(axes: Axes) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

@@ -22,9 +22,9 @@ _ESCAPES = {
 def latex_report(study: Study) -> str:
     """The tables of accuracy and runtime, and the published numbers of public sequences."""
     made = tables(study)
-    accuracy, runtime = made.tables[:2]
+    wanted = [table for table in (*made.tables[:2], *made.public.values()) if table.rows]
     parts = [r"% Needs \usepackage{booktabs} and \usepackage{graphicx}."]
-    parts += [_table(part) for table in (accuracy, runtime, *made.public.values()) for part in _parts(table)]
+    parts += [_table(part) for table in wanted for part in _parts(table)]
     return "\n\n".join(parts) + "\n"
 
 

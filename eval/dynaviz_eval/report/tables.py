@@ -11,6 +11,7 @@ from dynaviz_eval.published import Match, matching, published, published_runtime
 from dynaviz_eval.report.boards import (
     KINDS,
     SCORES,
+    UNKNOWN,
     Board,
     Losses,
     Row,
@@ -86,7 +87,7 @@ class Tables:
     @property
     def every(self) -> list[Table]:
         """All tables, in the order of a report."""
-        return [self.first, *self.tables[:2], *self.public.values(), *self.tables[2:]]
+        return [t for t in (self.first, *self.tables[:2], *self.public.values(), *self.tables[2:]) if t.rows]
 
 
 def tables(study: Study) -> Tables:
@@ -96,7 +97,7 @@ def tables(study: Study) -> Tables:
     every = [*combined, *single]
     ours = [_accuracy(every, notes), _runtime(single, combined)]
     rest = [_failures(single, combined), _failed(study), _runs(study, single)]
-    public = {board.title: table for board in single if (table := _public(board))}
+    public = {board.title: table for k, board in enumerate(single, 1) if (table := _public(board, k))}
     return Tables(
         _headline(study, single, combined),
         single,
@@ -138,7 +139,10 @@ def _order(single: Sequence[Board], combined: Sequence[Board]) -> list[str]:
 
 def _headline(study: Study, single: Sequence[Board], combined: Sequence[Board]) -> list[str]:
     methods = {cell.method for cell in study.cells}
-    sequences = {board.facts.get("digest") for board in single}
+    known = {board.facts.get("name") for board in single}
+    sequences = {board.facts.get("digest") for board in single} | {
+        cell.sequence for cell in study.cells if cell.sequence not in known
+    }
     failed = sum(cell.result is None for cell in study.cells)
     scorings = " and ".join(dict.fromkeys(board.scoring for board in single))
     lines = [
@@ -194,7 +198,7 @@ def worst(found: dict[str, Losses]) -> str:
     if not costs:
         return "none" if any(loss.cost == 0 for loss in found.values()) else NONE
     cost, kind, cause = max(costs)
-    reason = "reason " if found[kind].by_reason else ""
+    reason = "reason " if found[kind].by_reason else "cause " if cause == UNKNOWN else ""
     return f"{DID[kind]}: {reason}{cause} (−{cost:.1f} {KINDS[kind][0]})"
 
 
@@ -222,7 +226,8 @@ def _accuracy(every: Sequence[Board], notes: Sequence[str]) -> Table:
 
 def _runtime(single: Sequence[Board], combined: Sequence[Board]) -> Table:
     """The paper's second table; a machine and number of threads of its own for each block of rows."""
-    settings = sorted({setting(row.result) for board in single for row in board.rows if "mean_s" in row.result.runtime})
+    timed = [row.result for board in single for row in board.rows if row.result.runtime.get("mean_s") is not None]
+    settings = sorted({setting(result) for result in timed})
     several = len(settings) > 1
     columns = [Column("method", number=False), *([Column("machine", number=False)] if several else [])]
     columns += [Column(board.title, "runtime per frame [s] ↓") for board in single] + [Column("parameters")]
@@ -230,16 +235,15 @@ def _runtime(single: Sequence[Board], combined: Sequence[Board]) -> Table:
     rows = []
     for label in _order(single, combined):
         here = [board.row(label) for board in single]
-        for where in settings or [""]:
-            timed = [row if row and (not settings or setting(row.result) == where) else None for row in here]
-            if not any(row and ("mean_s" in row.result.runtime or not settings) for row in timed):
-                continue
+        for where in sorted({_where(row.result) for row in here if row}):
+            chosen = [row if row and _where(row.result) == where else None for row in here]
             values = [
-                runtime(row.result, label in fast) if row else Value("–") for row, fast in zip(timed, best, strict=True)
+                runtime(row.result, label in fast) if row else Value("–")
+                for row, fast in zip(chosen, best, strict=True)
             ]
-            numbers = sorted({NONE if (n := n_parameters(row.result)) is None else str(n) for row in timed if row})
+            numbers = sorted({NONE if (n := n_parameters(row.result)) is None else str(n) for row in chosen if row})
             amount = Value(", ".join(numbers), float(numbers[0]) if numbers[0].isdigit() else None)
-            rows.append([named(label), *([Value(where, where)] if several else []), *values, amount])
+            rows.append([named(label), *([Value(where or NONE, where)] if several else []), *values, amount])
     notes = [
         "Mean and standard deviation over frames, of the method alone: no reading, no recording. "
         "Parameters: how many a user may tune.",
@@ -253,13 +257,18 @@ def _runtime(single: Sequence[Board], combined: Sequence[Board]) -> Table:
     return Table("runtime", "Runtime and parameters", columns, rows, notes)
 
 
+def _where(result: Result) -> str:
+    """The setting of a runtime; empty where there is no runtime."""
+    return "" if result.runtime.get("mean_s") is None else setting(result)
+
+
 def match(board: Board) -> Match | None:
     """The public sequence that a board may be of."""
     rows = board.rows[0].result.sections.get("breakdown", {}).get("frame", [])
     return matching(board.facts, [row["index"] for row in rows])
 
 
-def _public(board: Board) -> Table | None:
+def _public(board: Board, number: int) -> Table | None:
     """Published numbers beside ours."""
     known = match(board)
     if known is None:
@@ -267,8 +276,9 @@ def _public(board: Board) -> Table | None:
     columns = [Column("method", number=False)]
     columns += [Column(name, "published [%]", main=name == "AA") for name in SCORES]
     columns += [Column(name, f"here, {board.scoring} [%]", main=name == "AA") for name in SCORES]
-    columns += [Column("seconds per frame", "published"), Column("source", number=False)]
+    columns += [Column("seconds per frame", "published"), Column("source")]
     rows = []
+    sources = list(dict.fromkeys(row.source for row in published(known.name)))
     speeds = {speed.method: speed for speed in published_runtimes() if speed.sequence == known.name}
     for row in published(known.name):
         ours = next((r for r in board.rows if r.result.method == row.method and r.result.online == row.online), None)
@@ -278,15 +288,16 @@ def _public(board: Board) -> Table | None:
         took = (
             Value(f"{speed.mean_s:.3f} ± {speed.std_s:.3f}", speed.mean_s) if speed and not row.online else Value("–")
         )
-        rows.append([named(row.title), *theirs, *values, took, Value(row.source, row.source)])
+        rows.append([named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)])
     notes = [
         known.doubt + ("" if known.same else " So these numbers are of other points than ours."),
         "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps that other programs wrote; beside "
         "mask scores they are for orientation. Poses and parameters may differ. Published seconds: Intel i9-12900KF.",
     ]
+    notes.append("Sources: " + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1)) + ".")
     if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
         notes.append("Of several variants of a method, the one with the best AA stands here.")
-    return Table(f"published-{known.name}", f"Published for {known.name}, beside {board.title}", columns, rows, notes)
+    return Table(f"published-{number}", f"Published for {known.name}, beside {board.title}", columns, rows, notes)
 
 
 def _failures(single: Sequence[Board], combined: Sequence[Board]) -> Table:

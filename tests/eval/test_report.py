@@ -1,0 +1,485 @@
+"""Reports: every format is parsed back, and its numbers are those of the results."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import room
+
+import dynaviz as dv
+from dynaviz.result import Result
+from dynaviz.scan import Outcome
+from dynaviz.study import Overview, Study, collect
+from dynaviz_eval.confusion import Counts
+from dynaviz_eval.report import birdseye, boards
+from dynaviz_eval.report.tables import tables
+
+Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept
+
+
+def result(
+    method: str, sequence: str | dict[str, Any] = "hall", numbers: Numbers = (900, 100, 80, 20), **more: Any
+) -> Result:
+    """A result as a run writes it; counts give the metrics."""
+    counts = Counts(*numbers)
+    sections = {
+        "counts": dataclasses.asdict(counts),
+        "metrics": counts.metrics(),
+        "error_distance": {
+            kind: {"p10": 0.04, "histogram": [5, 3, *[0] * 38, 2], "count": 10}
+            for kind in ("false_negative", "false_positive")
+        },
+        "breakdown": {
+            "range": [{"from": 0.0, "to": 10.0, **counts.row()}, {"from": 10.0, "to": None, **Counts().row()}],
+            "frame": [{"frame": 0, "index": 7}],
+        },
+        "failures": {
+            "cases": [],
+            "causes": {
+                "false_negative": {"nothing behind": {"cases": 1, "points": numbers[3]}} if numbers[3] else {},
+                "false_positive": {"grazing rays": {"cases": 1, "points": numbers[1]}} if numbers[1] else {},
+            },
+        },
+        **more.pop("sections", {}),
+    }
+    plain: dict[str, Any] = {
+        "parameters": {"resolution": 0.1, "a_b": 'x,"y"'},
+        "sequence": sequence
+        if isinstance(sequence, dict)
+        else {"name": sequence, "digest": f"digest of {sequence}", "frames": 1, "points": sum(numbers)},
+        "runtime": {"mean_s": 0.5, "std_s": 0.1, "frames": 1, "threads": 2, "prepare_s": 0.0, "peak_rss_mb": 1.0},
+        "environment": {"machine": {"system": "Linux", "arch": "x86_64", "cores": 2}},
+        "labels_sha256": "ab" * 32,
+        **more,
+    }
+    return Result(method=method, sections=sections, **plain)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Callable[..., Study]:
+    """Save results, each in a folder of its own, and collect them."""
+
+    def make(*results: Result, failed: tuple[str, ...] = ()) -> Study:
+        for number, each in enumerate(results):
+            each.save(tmp_path / f"{number:02}" / "result.json")
+        for method in failed:
+            facts = {"method": method, "sequence": "hall", "variant": "v_1", "error": "no <memory> & 100 % | lost"}
+            (tmp_path / method).mkdir()
+            (tmp_path / method / "error.json").write_text(json.dumps(facts))
+        return Study(collect([tmp_path]), tmp_path)
+
+    return make
+
+
+def report(study: Study, format: str) -> str:
+    from dynaviz import registry
+
+    text: str = registry.load("reports", format)(study)
+    return text
+
+
+class Page(HTMLParser):
+    """Tables, ids, links and what would be loaded; fails where tags do not close."""
+
+    VOID = frozenset({"meta", "img", "br", "link", "hr", "input"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.images: list[dict[str, str | None]] = []
+        self.tables: dict[str, list[list[dict[str, Any]]]] = {}
+        self.loaded: list[str] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.ids += [given["id"] or ""] if "id" in given else []
+        if tag == "a":
+            self.links.append(given["href"] or "")
+        elif "src" in given or "href" in given:
+            self.loaded.append(given.get("src") or given.get("href") or "")
+        if tag == "img":
+            self.images.append(given)
+        if tag == "table":
+            self.rows = self.tables.setdefault(given["data-table"] or "", [])
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append({**given, "text": "", "bold": False})
+        if tag == "strong" and "table" in self.open:
+            self.rows[-1][-1]["bold"] = True
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, tag
+
+    def handle_data(self, data: str) -> None:
+        if not {"style", "script"} & set(self.open):
+            self.words.append(data)
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1]["text"] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    def body(self, name: str) -> list[list[dict[str, Any]]]:
+        """Rows below the heads."""
+        return [row for row in self.tables[name] if row[0].get("scope") == "row"]
+
+
+def markdown_table(text: str, title: str) -> list[dict[str, str]]:
+    lines = text.split(f"## {title}\n\n")[1].split("\n\n")[0].replace("\\", "").splitlines()
+    fields = [[field.strip() for field in line.strip("|").split(" | ")] for line in lines]
+    return [dict(zip(fields[0], row, strict=True)) for row in fields[2:]]
+
+
+TWO = (result("octomap_g"), result("erasor", numbers=(950, 50, 40, 60)))
+
+
+def test_markdown_holds_the_numbers_of_the_results(study):
+    text = report(study(*TWO, failed=("removert",)), "md")
+    rows = {row["method"]: row for row in markdown_table(text, "Accuracy")}
+    for each in TWO:
+        row = rows[each.method]
+        for name in ("SA", "DA", "AA", "HA"):
+            assert row[f"hall: {name} ↑"].strip("*") == f"{each.metrics[name]:.2f}"
+    assert rows["octomap_g"]["hall: AA ↑"] == "**84.85**"
+    assert rows["erasor"]["hall: SA ↑"] == "**95.00**"
+    assert {row["runtime per frame [s] ↓: hall"] for row in markdown_table(text, "Runtime and parameters")} == {
+        "**0.500 ± 0.100**"
+    }
+    assert "no \\<memory\\> & 100 % \\| lost" in text
+    assert "1 run failed" in text
+
+
+def test_csv_holds_everything(study, tmp_path):
+    rows = list(csv.DictReader(io.StringIO(report(study(*TWO, failed=("removert",)), "csv"))))
+    assert [row["method"] for row in rows] == ["octomap_g", "erasor", "removert"]
+    for row, each in zip(rows, TWO, strict=False):
+        assert {name: int(row[name]) for name in each.counts} == each.counts
+        assert {name: float(row[name]) for name in each.metrics} == each.metrics
+        assert json.loads(row["parameters"]) == each.parameters
+        assert (float(row["runtime_mean_s"]), row["n_parameters"], row["scoring"]) == (0.5, "2", "mask")
+        assert (row["sequence_digest"], row["labels_sha256"]) == ("digest of hall", "ab" * 32)
+    assert (rows[2]["error"], rows[2]["SA"]) == ("no <memory> & 100 % | lost", "")
+
+
+def test_the_page_is_well_formed_self_contained_and_sorted(study):
+    text = report(study(*TWO, result("dufomap", numbers=(999, 1, 0, 0)), failed=("removert",)), "html")
+    page = Page(text)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
+    assert all(place.startswith(("#", "data:")) for place in page.loaded)
+    rows = page.body("glance")
+    assert [row[0]["text"] for row in rows] == ["octomap_g", "erasor", "dufomap"]
+    assert [row[1].get("data-sort") for row in rows] == [str(each.metrics["AA"]) for each in TWO] + [None]
+    assert [row[1]["text"] for row in rows] == ["84.85", "61.64", "n/a"]
+    assert [row[3]["bold"] for row in page.body("accuracy")] == [True, False, False]
+    assert rows[0][2]["text"] == "movers kept: nothing behind (−20.0 DA)"
+    assert "no <memory> & 100 % | lost" in page.body("failed")[0][2]["text"]
+    assert "Best on hall: octomap_g, AA 84.85 %." in page.text
+
+    assert not re.search(r"""(src|href|url\()\s*=?\s*["'(]?\s*(https?:)?//""", text)
+    assert "@import" not in text
+
+    assert text.count("<svg ") == text.count('role="img"') == len(re.findall(r"<title id=", text)) > 3
+
+
+@pytest.mark.parametrize(
+    ("numbers", "best"),
+    [
+        ([(900, 100, 80, 20), (900, 100, 90, 10)], {1}),
+        ([(900, 100, 80, 20), (90, 10, 8, 2)], {0, 1}),
+        ([(900, 100, 80, 20), (999, 1, 0, 0)], {0}),
+        ([(900, 100, 0, 0), (999, 1, 0, 0)], set()),
+        ([(900000, 100000, 80000, 20000), (900001, 99999, 80000, 20000)], {0, 1}),
+        ([(900, 100, 80, 20)], set()),
+        ([(900, 100, 0, 5), (800, 200, 0, 5)], {0, 1}),
+    ],
+    ids=["one", "tie", "one undefined", "all undefined", "tie as printed", "no rival", "all 0"],
+)
+def test_the_best_are_bold(study, numbers, best):
+    made = tables(study(*(result(f"m{k}", numbers=n) for k, n in enumerate(numbers))))
+    assert {row[0].text for row in made.first.rows if row[1].bold} == {f"m{k}" for k in best}
+    assert {row[0].text for row in made.tables[0].rows if row[3].bold} == {f"m{k}" for k in best}
+
+
+COUNTS = st.tuples(*[st.integers(0, 10**9)] * 4)
+
+
+@given(st.lists(COUNTS, min_size=2, max_size=4))
+def test_all_sequences_together_are_their_points_in_one_pool(several):
+    results = [result("octomap", f"s{k}", numbers) for k, numbers in enumerate(several)]
+    rows = [boards.Row("octomap", each) for each in results]
+    single = [boards.Board(f"s{k}", "mask", (row,)) for k, row in enumerate(rows)]
+    (combined,), notes = boards.together(Study([]), single)
+    kept, removed, right, left = (sum(numbers[k] for numbers in several) for k in range(4))
+    row = combined.rows[0]
+    for name, part, rest in (("SA", kept, removed), ("DA", right, left)):
+        assert row.score(name) == (pytest.approx(100 * part / (part + rest)) if part + rest else None)
+    if kept + removed and right + left:
+        assert row.score("AA") == pytest.approx(100 * math.sqrt(kept / (kept + removed) * right / (right + left)))
+    assert not notes
+
+
+def test_without_all_runs_there_is_no_row_for_all_sequences(study):
+    made = tables(study(result("octomap", "a"), result("erasor", "a"), result("octomap", "b")))
+    assert not made.combined
+    assert "there is no erasor on b" in " ".join(made.tables[0].notes)
+
+
+def test_other_parameters_elsewhere_are_told(study):
+    made = tables(study(result("octomap", "a"), result("octomap", "b", parameters={"resolution": 0.2})))
+    assert made.combined
+    assert "octomap had other parameters" in " ".join(made.tables[0].notes)
+
+
+def test_scorings_are_never_mixed(study):
+    made = tables(
+        study(result("a"), result("b", scoring="nn", numbers=(999, 1, 99, 1)), result("c", numbers=(800, 200, 80, 20)))
+    )
+    assert [(board.title, len(board.rows)) for board in made.boards] == [("hall (mask)", 2), ("hall (nn)", 1)]
+    assert made.boards[0].best("AA") == {"a"}
+    assert not made.combined
+    assert "do not compare" in " ".join(made.first.notes)
+
+
+def test_sequences_of_one_name_stay_apart(study):
+    other = {"name": "hall", "digest": "0123456789", "frames": 1, "points": 1}
+    made = tables(study(result("a"), result("a", sequence=other)))
+    assert [board.title for board in made.boards] == ["hall (digest o)", "hall (01234567)"]
+
+
+def test_runs_of_one_method_are_told_apart(study, tmp_path):
+    made = tables(study(result("a"), result("a"), result("a", variant="coarse"), result("a", online=True)))
+    assert {row.label for row in made.boards[0].rows} == {"a [00]", "a [01]", "a (coarse)", "a (online)"}
+
+
+def test_studies_of_two_folders_are_told_apart_by_these(tmp_path):
+    for folder in ("old", "new"):
+        for sequence in "xy":
+            result("a", sequence).save(tmp_path / folder / sequence / "result.json")
+    made = tables(Study(collect([tmp_path / "old", tmp_path / "new"]), tmp_path))
+    assert {row.label for row in made.boards[0].rows} == {"a [old]", "a [new]"}
+    assert len(made.combined[0].rows) == 2
+
+
+def test_runtimes_of_other_machines_are_labelled_and_recorded_ones_marked(study):
+    fast = {"mean_s": 0.1, "std_s": 0.0, "frames": 1, "threads": 1}
+    made = tables(
+        study(
+            result("a", runtime={**fast, "mean_s": 0.2}),
+            result("b", runtime=fast),
+            result("c", runtime=fast, instrumented=True),
+            result("d", runtime={**fast, "threads": 8}),
+            result("e", runtime={}),
+        )
+    )
+    rows = {row[0].text: row for row in made.tables[1].rows}
+    assert [value.text for value in rows["d"][:3]] == ["d", "Linux x86_64, 2 cores, 8 threads", "0.100 ± 0.000"]
+    assert rows["c"][2].text.endswith("†")
+    assert rows["e"][2].text == "n/a"
+    assert [name for name, row in rows.items() if row[2].bold] == ["b"]
+
+
+def test_parameters_of_another_program_are_unknown(study):
+    made = tables(study(result("a", scoring="nn", sections={"source": {"file": "x.pcd"}})))
+    assert made.tables[1].rows[0][-1].text == "n/a"
+
+
+def test_reasons_stand_in_for_causes(study):
+    plain = result(
+        "a",
+        sections={
+            "failures": {},
+            "reasons": {"false_negative": {"too_high": 20}, "false_positive": {"low": 5, "seen": 95}},
+        },
+    )
+    made = tables(study(plain))
+    assert made.first.rows[0][2].text == "movers kept: reason too_high (−20.0 DA)"
+    failures = next(table for table in made.tables if table.name == "failures")
+    assert failures.rows[0][2].text == "seen 9.50, low 0.50"
+    assert "reasons stand in place" in " ".join(failures.notes)
+
+
+def test_published_numbers_stand_beside_a_public_sequence(study):
+    public = {"name": "semantickitti_00", "digest": "d", "frames": 141, "points": 17362230}
+    indices = {"breakdown": {"frame": [{"frame": 0, "index": 4390}, {"frame": 140, "index": 4530}]}}
+    made = tables(study(result("octomap", sequence=public, sections=indices)))
+    (table,) = made.public.values()
+    row = next(row for row in table.rows if row[0].text == "OctoMap")
+    assert [value.text for value in row[1:5]] == ["68.05", "99.69", "82.37", "80.89"]
+    assert [value.text for value in row[5:9]] == ["90.00", "80.00", "84.85", "84.71"]
+    assert table.notes[0].startswith("Name, frames and points match")
+    assert "ITSC 2023" in " ".join(table.notes)
+
+
+@pytest.mark.parametrize(
+    ("facts", "indices", "said"),
+    [
+        (
+            {"name": "00", "frames": 30, "points": 5},
+            (4390, 4419),
+            "Only the name matches: 30 frames from 4390 to 4419 here",
+        ),
+        ({"name": "kitti_00", "frames": 141, "points": 5}, (4390, 4530), "the points do not: 5 here"),
+        ({"name": "kitti_01", "frames": 101, "points": 5}, (150, 250), "number of points was not published"),
+    ],
+)
+def test_how_much_of_a_public_sequence_matches_is_told(study, facts, indices, said):
+    frames = {"breakdown": {"frame": [{"frame": k, "index": index} for k, index in enumerate(indices)]}}
+    made = tables(study(result("octomap", sequence={"digest": "d", **facts}, sections=frames)))
+    (table,) = made.public.values()
+    assert said in table.notes[0]
+
+
+def test_other_sequences_have_no_published_numbers(study):
+    assert not tables(study(*TWO)).public
+
+
+def latex_rows(text: str) -> list[list[str]]:
+    return [line.removesuffix(r" \\").split(" & ") for line in text.splitlines() if line.endswith(r" \\")]
+
+
+def test_latex_is_escaped_and_its_rows_fit(study, tmp_path):
+    text = report(
+        study(*(result(m, s) for m in ("octomap_g", "50%_&_#1{}") for s in ("a_1", "b^2", "c~3", "d\\4", "e$5"))),
+        "latex",
+    )
+    inner = re.sub(r"\\label\{[^}]*\}", "", text)
+    assert not re.search(r"(?<!\\)[_#]", inner)
+    for part in text.split(r"\begin{tabular}")[1:]:
+        width = len(part.split("}")[0].strip("{"))
+        for row in latex_rows(part.split(r"\end{tabular}")[0]):
+            spans = sum(int(m) - 1 for m in re.findall(r"\\multicolumn\{(\d+)\}", " ".join(row)))
+            assert len([field for line in row for field in re.split(r"(?<!\\)&", line)]) + spans == width
+    assert text.count(r"\begin{table") == text.count(r"\end{table")
+    plain = re.sub(r"\\[{}]", "", text)
+    assert plain.count("{") == plain.count("}")
+    assert r"octomap\_g" in text
+    if shutil.which("pdflatex"):
+        document = r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}" + text + r"\end{document}"
+        (tmp_path / "x.tex").write_text(document)
+        subprocess.run(["pdflatex", "-halt-on-error", "x.tex"], cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_latex_holds_the_numbers_of_the_results(study):
+    rows = {row[0]: row[1:] for row in latex_rows(report(study(*TWO), "latex").split("tab:runtime")[0])}
+    assert rows["erasor"] == [r"\textbf{95.00}", "40.00", "61.64", "56.30"]
+
+
+@pytest.mark.parametrize(
+    "results",
+    [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, {"name": "s"}),)],
+    ids=["only a failed one", "one", "no points", "no sections"],
+)
+def test_little_is_reported_too(study, results):
+    given = study(*results, failed=() if results else ("one_a",))
+    assert "one_a" in Page(report(given, "html")).text
+    assert "one\\_a" in report(given, "md")
+    assert "one_a" in report(given, "csv")
+    assert (r"one\_a" in report(given, "latex")) == bool(results)
+
+
+def test_variants_show_their_front(study):
+    spread = [(900, 100, 50, 50), (800, 200, 90, 10), (850, 150, 40, 60), (700, 300, 95, 5)]
+    page = Page(report(study(*(result("a", numbers=n, variant=f"v{k}") for k, n in enumerate(spread))), "html"))
+    words = [word.strip() for word in page.words]
+    assert words.count("v2") == 0  # beaten by v0 in both
+    assert {"v0", "v1", "v3"} <= set(words)
+    assert "no other variant beats in both" in page.text
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three runs on the little room: with a whole recording, with one without points, and with none."""
+    folder, world = tmp_path_factory.mktemp("recorded"), room(frames=4)
+    dv.run("octomap", world, out=folder / "with_points")
+    dv.run("octomap_g", world, out=folder / "scores only", record="scores")
+    dv.run("erasor", world, out=folder / "none", record="none")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(recorded: Path) -> Path:
+    """The page about them."""
+    path = recorded / "page.html"
+    assert dv.report(recorded, out=path) == path.read_text()
+    return path
+
+
+def test_maps_from_above_where_there_is_a_recording(written):
+    page = Page(written.read_text())
+    assert [image["alt"].split(", ")[0] for image in page.images] == [
+        "Map of room from above",
+        "Map that octomap left of room",
+    ]  # type: ignore[union-attr]
+    assert "octomap_g: no picture, for its recording holds no points." in page.text
+    assert "erasor: no picture, for there is no recording." in page.text
+    places = [link for link in page.links if link.endswith("run.rrd")]
+    assert len(places) == 2
+    assert all((written.parent / place.replace("%20", " ")).is_file() for place in places)
+
+
+def test_a_broken_recording_costs_its_picture_only(recorded, tmp_path):
+    shutil.copytree(recorded / "with_points", tmp_path / "a")
+    whole = (tmp_path / "a/run.rrd").read_bytes()
+    (tmp_path / "a/run.rrd").write_bytes(whole[: len(whole) // 2])
+    page = Page(dv.report(tmp_path, format="html"))
+    assert not page.images
+    assert "was cut off" in page.text
+
+
+def test_the_same_results_give_the_same_bytes(recorded, written):
+    code = "import sys, dynaviz as dv; sys.stdout.write(dv.report(sys.argv[1], out=sys.argv[2]))"
+    words = [sys.executable, "-c", code, recorded, recorded / "again.html"]
+    environment = {**os.environ, "PYTHONHASHSEED": "1", "PYTHONUTF8": "1"}
+    again = subprocess.run(words, check=True, env=environment, capture_output=True)
+    assert again.stdout == written.read_bytes()
+
+
+def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
+    frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
+    overview = Overview(np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8))
+    image = birdseye.View.of(overview).draw(overview)
+    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
+    return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
+
+
+def test_a_map_shows_what_prevails():
+    here, above = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    assert pixels([here], [Outcome.FALSE_POSITIVE]) == {birdseye.HOLE}
+    assert pixels([here], [Outcome.FALSE_NEGATIVE]) == {birdseye.GHOST}
+    assert pixels([here], [Outcome.DYNAMIC_REMOVED]) == {birdseye.RIGHT}
+    assert pixels([here, above], [Outcome.FALSE_POSITIVE, Outcome.STATIC_KEPT]) >= {birdseye.GREY + birdseye.SHADES - 1}
+    assert pixels([here, above], [Outcome.FALSE_NEGATIVE, Outcome.STATIC_KEPT]) == {birdseye.GHOST}
+    assert pixels([(float("nan"), 0.0, 0.0)], [Outcome.FALSE_NEGATIVE]) == set()
