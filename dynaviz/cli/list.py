@@ -18,6 +18,7 @@ class Kind(StrEnum):
     methods = "methods"
     datasets = "datasets"
     metrics = "metrics"
+    reports = "reports"
     sensors = "sensors"
     presets = "presets"
     scenes = "scenes"
@@ -29,7 +30,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def list_(what: Annotated[Kind | None, typer.Argument(help="Only these. [default: everything]")] = None) -> None:
-    """List methods, datasets, metrics, sensors, parameter presets and simulated scenes.
+    """List methods, datasets, metrics, formats of reports, sensors, parameter presets and simulated scenes.
 
     \b
     dynaviz list

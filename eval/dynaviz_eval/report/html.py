@@ -13,7 +13,7 @@ from dynaviz_eval.report.tables import Column, tables
 
 
 def html_report(study: Study) -> str:
-    """The page."""
+    """One page that needs nothing else: tables that sort, figures, and maps from above."""
     from jinja2 import Environment, StrictUndefined
 
     made = tables(study)

@@ -11,7 +11,7 @@ _SPECIAL = re.compile(r"([\\`*_\[\]<>|])")
 
 
 def markdown_report(study: Study) -> str:
-    """Headline and tables."""
+    """The tables in Markdown."""
     made = tables(study)
     parts = ["# Report", *(_escaped(line) for line in made.headline), *map(table, made.every)]
     return "\n\n".join(parts) + "\n"
