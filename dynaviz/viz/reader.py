@@ -27,6 +27,10 @@ from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 _HINT = "Give the run.rrd of a run"
+NEEDED = (  # properties of a run
+    "method", "title", "reasons_json", "sequence", "digest", "has_labels", "frames", "points", "mode", "params_json",
+    "seed", "online", "complete",
+)  # fmt: skip
 COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
 
 
@@ -129,6 +133,9 @@ class Recorded:
             raise DataError(self.path, "is a recording, but not of dynaviz", hint="Give the run.rrd of a run")
         if properties["schema"] > paths.SCHEMA:
             raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        if kind == paths.PROPERTIES and (lacking := [name for name in NEEDED if name not in properties]):
+            problem = f"was written by an older dynaviz and lacks {', '.join(lacking)}"
+            raise DataError(self.path, problem, hint="Run the method again")
         return kind, properties
 
 

@@ -1,0 +1,222 @@
+"""What is on disk and what is said when a run is killed, interrupted, or has no room left."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from guess import guess_run, record
+from nursery import FRAMES
+from worlds import InMemory, room
+
+from dynaviz.api import _run_into
+from dynaviz.cli import main
+from dynaviz.errors import DataError
+from dynaviz.loop import execute
+from dynaviz.result import Result
+from dynaviz.scan import outcomes
+from dynaviz.viz import paths
+from dynaviz.viz.reader import Recording
+from dynaviz.viz.recorder import Recorder
+from dynaviz.viz.repair import repair
+from dynaviz.viz.sink import sha256
+
+HERE = Path(__file__).parent
+FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+
+
+def expected(recording: Recording, scans: list[Any]) -> None:
+    """Answers are the method's, frame by frame from the first."""
+    for frame, answers in enumerate(recording.answers()):
+        scan = scans[frame]
+        dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
+        assert answers.frame == frame
+        np.testing.assert_array_equal(answers.outcome, outcomes(scan.labels, dynamic))
+    assert [drawn.frame for drawn in recording.drawn()][:frame] == list(range(frame))  # the last may be half drawn
+
+
+def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
+    moments = random.Random(4)
+    steps = [moments.randint(0, 3 * FRAMES) for _ in range(8)] + [
+        moments.randint(2 * FRAMES, 3 * FRAMES) for _ in range(12)
+    ]
+    orders = "".join(f"{tmp_path / str(i)} {n} {moments.uniform(0, 0.01)}\n" for i, n in enumerate(steps))
+    quiet = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent)])}
+    said = subprocess.run(
+        [sys.executable, HERE / "nursery.py"], input=orders, capture_output=True, text=True, check=True, env=quiet
+    )
+    scans, salvaged = room(FRAMES, 1000).scans, []
+    for i, line in enumerate(said.stdout.splitlines()):
+        run, folder = json.loads(line), tmp_path / str(i)
+        assert run["status"] in (0, -signal.SIGKILL), said.stderr
+        names = {path.name for path in folder.iterdir()}
+        if "result.json" in names:  # the last file of a run
+            assert names == FINAL
+            assert Result.load(folder / "result.json").recording_sha256 == sha256(folder / "run.rrd")
+        if "run.rrd" in names:
+            assert Recording(folder / "run.rrd").complete
+            continue
+        part = folder / ".run.rrd.part"
+        before = part.read_bytes() if part.exists() else b""
+        found = repair(part) if before else None
+        if run["frames"]:
+            assert found
+            assert found.path == folder / "run.rrd"
+            assert run["frames"] <= found.answered <= found.frames == FRAMES
+            expected(Recording(found.path), scans)
+            assert part.read_bytes() == before
+        salvaged.append(found.answered if found else 0)
+    assert len(said.stdout.splitlines()) == 20
+    assert len(set(salvaged)) >= 5, salvaged  # killed at many different frames
+
+
+INTERRUPTED = """
+import os, signal, sys
+sys.path[:0] = {folders!r}
+import dynaviz.api as api
+from dynaviz.cli import main, run
+from guess import guess_run
+from worlds import room
+
+class Signals:
+    def __init__(self, number): self.number = number
+    def __call__(self, phase, done, total):
+        if (phase, done) == ("label", 4):
+            os.kill(os.getpid(), self.number)
+
+def one(*arguments, out, **options):
+    api._run_into(out, out / "run.rrd", "errors", guess_run(room(6, 500)), False, Signals({number}))
+
+api.open = lambda *a, **k: room(6, 500)
+api.run = one
+sys.argv = ["dynaviz", "run", "octomap", "somewhere", "-o", {out!r}]
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+)
+def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: int, word: str) -> None:
+    script = INTERRUPTED.format(folders=[str(HERE), str(HERE.parent)], number=int(number), out=str(tmp_path / "out"))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    part = tmp_path / "out/.run.rrd.part"
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    assert done.stderr.strip() == f"dynaviz: {word}. Salvage what was recorded with: dynaviz repair {part}."
+    assert [path.name for path in part.parent.iterdir()] == [".run.rrd.part"]
+    recording = Recording(part)
+    assert len(list(recording.answers())) == 4
+    assert not recording.complete
+    frames, _ = recording.curve("scores/wrong_points/false_positives")  # complete, though fewer than ten
+    assert frames.tolist() == [0, 1, 2, 3]
+    found = repair(part)
+    assert (found.path, found.answered, found.frames, found.whole) == (part.with_name("run.rrd"), 4, 6, False)
+
+
+@contextmanager
+def full(size: int) -> Iterator[None]:
+    """A disk on which no file grows beyond a size."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("missing", [2_000, 110_000, 150_000, 190_000])
+def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing: int) -> None:
+    sequence = room(6, 500)
+    size = record(sequence, tmp_path / "whole.rrd", "scores").stat().st_size
+    (tmp_path / "run.rrd").write_bytes(b"of an earlier run")
+    with (
+        pytest.raises(DataError, match=r"run\.rrd: cannot be written \(File too large\)") as caught,
+        full(size - missing),
+    ):
+        record(sequence, tmp_path / "run.rrd", "scores")
+    assert caught.value.__notes__ == [f"Salvage what was recorded with: dynaviz repair {tmp_path / '.run.rrd.part'}"]
+    assert (tmp_path / "run.rrd").read_bytes() == b"of an earlier run"
+    found = repair(tmp_path / ".run.rrd.part")
+    assert found.answered <= found.observed <= found.frames
+    if missing == 2_000:  # only the index at the end
+        assert (found.path, found.whole, found.finished) == (tmp_path / "run-repaired.rrd", True, True)
+
+
+@pytest.mark.parametrize("limit", [0, 2_000, 40_000])
+def test_a_full_disk_leaves_nothing_under_a_final_name(tmp_path: Path, limit: int) -> None:
+    with pytest.raises(DataError, match="cannot be written"), full(limit):
+        _run_into(tmp_path / "out", tmp_path / "out/run.rrd", "errors", guess_run(room(6, 500)), False, lambda *_: None)
+    assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return run
+
+
+def test_places_that_cannot_be_written(tmp_path: Path, command: Any) -> None:
+    whole = record(room(3, 200), tmp_path / "run.rrd", "scores")
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file/run.rrd", Path("/proc/dynaviz/run.rrd")):
+        with pytest.raises(DataError, match="cannot be written"), Recorder(out) as recorder:
+            execute(guess_run(room(2, 100)), [recorder], recorder)
+        with pytest.raises(DataError, match="cannot be written"):
+            _run_into(out, None, "errors", guess_run(room(2, 100)), False, lambda *_: None)
+        code, _, err = command("repair", whole, "-o", out)
+        assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err
+
+
+def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, command: Any) -> None:
+    path, whole = tmp_path / "x.rrd", record(little_room, tmp_path / "run.rrd", "scores").read_bytes()
+    says = {
+        b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
+        whole[:5] + b"\xfe" + whole[6:-100]: "rerun 0.254",
+        whole[:-100]: "dynaviz repair",
+        older(tmp_path): "older dynaviz and lacks title",
+    }
+    for content, word in says.items():
+        path.write_bytes(content)
+        for verb in ("info", "view"):
+            if verb == "view" and "older" in word:
+                continue  # the viewer needs no properties
+            code, _, err = command(verb, path)
+            assert (code, err.count("\n"), word in err) == (2, 1, True), err
+
+
+def older(folder: Path) -> bytes:
+    """A recording with fewer properties."""
+    with rr.RecordingStream("old", send_properties=False) as stream:
+        stream.save(folder / "old.rrd")
+        stream.send_property(paths.PROPERTIES, rr.AnyValues(schema=0, method="octomap", frames=2))
+        stream.disconnect()
+    return (folder / "old.rrd").read_bytes()
+
+
+def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, command: Any) -> None:
+    shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
+    for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
+        code, _, err = command(*words)
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"dynaviz repair {tmp_path / '.run.rrd.part'}" in err
