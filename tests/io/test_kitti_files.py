@@ -16,7 +16,7 @@ from dynaviz.errors import DataError
 from dynaviz.io.boxes import Box, read_boxes
 from dynaviz.io.calib import matrix_of, read_calib, rigid_of
 from dynaviz.io.oxts import read_oxts
-from dynaviz.io.poses import read_kitti_poses, read_tum_poses
+from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import read_velodyne
 
@@ -55,18 +55,9 @@ def test_kitti_poses_are_the_upper_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_kitti_poses(tmp_path / "poses.txt"), poses)
 
 
-def test_tum_poses_have_the_real_part_last(tmp_path: Path) -> None:
-    (tmp_path / "tum.txt").write_text("# time tx ty tz qx qy qz qw\n1.5 1 2 3 0 0 1 1\n2.5 4 5 6 0 0 0 1\n")
-    times, poses = read_tum_poses(tmp_path / "tum.txt")
-    assert times.tolist() == [1.5, 2.5]
-    np.testing.assert_allclose(poses[0], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]], atol=1e-15)
-    np.testing.assert_array_equal(poses[1, :3, 3], [4, 5, 6])
-
-
 def test_an_empty_trajectory_has_no_poses(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("\n")
     assert read_kitti_poses(tmp_path / "a.txt").shape == (0, 4, 4)
-    assert read_tum_poses(tmp_path / "a.txt")[1].shape == (0, 4, 4)
 
 
 def test_calibration_rows_have_names_with_or_without_colon(tmp_path: Path) -> None:
@@ -112,7 +103,6 @@ def test_boxes_are_read(tmp_path: Path) -> None:
 
 READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "kitti poses": (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 0"),
-    "tum": (read_tum_poses, "1.5 1 2 3 0 0 0 1"),
     "oxts": (read_oxts, " ".join(["49.5"] * 30)),
     "calib": (read_calib, "Tr: 1 0 0 0 0 1 0 0 0 0 1 0"),
     "boxes": (read_boxes, BOX),
@@ -128,7 +118,7 @@ def test_a_bad_word_is_named_with_its_line(tmp_path: Path, name: str) -> None:
         read(path)
 
 
-@pytest.mark.parametrize("name", ["kitti poses", "tum", "oxts", "boxes"])
+@pytest.mark.parametrize("name", ["kitti poses", "oxts", "boxes"])
 def test_a_missing_word_is_named_with_its_line(tmp_path: Path, name: str) -> None:
     read, line = READERS[name]
     path = tmp_path / "a.txt"
@@ -137,7 +127,7 @@ def test_a_missing_word_is_named_with_its_line(tmp_path: Path, name: str) -> Non
         read(path)
 
 
-@pytest.mark.parametrize("name", ["kitti poses", "tum", "oxts"])
+@pytest.mark.parametrize("name", ["kitti poses", "oxts"])
 def test_a_number_that_is_not_finite_is_refused(tmp_path: Path, name: str) -> None:
     read, line = READERS[name]
     path = tmp_path / "a.txt"
