@@ -14,6 +14,7 @@ from dynaviz import registry, scoring
 from dynaviz.compared import Comparison
 from dynaviz.datasets import open_sequence
 from dynaviz.errors import UsageError
+from dynaviz.io.atomic import remove
 from dynaviz.loop import Listener, Progress, Run, execute
 from dynaviz.method import Method
 from dynaviz.outputs import FILES, LabelsFile, MapFiles, write_summary
@@ -234,13 +235,14 @@ def _run_into(
     with contextlib.ExitStack() as stack:
         listeners: list[Listener] = [] if first is None else [first]
         if folder is not None:
-            (folder / "result.json").unlink(missing_ok=True)
+            remove(folder / "result.json")
             listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
         if recording is not None:
             from dynaviz.viz.recorder import Recorder
 
-            recorder = probe = stack.enter_context(Recorder(recording, mode, live=view))
+            recorder = stack.enter_context(Recorder(recording, mode, live=view))
             listeners.append(recorder)
+            probe = SILENT if mode == "scores" else recorder  # which shows no state, and leaves the runtime honest
         result = execute(this, listeners, probe, progress)
     if recorder:
         result = replace(result, recording_sha256=recorder.sha256(), record=mode)

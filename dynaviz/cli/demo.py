@@ -48,12 +48,15 @@ def demo(
     for name in names:
         with progress(name) as tell:
             results.append(api.run(name, api.open(folder), out=out / name, command="dynaviz demo", progress=tell))
-    best = max(results, key=lambda result: result.metrics.get("AA") or 0.0)
-    recording = out / best.method / "run.rrd"
+    best, second = sorted(results, key=lambda result: -(result.metrics.get("AA") or 0.0))[:2]
+    recording, comparison = out / best.method / "run.rrd", out / "compare.rrd"
+    with progress("comparing the best two") as tell:
+        api.compare(out / second.method / "run.rrd", recording, out=comparison, progress=tell)
     show(
         result_table(results),
         f"A recording of each run is in {out}/METHOD/run.rrd.",
         f"See where a method fails: dynaviz view {recording}",
+        f"See how {best.method} differs from {second.method}: dynaviz view {comparison}",
     )
     if view or (view is None and has_screen()):
         from dynaviz.viz.view import view as open_viewer

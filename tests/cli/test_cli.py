@@ -76,6 +76,7 @@ def test_feeding_back_the_configuration_gives_the_same_labels(dynaviz: Command, 
     assert a["labels_sha256"] == b["labels_sha256"]
     assert (b["seed"], b["online"], b["parameters"]["resolution"]) == (4, True, 0.3)
     assert (a["instrumented"], a["recording_sha256"]) == (False, None)
+    assert not b["instrumented"], "a recording of scores holds no state"
 
 
 def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
@@ -159,7 +160,23 @@ def test_info_of_a_run(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
 
 
 def test_help_begins_with_examples(dynaviz: Command) -> None:
-    for verb in ("demo", "run", "score", "bench", "info", "list", "config", "simulate", "view", "shot"):
+    for verb in (
+        "demo",
+        "run",
+        "score",
+        "bench",
+        "compare",
+        "failures",
+        "report",
+        "check",
+        "repair",
+        "info",
+        "list",
+        "config",
+        "simulate",
+        "view",
+        "shot",
+    ):
         code, out, _ = dynaviz(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
