@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from worlds import InMemory, room
+
+from dynaviz.cli import main
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
@@ -15,6 +18,20 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 @pytest.fixture
 def little_room() -> InMemory:
     return room()
+
+
+@pytest.fixture
+def dynaviz(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capsys.readouterr()
+        return int(end.value.code or 0), out, err
+
+    return run
 
 
 @pytest.fixture(scope="session")

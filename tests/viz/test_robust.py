@@ -23,7 +23,6 @@ from nursery import FRAMES
 from worlds import InMemory, room
 
 from dynaviz.api import _run_into
-from dynaviz.cli import main
 from dynaviz.errors import DataError
 from dynaviz.loop import execute
 from dynaviz.result import Result
@@ -34,6 +33,7 @@ from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.repair import repair
 from dynaviz.viz.sink import sha256
 
+Command = Callable[..., tuple[int, str, str]]
 HERE = Path(__file__).parent
 FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
 
@@ -87,7 +87,7 @@ INTERRUPTED = """
 import os, signal, sys
 sys.path[:0] = {folders!r}
 import dynaviz.api as api
-from dynaviz.cli import main, run
+from dynaviz.cli import main
 from guess import guess_run
 from worlds import room
 
@@ -162,21 +162,7 @@ def test_a_full_disk_leaves_nothing_under_a_final_name(tmp_path: Path, limit: in
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 
 
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
-    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return run
-
-
-def test_places_that_cannot_be_written(tmp_path: Path, command: Any) -> None:
+def test_places_that_cannot_be_written(tmp_path: Path, dynaviz: Command) -> None:
     whole = record(room(3, 200), tmp_path / "run.rrd", "scores")
     (tmp_path / "file").touch()
     for out in (tmp_path / "file/run.rrd", Path("/proc/dynaviz/run.rrd")):
@@ -184,11 +170,11 @@ def test_places_that_cannot_be_written(tmp_path: Path, command: Any) -> None:
             execute(guess_run(room(2, 100)), [recorder], recorder)
         with pytest.raises(DataError, match="cannot be written"):
             _run_into(out, None, "errors", guess_run(room(2, 100)), False, lambda *_: None)
-        code, _, err = command("repair", whole, "-o", out)
+        code, _, err = dynaviz("repair", whole, "-o", out)
         assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err
 
 
-def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, command: Any) -> None:
+def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, dynaviz: Command) -> None:
     path, whole = tmp_path / "x.rrd", record(little_room, tmp_path / "run.rrd", "scores").read_bytes()
     says = {
         b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
@@ -201,7 +187,7 @@ def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, com
         for verb in ("info", "view"):
             if verb == "view" and "older" in word:
                 continue  # the viewer needs no properties
-            code, _, err = command(verb, path)
+            code, _, err = dynaviz(verb, path)
             assert (code, err.count("\n"), word in err) == (2, 1, True), err
 
 
@@ -214,9 +200,9 @@ def older(folder: Path) -> bytes:
     return (folder / "old.rrd").read_bytes()
 
 
-def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, command: Any) -> None:
+def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, dynaviz: Command) -> None:
     shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
     for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
-        code, _, err = command(*words)
+        code, _, err = dynaviz(*words)
         assert (code, err.count("\n")) == (2, 1)
         assert f"dynaviz repair {tmp_path / '.run.rrd.part'}" in err
