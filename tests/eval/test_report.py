@@ -279,6 +279,12 @@ def test_sequences_of_one_name_stay_apart(study):
     assert [board.title for board in made.boards] == ["hall (digest o)", "hall (01234567)"]
 
 
+def test_one_sequence_under_two_names_is_one_board(study):
+    again = {"name": "copy of hall", "digest": "digest of hall", "frames": 1, "points": 1100}
+    made = tables(study(result("a"), result("b", sequence=again)))
+    assert [(board.title, len(board.rows)) for board in made.boards] == [("hall = copy of hall", 2)]
+
+
 def test_runs_of_one_method_are_told_apart(study, tmp_path):
     made = tables(study(result("a"), result("a"), result("a", variant="coarse"), result("a", online=True)))
     assert {row.label for row in made.boards[0].rows} == {"a [00]", "a [01]", "a (coarse)", "a (online)"}

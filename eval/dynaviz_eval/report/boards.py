@@ -102,7 +102,7 @@ def _rank(row: Row) -> tuple[float, str]:
 
 def _titles(groups: Mapping[tuple[str, str], Sequence[Cell]]) -> dict[tuple[str, str], str]:
     """A name for each board: the sequence's; with its digest and scoring where that is not enough."""
-    names = {key: cells[0].sequence or "sequence" for key, cells in groups.items()}
+    names = {key: " = ".join(dict.fromkeys(cell.sequence for cell in cells)) for key, cells in groups.items()}
     digests = {name: {key[0] for key in names if names[key] == name} for name in names.values()}
     scorings = {scoring for _, scoring in groups}
     titles = {}

@@ -48,7 +48,7 @@ def scores(boards: Sequence[Board], looks: Looks) -> Picture | None:
                 axes.plot(sa, da, linestyle="", **looks.point(row.result.method))
             for row, sa, da in points:
                 if row.label in board.best("AA"):
-                    _name(axes, row.label, sa, da, low[0])
+                    _name(axes, row.label, sa, da, low)
             axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
         _legend(figure, grid[0], [row for board in drawn for row in board.rows], looks, "DA [%]: dynamic removed")
         caption = (
@@ -309,9 +309,9 @@ def _iso(axes: Axes, low: Sequence[float]) -> None:
     axes.grid(False)
 
 
-def _name(axes: Axes, label: str, x: float, y: float, left: float) -> None:
-    side = "right" if x > (left + 101) / 2 else "left"
-    place = (6 if side == "right" else -6, 7)
+def _name(axes: Axes, label: str, x: float, y: float, low: Sequence[float]) -> None:
+    side = "right" if x > (low[0] + 101) / 2 else "left"
+    place = (6 if side == "right" else -6, -14 if y > 0.9 * 101 + 0.1 * low[1] else 7)
     axes.annotate(label, (x, y), place, textcoords="offset points", ha=side, fontsize=8, color=INK)
 
 
