@@ -169,7 +169,10 @@ def test_missing_files_columns_and_poses_are_told(log: Path) -> None:
     table(log / "calibration/egovehicle_SE3_sensor.feather", sensors)
     with pytest.raises(DataError, match=r"egovehicle_SE3_sensor\.feather: has no down_lidar"):
         open_sequence(str(log))
-    table(log / "calibration/egovehicle_SE3_sensor.feather", {"sensor_name": ["up_lidar"]} | pose([UP], (0, 0, 0, 0)))
+    table(
+        log / "calibration/egovehicle_SE3_sensor.feather",
+        {"sensor_name": ["up_lidar", "down_lidar"]} | pose([UP, DOWN], (0, 0, 0, 0)),
+    )
     with pytest.raises(DataError, match=r"egovehicle_SE3_sensor\.feather, row 0: has no rotation"):
         open_sequence(str(log))
     (log / "city_SE3_egovehicle.feather").unlink()
