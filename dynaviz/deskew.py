@@ -16,6 +16,9 @@ I64 = NDArray[np.int64]
 FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "offset_ns")
 """What the drivers of sensors call the time of a point."""
 
+TICK = 10_000
+"""Nanoseconds; in half of them a car at 30 m/s goes 0.15 mm."""
+
 _SHORTEST, _LONGEST = 2e6, 2e9  # nanoseconds that a sweep lasts, a factor of 1000 apart: one unit alone fits
 _SAME_CLOCK = 1e10  # nanoseconds between a sweep's stamp and its points' times, where both tell the time of day
 
@@ -99,7 +102,7 @@ class Trajectory:
 
 
 def deskew(points: NDArray[np.floating[Any]], times: I64, path: Path) -> tuple[F32, F64]:
-    """Place each point by the pose of its own time.
+    """Place each point by the pose of its own time, to the nearest ``TICK``.
 
     Args:
         points: (N, 3) float, metres, sensor frame at the point's own time.
@@ -110,8 +113,8 @@ def deskew(points: NDArray[np.floating[Any]], times: I64, path: Path) -> tuple[F
         points: (N, 3) float32, metres, world frame.
         origins: (N, 3) float64, metres, world frame: where the sensor was when it measured each point.
     """
-    moments, of = np.unique(times, return_inverse=True)
-    T = path.at(moments)
+    ticks, of = np.unique((times + TICK // 2) // TICK, return_inverse=True)
+    T = path.at(ticks * TICK)
     world = np.empty((len(points), 3))
     x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
     for axis in range(3):

@@ -27,6 +27,7 @@ from dynaviz.scan import F32, U8, Label, Scan
 from dynaviz.sensors import Sensor
 
 SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
+_PLAIN = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")  # names that say nothing more
 _NO_POSES = (
     "Give them with --poses FILE: 12 numbers a line (KITTI), time x y z qx qy qz qw (TUM), or CSV with a header; "
     "any odometry, for example KISS-ICP, writes such a file"
@@ -79,11 +80,8 @@ class FilesSequence:
                 path, problem, hint=f"Scans end in {', '.join(SUFFIXES)} and have a number or stamp as name"
             )
         scans, numbers, stamps = _sorted(folder)
-        file = (
-            Path(poses).absolute()
-            if poses
-            else find_poses(folder) or find_poses(folder.parent if folder != path else path)
-        )
+        beside = folder.parent if folder != path or folder.name.lower() in _PLAIN else folder
+        file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(beside)
         matched = match(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
@@ -92,18 +90,7 @@ class FilesSequence:
     @property
     def name(self) -> str:
         """That of the folder, or of the one around it where it only says what the files are."""
-        plain = self.folder.name.lower() in (
-            "scans",
-            "pcd",
-            "pcds",
-            "velodyne",
-            "lidar",
-            "points",
-            "clouds",
-            "bin",
-            "ply",
-        )
-        return (self.folder.parent if plain else self.folder).name or "scans"
+        return (self.folder.parent if self.folder.name.lower() in _PLAIN else self.folder).name or "scans"
 
     @property
     def has_labels(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -84,9 +84,7 @@ def find_poses(folder: Path) -> Path | None:
     """
     usual = ("poses.txt", "poses.tum", "poses.csv", "pose.txt", "pose.csv", "trajectory.txt", "trajectory.tum",
              "trajectory.csv", "traj.txt", "traj.tum", "traj.csv", "groundtruth.txt")  # fmt: skip
-    found = sorted(
-        set(folder.glob("*.tum")) | {folder / name for name in usual if (folder / name).is_file()}
-    )
+    found = sorted(set(folder.glob("*.tum")) | {folder / name for name in usual if (folder / name).is_file()})
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
         raise DataError(folder, f"holds several files of poses: {names}", hint="Choose one with --poses FILE")
@@ -105,9 +103,11 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
     """
     try:
         value = Decimal(text)
+        if not -1e11 < value < 1e20:  # also what is no number
+            raise ArithmeticError
         digits = value.adjusted() + 1
         return round(value * (scale or next((unit for least, unit in _UNITS if digits >= least), 10**9)))
-    except (InvalidOperation, OverflowError):
+    except ArithmeticError:
         raise ValueError(f"{text[:20]!r} is no time") from None
 
 
