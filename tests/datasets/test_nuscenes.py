@@ -113,7 +113,7 @@ def test_the_world_begins_at_the_sensor_with_the_axes_of_the_map(root: Path) -> 
     for k in (0, 7):
         scan = sequence[k]
         np.testing.assert_allclose(scan.position, [k, 0, 0], atol=1e-9)
-        np.testing.assert_allclose(scan.points, np.array(points(k)) + [k - 1.0, 0, -1.8], atol=1e-5)
+        np.testing.assert_allclose(scan.points, np.add(points(k), (k - 1.0, 0, -1.8)), atol=1e-5)
         np.testing.assert_allclose(scan.T_world_sensor[:3, 1], [1, 0, 0], atol=1e-12)
 
 
