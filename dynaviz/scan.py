@@ -152,16 +152,12 @@ class Sequence(Protocol):
 
 @dataclass(frozen=True)
 class Part:
-    """Some frames of a sequence, as a sequence (``--frames A:B --stride K``, ``--sensor S``)."""
+    """Some frames of a sequence (``--frames A:B --stride K``), perhaps with another sensor or name."""
 
     whole: Sequence
     positions: range
     sensor: Sensor
-
-    @property
-    def name(self) -> str:
-        """The whole's name; the frames are told by the digest."""
-        return self.whole.name
+    name: str
 
     @property
     def has_labels(self) -> bool:
@@ -200,7 +196,7 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
         raise UsageError(
             f"--frames {frames} --stride {stride}: no frame left of the {len(sequence)} in {sequence.name}"
         )
-    return Part(sequence, positions, sensor or sequence.sensor)
+    return Part(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
 def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:

@@ -4,40 +4,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from dynaviz import api
 from dynaviz.benches.plan import Source
 from dynaviz.errors import DataError
 from dynaviz.params import read_toml
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensors import Sensor
+from dynaviz.scan import Part, Sequence
 from dynaviz.simulate.presets import PRESETS
-
-
-@dataclass(frozen=True)
-class Named:
-    """A sequence under another name."""
-
-    whole: Sequence
-    name: str
-
-    @property
-    def sensor(self) -> Sensor:
-        """The whole's."""
-        return self.whole.sensor
-
-    @property
-    def has_labels(self) -> bool:
-        """The whole's."""
-        return self.whole.has_labels
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[position]
 
 
 def open_source(source: Source) -> Sequence:
@@ -47,8 +22,16 @@ def open_source(source: Source) -> Sequence:
         DataError, UsageError: as ``dynaviz.open``.
     """
     frames = None if source.scene else source.frames
-    opened = api.open(source.path, frames=str(frames) if frames else None, stride=source.stride, sensor=source.sensor)
-    return opened if opened.name == source.name else Named(opened, source.name)
+    opened = api.open(
+        source.path,
+        frames=str(frames) if frames else None,
+        stride=source.stride,
+        sensor=source.sensor,
+        poses=source.poses,
+        points_in=source.points_in,
+        deskew=source.deskew,
+    )
+    return Part(opened, range(len(opened)), opened.sensor, source.name)
 
 
 def placed(source: Source, out: Path) -> Source:

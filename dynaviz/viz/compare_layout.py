@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 
 from dynaviz.scan import F64
 from dynaviz.viz import paths
+from dynaviz.viz.layout import follow, solid
 
 COMPARE = "compare"  # holds the legend of who is right
 GROUND = "compare/ground"  # static: the first run's map, darker
@@ -50,10 +51,9 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
         return _blueprint(_column(numbers, names))
     which = "right in this frame: green A, purple B, white none"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
-    where = _solid("whole run: green A is better, purple B", COMPARE,
-                   [WHERE, PLACES, *context], above(places))  # fmt: skip
+    where = solid("whole run: green A is better, purple B", [WHERE, PLACES, *context], above(places), COMPARE)
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
-    who = _solid(which, COMPARE, [SCAN, *sensor, *context], _follow("a"))
+    who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
     world = rrb.Grid(where, who, *frames, grid_columns=2)
     return _blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
@@ -93,12 +93,12 @@ def _numbers(names: Sequence[str]) -> list[Any]:
 
 def _map(side: str, name: str, places: F64) -> Any:
     shown = [f"{side}/{path}" for path in (f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY)]
-    return _solid(f"{name}: whole run", f"{side}/{paths.WORLD}", shown, above(places))
+    return solid(f"{name}: whole run", shown, above(places), f"{side}/{paths.WORLD}")
 
 
 def _frame(side: str, name: str) -> Any:
     shown = [f"{side}/{path}" for path in (paths.SCAN, paths.MAP, paths.SENSOR, paths.RINGS, paths.TRAJECTORY)]
-    return _solid(name, f"{side}/{paths.WORLD}", shown, _follow(side))
+    return solid(name, shown, follow(f"{side}/{paths.RINGS}"), f"{side}/{paths.WORLD}")
 
 
 def _curves(score: str, names: Sequence[str], key: str) -> Any:
@@ -109,28 +109,6 @@ def _curves(score: str, names: Sequence[str], key: str) -> Any:
 def _lines(name: str, contents: list[str], legend: bool = False) -> Any:
     shown = rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom, visible=legend)
     return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=shown)
-
-
-def _solid(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D) -> Any:
-    return rrb.Spatial3DView(
-        name=name,
-        origin=origin,
-        contents=[f"/{path}" for path in contents],
-        background=[*paths.BACKGROUND, 255],
-        line_grid=False,
-        eye_controls=eye,
-    )
-
-
-def _follow(side: str) -> rrb.EyeControls3D:
-    """Behind and above the sensor, and along with it."""
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        tracking_entity=f"/{side}/{paths.RINGS}",
-        position=[-22.0, -16.0, 22.0],
-        look_target=[0.0, 0.0, 0.0],
-        eye_up=[0.0, 0.0, 1.0],
-    )
 
 
 def above(points: F64) -> rrb.EyeControls3D:

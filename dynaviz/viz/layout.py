@@ -48,8 +48,8 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
 
 def _world(info: MethodInfo, extent: Extent) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
-    everything = _solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.CASES, *common], _eye(extent))
-    frame = _solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, *common], _follow())
+    everything = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.CASES, *common], _eye(extent))
+    frame = solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, *common], follow())
     states = _tabs(info)
     below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
     return rrb.Vertical(everything, below, row_shares=[3, 2])
@@ -111,11 +111,12 @@ def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
     return rrb.BarChartView(name=name, contents=contents, plot_legend=legend or rrb.PlotLegend(visible=False))
 
 
-def _solid(name: str, contents: list[str], eye: rrb.EyeControls3D) -> Any:
+def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD) -> Any:
+    """A view of a world, without grid."""
     return rrb.Spatial3DView(
         name=name,
-        origin=paths.WORLD,
-        contents=contents,
+        origin=origin,
+        contents=[f"/{path}" for path in contents],
         background=[*paths.BACKGROUND, 255],
         line_grid=False,
         eye_controls=eye,
@@ -126,14 +127,14 @@ def _state(method: str, state: State) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
         return rrb.Spatial2DView(name=state.name, origin=path, background=[*paths.BACKGROUND, 255])
-    return _solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY], _follow())
+    return solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY], follow())
 
 
-def _follow() -> rrb.EyeControls3D:
-    """Behind and above the sensor, and along with it."""
+def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
+    """Behind and above the sensor that the rings lie around, and along with it."""
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        tracking_entity=f"/{paths.RINGS}",
+        tracking_entity=f"/{rings}",
         position=[-22.0, -16.0, 22.0],
         look_target=[0.0, 0.0, 0.0],
         eye_up=[0.0, 0.0, 1.0],

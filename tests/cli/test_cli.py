@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,24 +10,9 @@ import numpy as np
 import pytest
 from worlds import room
 
-from dynaviz.cli import main
 from dynaviz.io.pcd import write_pcd
 
 Command = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def dynaviz(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return run
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
-from dynaviz.cli import main
 from dynaviz.result import Result
 
 
@@ -22,15 +21,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def report(monkeypatch, capsys):
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["dynaviz", "report", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return run
+def report(dynaviz):
+    return functools.partial(dynaviz, "report")
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,24 +11,15 @@ import numpy as np
 import pytest
 from worlds import room
 
-from dynaviz.cli import main
 from dynaviz.io.pcd import write_pcd
 
 Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def score(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """Run ``dynaviz score`` in this process; gives its exit code and what it wrote to the two streams."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["dynaviz", "score", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            main()
-        out, err = capsys.readouterr()
-        return int(end.value.code or 0), out, err
-
-    return run
+def score(dynaviz: Command) -> Command:
+    """Run ``dynaviz score``."""
+    return functools.partial(dynaviz, "score")
 
 
 @pytest.fixture(scope="module")
