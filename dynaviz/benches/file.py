@@ -22,7 +22,7 @@ KEYS: dict[str, dict[str, Any]] = {
     "bench": {"methods": list, "sequences": list, "variants": list, "grid": dict, "search": dict, "holdout": list,
               "record": str, "workers": int, "timing": bool},
     "sequences": {"path": str, "simulate": str, "name": str, "frames": (str, int), "stride": int, "sensor": str,
-                  "seed": int},
+                  "seed": int, "poses": str, "points_in": str, "deskew": bool},
     "variants": {"method": str, "name": str, "preset": str, "config": str, "set": dict, "online": bool, "seed": int},
     "search": {"kind": str, "trials": int, "seed": int, "ranges": dict},
 }  # fmt: skip
@@ -75,6 +75,9 @@ def read(path: Path) -> dict[str, Any]:
         return entry
 
     table["sequences"] = [here(entry, "path") for entry in table.get("sequences", [])]
+    for entry in table["sequences"]:
+        if isinstance(entry, dict) and isinstance(entry.get("poses"), str) and (base / entry["poses"]).is_file():
+            entry["poses"] = os.path.abspath(base / entry["poses"])  # else it is a topic or frame of a bag
     table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
     return table
 
@@ -158,6 +161,8 @@ def _simulated(entry: Mapping[str, Any], place: str) -> Source:
     scene, frames, seed = entry["simulate"], entry.get("frames"), entry.get("seed", 0)
     if scene not in PRESETS:
         raise UsageError(f"{place}: no scene '{scene}'. {suggest(scene, PRESETS)}")
+    if told := {"poses", "points_in", "deskew"} & entry.keys():
+        raise UsageError(f"{place}: {min(told)} is for a sequence with a path, not for a scene to simulate")
     if isinstance(frames, str):
         raise UsageError(f"{place}: frames = {frames!r}: a simulated scene takes a number of frames")
     name = entry.get("name") or scene + (f"-{frames}" if frames else "") + (f"-seed{seed}" if seed else "")
@@ -169,7 +174,8 @@ def _recorded(entry: Mapping[str, Any], place: str) -> Source:
         raise UsageError(f"{place}: seed is for a scene to simulate")
     frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
     name = entry.get("name") or Path(entry["path"].rpartition(":")[2]).name
-    return Source(name, entry["path"], frames, entry.get("stride", 1), entry.get("sensor"))
+    known: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
+    return Source(name, entry["path"], frames, entry.get("stride", 1), **known)
 
 
 def _held(entry: Any, sources: Iterable[Source]) -> Source:

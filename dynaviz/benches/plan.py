@@ -22,7 +22,7 @@ class Source:
         name: of its folder and in tables.
         path: what ``dynaviz.open`` takes; empty for a simulated scene, which is written when the bench begins.
         frames: ``A:B``; for a simulated scene the number of sweeps.
-        stride, sensor: as in ``dynaviz.open``.
+        stride, sensor, poses, points_in, deskew: as in ``dynaviz.open``.
         scene: a simulated scene's name, or empty.
         seed: of the simulated scene.
     """
@@ -34,6 +34,9 @@ class Source:
     sensor: str | None = None
     scene: str = ""
     seed: int = 0
+    poses: str | None = None
+    points_in: str | None = None
+    deskew: bool | None = None
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -32,6 +33,19 @@ def test_paths_in_a_file_are_relative_to_it(tmp_path: Path) -> None:
     sources = plan_of(read(file)).sources
     assert [source.path for source in sources] == [f"{tmp_path}/a/b", f"semantickitti:{tmp_path}/c", "/d", ""]
     assert [source.name for source in sources] == ["b", "c", "d", "demo-9"]
+
+
+def test_files_of_poses_are_relative_to_the_file_but_topics_are_none(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    (tmp_path / "a.tum").touch()
+    entries = [
+        {"path": "a", "poses": "a.tum", "points_in": "world"},
+        {"path": "b.bag", "poses": "/odom", "deskew": False},
+    ]
+    file.write_text(tomli_w.dumps({"methods": ["octomap"], "sequences": entries}))
+    a, b = plan_of(read(file)).sources
+    assert (a.poses, a.points_in, a.deskew) == (f"{tmp_path}/a.tum", "world", None)
+    assert (b.poses, b.points_in, b.deskew) == ("/odom", None, False)
 
 
 def test_methods_variants_and_grids_become_sets() -> None:
@@ -72,6 +86,7 @@ def test_every_method_runs_where_none_is_named() -> None:
         ({"sequences": ["simulate:demo:few"]}, "simulate:SCENE"),
         ({"sequences": [{"path": "a", "sensor": "eye"}]}, "eye"),
         ({"sequences": [{"path": "a", "seed": 1}]}, "seed is for a scene"),
+        ({"sequences": [{"simulate": "demo", "poses": "a"}]}, "poses is for a sequence with a path"),
         ({"sequences": [{"path": "a", "name": "../a"}]}, "names no folder"),
         ({"sequences": [HALL, HALL]}, "two sequences are called 'hall_vlp16'"),
         ({"variants": [{"method": "octomap"}]}, "[[variants]] 1: give a method, and what is special"),
