@@ -1,0 +1,142 @@
+"""What becomes of recordings that are whole, cut off anywhere, or no recordings; and how the command answers."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from guess import record
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rerun.chunk import RrdReader
+from worlds import InMemory, room
+
+from dynaviz.errors import DataError, UsageError
+from dynaviz.viz.reader import Recording
+from dynaviz.viz.repair import repair
+from dynaviz.viz.sink import of_part, part_of
+from dynaviz.viz.tap import Tap
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording of six frames, with all that is drawn."""
+    return record(room(6, 400), tmp_path_factory.mktemp("whole") / "run.rrd")
+
+
+def cut(whole: Path, folder: Path, size: int, name: str = "run.rrd") -> Path:
+    (folder / name).write_bytes(whole.read_bytes()[:size])
+    return folder / name
+
+
+def test_a_whole_recording_is_left_alone(whole: Path, dynaviz: Command) -> None:
+    before = whole.stat().st_mtime_ns
+    found = repair(whole)
+    assert (found.path, found.whole, found.finished, found.frames) == (whole, True, True, 6)
+    code, out, _ = dynaviz("repair", whole)
+    assert (code, "Nothing to do" in out) == (0, True)
+    assert [path.name for path in whole.parent.iterdir()] == ["run.rrd"]
+    assert whole.stat().st_mtime_ns == before
+
+
+def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_path: Path, dynaviz: Command) -> None:
+    answers = list(Recording(whole).answers())
+    size = whole.stat().st_size
+    codes, kept = set(), []
+    for share in (0.02, 0.35, 0.55, 0.6, 0.65, 0.7, 0.999):
+        folder = tmp_path / str(share)
+        folder.mkdir()
+        part = cut(whole, folder, int(share * size), ".run.rrd.part")
+        code, out, err = dynaviz("repair", part)
+        codes.add(code)
+        assert err == ""
+        if code == 1:
+            assert "Nothing to salvage" in out
+            assert [path.name for path in folder.iterdir()] == [".run.rrd.part"]
+            continue
+        salvaged = Recording(folder / "run.rrd")
+        mine = list(salvaged.answers())
+        kept.append(len(mine))
+        assert (code == 0) == (len(mine) == 6)
+        assert f"dynaviz view {folder / 'run.rrd'}" in out
+        assert len(RrdReader(folder / "run.rrd").blueprints()) == len(RrdReader(whole).blueprints()) > 0
+        for a, b in zip(mine, answers, strict=False):
+            np.testing.assert_array_equal(a.outcome, b.outcome)
+            np.testing.assert_array_equal(a.reasons, b.reasons)
+        assert salvaged.facts()["finished"].startswith("yes" if salvaged.complete else "no")
+    assert codes == {0, 1, 3}
+    assert kept == sorted(kept)
+
+
+@settings(max_examples=15, deadline=None)
+@given(share=st.floats(0, 1))
+def test_it_may_be_cut_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+    folder = tmp_path_factory.mktemp("cut")
+    broken = cut(whole, folder, int(share * whole.stat().st_size))
+    before = broken.read_bytes()
+    found = repair(broken)
+    assert found.answered <= found.observed <= 6
+    assert found.path is None or len(list(Recording(found.path).answers())) == found.answered
+    assert broken.read_bytes() == before
+    assert {path.name for path in folder.iterdir()} <= {"run.rrd", "run-repaired.rrd"}
+
+
+def test_nothing_that_is_there_is_overwritten(whole: Path, tmp_path: Path) -> None:
+    part = cut(whole, tmp_path, whole.stat().st_size - 5000, ".run.rrd.part")
+    (tmp_path / "run.rrd").write_bytes(b"a")
+    assert repair(part).path == tmp_path / "run-repaired.rrd"
+    with pytest.raises(UsageError, match=r"run-repaired\.rrd exists already"):
+        repair(part)
+    with pytest.raises(UsageError, match="exists already"):
+        repair(part, tmp_path / "run.rrd")
+    assert (tmp_path / "run.rrd").read_bytes() == b"a"
+
+
+def test_what_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "x.rrd").write_bytes(b"hello")
+    with pytest.raises(DataError, match="not a recording"):
+        repair(tmp_path / "x.rrd")
+    with pytest.raises(DataError, match="No such file"):
+        repair(tmp_path / "absent.rrd")
+    (tmp_path / "x.rrd").write_bytes(b"")
+    assert repair(tmp_path / "x.rrd").path is None
+
+
+def test_names_of_parts() -> None:
+    assert of_part(part_of(Path("a/run.rrd"))) == Path("a/run.rrd")
+    assert [of_part(Path(name)) for name in ("run.rrd", "run.rrd.part", ".run.rrd")] == [None] * 3
+
+
+def test_scores_alone_are_salvaged_too(little_room: InMemory, tmp_path: Path) -> None:
+    whole = record(little_room, tmp_path / "run.rrd", "scores")
+    found = repair(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"))
+    assert (found.path, found.answered) == (tmp_path / "cut-repaired.rrd", 6)
+
+
+def test_a_tap_hands_on_every_byte(tmp_path: Path) -> None:
+    content = np.random.default_rng(0).bytes(5_000_000)
+    with Tap(tmp_path / "file") as tap, open(tap.inlet, "wb", buffering=0) as inlet:
+        for start in range(0, len(content), 700_000):
+            inlet.write(content[start : start + 700_000])
+            tap.settle()
+            assert (tmp_path / "file").stat().st_size == min(start + 700_000, len(content))
+    assert (tmp_path / "file").read_bytes() == content
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_tap_tells_of_a_full_disk_and_blocks_nobody() -> None:
+    tap = Tap(Path("/dev/full"))
+    with open(tap.inlet, "wb", buffering=0) as inlet:
+        for _ in range(40):  # more than the pipe holds
+            inlet.write(bytes(100_000))
+    with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
+        tap.settle()
+    with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
+        tap.close()
+    tap.close()
