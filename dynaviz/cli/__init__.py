@@ -15,7 +15,9 @@ from dynaviz.cli import (
     check,
     compare,
     config,
+    convert,
     demo,
+    export_labels,
     failures,
     info,
     list,
@@ -39,7 +41,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 VERBS = (
-    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, view, shot, repair
+    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, convert, export_labels,
+    view, shot, repair
 )  # fmt: skip
 for verb in VERBS:
     verb.add_to(app)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
@@ -53,6 +54,32 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()
+
+
+@contextlib.contextmanager
+def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give an empty folder beside ``path`` to write to; rename it on success, remove it on failure.
+
+    Raises:
+        DataError: where ``path`` exists already, the folder around it cannot be written, or the disk is full.
+    """
+    path = Path(path)
+    if os.path.lexists(path):
+        raise DataError(path, "exists already", hint="Remove it or choose another folder")
+    beside = path.with_name(f".{path.name}.part")
+    shutil.rmtree(beside, ignore_errors=True)
+    try:
+        beside.mkdir(parents=True)
+        yield beside
+        beside.rename(path)
+    except OSError as error:
+        inside = os.fspath(error.filename or "").startswith(os.fspath(beside))
+        if error.errno not in _DISK and not inside and error.filename not in _places(path, beside):
+            raise
+        problem = f"cannot be written ({error.strerror})"
+        raise DataError(path, problem, hint="Free space or choose another folder") from error
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def remove(path: str | os.PathLike[str]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import opened, write_whole
 
 
 def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
@@ -32,3 +32,16 @@ def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[NDA
             raise DataError(path, problem, at=f"byte {min(size, 4 * points)}", hint="Copy the file again")
         both = np.fromfile(file, "<u2").reshape(-1, 2)
     return both[:, 0], both[:, 1]
+
+
+def write_semantic_labels(path: str | os.PathLike[str], classes: NDArray[np.uint16]) -> None:
+    """Write the labels of a sweep, without instances, whole or not at all.
+
+    Args:
+        path: the file.
+        classes: (points,) uint16, the lower 16 bits.
+
+    Raises:
+        DataError: where the file cannot be written.
+    """
+    write_whole(path, classes.astype("<u4").tobytes())

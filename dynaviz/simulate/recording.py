@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import geometry
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import UsageError
+from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.scan import F32, F64, U8, Label
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.simulate.classes import CLASS_NAMES, Kind
@@ -146,45 +145,14 @@ def simulate(
     frames = chosen.frames if frames is None else frames
     if frames < 1 or seed < 0:
         raise UsageError(f"frames {frames}, seed {seed}: give at least one frame and a seed of 0 or more")
-    if out.exists():
-        raise DataError(out, "exists already", hint="Remove it or choose another folder")
-    beside = out.with_name(f".{out.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
-    try:
-        (beside / "pcd").mkdir(parents=True)
-        _write(beside, chosen, frames, seed, out.name, progress)
-        beside.rename(out)
-    except OSError as error:
-        raise DataError(
-            out, f"cannot be written ({error.strerror})", hint="Free space or choose another folder"
-        ) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
-    return out
-
-
-def _write(
-    folder: Path, preset: Preset, frames: int, seed: int, name: str, progress: Callable[[int, int], None]
-) -> None:
-    import tomli_w
-
-    from dynaviz.io.pcd import PcdWriter, write_pcd
-
-    merged = bool(load_sensor(preset.sensor).mounts)
-    layout = {"x": np.float32, "y": np.float32, "z": np.float32, "intensity": np.float32}
-    with PcdWriter(folder / "gt_cloud.pcd", {**layout, "class": np.uint16, "instance": np.int32}) as cloud:
-        for shot in shoot(build(preset, frames, seed), preset, frames, seed):
-            xyz: dict[str, Any] = dict(zip("xyz", shot.points.T, strict=True))
-            scan = {**xyz, "intensity": shot.intensity} | ({"lidar": shot.lidar} if merged else {})
-            write_pcd(folder / "pcd" / f"{shot.index:06d}.pcd", scan, T_world_sensor=shot.T_world_sensor)
-            truth: dict[str, Any] = {
-                "intensity": shot.labels.astype(np.float32),
-                "class": shot.kinds,
-                "instance": shot.instances,
-            }
-            cloud.append(**xyz, **truth)
+    merged = bool(load_sensor(chosen.sensor).mounts)
+    with BenchmarkWriter(out) as writer:
+        for shot in shoot(build(chosen, frames, seed), chosen, frames, seed):
+            lidar = shot.lidar if merged else None
+            writer.append(shot.index, shot.points, shot.T_world_sensor, shot.intensity, lidar)
+            writer.append_truth(shot.points, shot.labels, shot.kinds, shot.instances)
             progress(shot.index + 1, frames)
-    facts = {"name": name, "title": preset.title, "preset": preset.name, "sensor": preset.sensor, "seed": seed}
-    facts |= {"frames": frames, "rate": load_sensor(preset.sensor).rate, "generator": VERSION}
-    classes = {str(number): text for number, text in CLASS_NAMES.items()}
-    (folder / "sequence.toml").write_bytes(tomli_w.dumps({**facts, "classes": classes}).encode())
+        facts = {"name": out.name, "title": chosen.title, "preset": chosen.name, "sensor": chosen.sensor, "seed": seed}
+        facts |= {"frames": frames, "rate": load_sensor(chosen.sensor).rate, "generator": VERSION}
+        writer.describe(facts, CLASS_NAMES)
+    return out

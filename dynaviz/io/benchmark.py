@@ -1,0 +1,102 @@
+"""Writing the public benchmark's layout (Zhang et al. 2023): scans in the world frame, and all of them with labels."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaviz.io.atomic import whole_folder
+from dynaviz.io.pcd import PcdWriter, write_pcd
+from dynaviz.scan import F32, U8
+
+_LAYOUT = dict.fromkeys(("x", "y", "z", "intensity"), np.float32)
+
+
+class BenchmarkWriter:
+    """A folder in that layout, written scan by scan; it appears when the ``with`` block ends well.
+
+    ``pcd/NNNNNN.pcd`` hold x y z intensity as float32, and the sensor's pose as VIEWPOINT; ``gt_cloud.pcd``, which
+    appears with the first labels, holds all points in that order with the label as intensity, and after it the fields
+    ``class`` and ``instance``; ``sequence.toml`` holds what else is known. All PCD files are binary.
+
+    Args:
+        out: the folder; it must not exist yet.
+
+    Raises:
+        DataError: where it exists or cannot be written.
+    """
+
+    def __init__(self, out: str | os.PathLike[str]) -> None:
+        self._out = Path(out)
+        self._cloud: PcdWriter | None = None
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> BenchmarkWriter:
+        self._folder = self._stack.enter_context(whole_folder(self._out))
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def append(
+        self,
+        index: int,
+        points: F32,
+        T_world_sensor: ArrayLike,
+        intensity: NDArray[np.float32] | None = None,
+        lidar: U8 | None = None,
+    ) -> None:
+        """Add a scan.
+
+        Args:
+            index: its number.
+            points: (N, 3) float32, metres, world frame.
+            T_world_sensor: (4, 4) float64, metres, the sensor's pose.
+            intensity: (N,) float32; 0 by default.
+            lidar: (N,) uint8, which of several merged lidars measured a point.
+        """
+        fields: dict[str, Any] = dict(zip("xyz", points.T, strict=True))
+        fields["intensity"] = np.zeros(len(points), np.float32) if intensity is None else intensity
+        if lidar is not None:
+            fields["lidar"] = lidar
+        write_pcd(self._folder / "pcd" / f"{index:06d}.pcd", fields, T_world_sensor)
+
+    def append_truth(
+        self,
+        points: F32,
+        labels: U8,
+        classes: NDArray[np.uint16] | None = None,
+        instances: NDArray[np.int32] | None = None,
+    ) -> None:
+        """Add the truth of a scan: of every one, in their order, or of none.
+
+        Args:
+            points: (N, 3) float32, those of the scan.
+            labels: (N,) uint8, a ``Label`` per point.
+            classes: (N,) uint16, the data set's class per point; 0 by default.
+            instances: (N,) int32, an object's number per point, 0 for none, which is the default.
+        """
+        if self._cloud is None:
+            fields = {**_LAYOUT, "class": np.uint16, "instance": np.int32}
+            self._cloud = self._stack.enter_context(PcdWriter(self._folder / "gt_cloud.pcd", fields))
+        truth: dict[str, Any] = {
+            "intensity": labels.astype(np.float32),
+            "class": np.zeros(len(points), np.uint16) if classes is None else classes,
+            "instance": np.zeros(len(points), np.int32) if instances is None else instances,
+        }
+        self._cloud.append(**dict(zip("xyz", points.T, strict=True)), **truth)
+
+    def describe(self, facts: Mapping[str, Any], class_names: Mapping[int, str]) -> None:
+        """Write ``sequence.toml``: facts, of which those that are None are left out, and the table of classes."""
+        import tomli_w
+
+        table = {key: value for key, value in facts.items() if value is not None}
+        if class_names:
+            table["classes"] = {str(number): name for number, name in class_names.items()}
+        (self._folder / "sequence.toml").write_bytes(tomli_w.dumps(table).encode())
