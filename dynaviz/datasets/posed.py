@@ -53,7 +53,7 @@ def match(file: Path, where: Path, stamps: I64 | None, numbers: I64) -> Matched:
         DataError: for poses that cannot be read or fit no scan.
     """
     poses = read_poses(file)
-    if stamps is not None and poses.stamps is not None:
+    if stamps is not None and poses.stamps is not None and (len(poses) > 1 or len(stamps) == 1):
         return _by_stamp(poses, where, stamps)
     if poses.numbers is not None:
         return _by_number(poses, where, numbers)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -172,7 +172,8 @@ def _walk(bag: Bag, topic: str) -> tuple[Clouds, dict[str, Odometry], Frames]:
     kinds, frames = bag.topics, Frames()
     keys: list[tuple[int, int]] = []
     stamps: list[int] = []
-    frame, unstamped = "", 0
+    frame = ""
+    unstamped: Counter[str] = Counter()
     found: dict[str, list[tuple[int, F64]]] = defaultdict(list)
     names: dict[str, tuple[str, str]] = {}
     for source, time, message in bag.messages(
@@ -182,7 +183,7 @@ def _walk(bag: Bag, topic: str) -> tuple[Clouds, dict[str, Odometry], Frames]:
             stamp = _stamp(message.header)
             keys.append((time, keys[-1][1] + 1 if keys and keys[-1][0] == time else 0))
             stamps.append(stamp or time)
-            unstamped += stamp == 0
+            unstamped[source] += stamp == 0
             frame = frame or message.header.frame_id
         elif kinds[source] in TRANSFORMS:
             for link in message.transforms:
@@ -190,10 +191,13 @@ def _walk(bag: Bag, topic: str) -> tuple[Clouds, dict[str, Odometry], Frames]:
                 frames.tell(link.header.frame_id, link.child_frame_id, _stamp(link.header), T, "static" in source)
         else:
             pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-            found[source].append((_stamp(message.header), _pose(bag, source, pose.position, pose.orientation)))
+            stamp = _stamp(message.header)
+            found[source].append((stamp or time, _pose(bag, source, pose.position, pose.orientation)))
+            unstamped[source] += stamp == 0
             names[source] = plain(message.header.frame_id), plain(getattr(message, "child_frame_id", ""))
-    if unstamped:
-        warnings.warn(f"{bag.path}: {unstamped} clouds have no stamp; the time of recording is taken", stacklevel=3)
+    for name, count in (+unstamped).items():
+        remark = f"{count} messages of {name} have no stamp; the time of recording is taken"
+        warnings.warn(f"{bag.path}: {remark}", stacklevel=3)
     frames.settle()
     odometries = {
         name: Odometry(*names[name], Trajectory.of([time for time, _ in told], [T for _, T in told]))
@@ -231,6 +235,8 @@ def _source(
     for topic, odometry in odometries.items():
         if odometry.world in worlds and odometry.child in frames.above(clouds.frame):
             continue  # TF tells the same
+        if len(odometry.path.times) == 1 < len(clouds.stamps):
+            continue  # a goal or a start, but no way
         path = _by_topic(bag, clouds, topic, odometry, frames, points_in)
         if path:
             known[topic] = path, topic

@@ -114,7 +114,14 @@ class BagWriter:
         )
 
     def odometry(
-        self, seconds: float, T: np.ndarray, *, topic: str = "/odom", world: str = "odom", child: str = "lidar"
+        self,
+        seconds: float | None,
+        T: np.ndarray,
+        *,
+        topic: str = "/odom",
+        world: str = "odom",
+        child: str = "lidar",
+        recorded: float | None = None,
     ) -> None:
         zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
@@ -125,7 +132,7 @@ class BagWriter:
             pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self._pose(T), covariance=np.zeros(36)),
             twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
-        self.write(topic, seconds, message)
+        self.write(topic, recorded if recorded is not None else seconds or 0.0, message)
 
     def pose(self, seconds: float, T: np.ndarray, *, topic: str = "/pose", world: str = "map") -> None:
         header = self.header(seconds, world)

@@ -148,6 +148,12 @@ def test_another_clock_is_told(tmp_path: Path) -> None:
         dv.open(tmp_path)
 
 
+def test_one_pose_for_many_scans_is_told(tmp_path: Path) -> None:
+    tum(scans(tmp_path, ".ply", NAMES) / "drive.tum", STAMPS[2:3], POSES[2:3])
+    with pytest.raises(DataError, match=r"drive\.tum: has 1 poses, but there are 5 scans"):
+        dv.open(tmp_path)
+
+
 def test_time_going_backwards_is_told(tmp_path: Path) -> None:
     scans(tmp_path, ".ply", NAMES)
     tum(tmp_path / "drive.tum", [STAMPS[k] for k in (0, 1, 3, 2, 4)], POSES)

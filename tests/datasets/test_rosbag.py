@@ -259,8 +259,27 @@ def test_clouds_without_stamp_have_the_time_of_recording(tmp_path: Path) -> None
         for k in range(N):
             bag.cloud(None, columns(XYZ[k]), recorded=k / 10)
             bag.odometry(k / 10, POSES[k])
-    with pytest.warns(UserWarning, match="6 clouds have no stamp; the time of recording"):
+    with pytest.warns(UserWarning, match="6 messages of /points have no stamp; the time of recording"):
         agrees(dv.open(bag.path))
+
+
+def test_odometry_without_stamp_has_the_time_of_recording(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive") as bag:
+        for k in range(N):
+            bag.cloud(k / 10, columns(XYZ[k]))
+            bag.odometry(None, POSES[k], recorded=k / 10)
+    with pytest.warns(UserWarning, match="6 messages of /odom have no stamp; the time of recording"):
+        agrees(dv.open(bag.path))
+
+
+def test_a_goal_is_no_trajectory(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive") as bag:
+        for k in range(N):
+            bag.cloud(k / 10, columns(XYZ[k]))
+        bag.pose(0.2, POSES[4], topic="/goal")
+    with pytest.raises(DataError, match="has no poses"):
+        dv.open(bag.path)
+    agrees(dv.open(bag.path, poses="/goal"), np.repeat(POSES[4:5], N, 0))  # of a lidar that stands still
 
 
 def test_stamps_that_go_backwards_are_told(tmp_path: Path) -> None:
