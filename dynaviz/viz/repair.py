@@ -104,7 +104,7 @@ def _salvaged(broken: Path, target: Path) -> Iterator[Path]:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".repair-", dir=target.parent) as folder:
             beside = Path(folder) / "salvaged.rrd"
-            command = [viewer.program(), "rrd", "merge", "--continue-on-error", broken, "-o", beside]
+            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(broken), "-o", str(beside)]
             done = subprocess.run(command, capture_output=True, check=False, text=True, errors="replace")
             if done.returncode:
                 said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
