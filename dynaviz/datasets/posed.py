@@ -58,7 +58,8 @@ def match(file: Path, where: Path, stamps: I64 | None, numbers: I64) -> Matched:
     if poses.numbers is not None:
         return _by_number(poses, where, numbers)
     if len(poses) != len(numbers):
-        problem = f"has {len(poses)} poses, but there are {len(numbers)} scans in {where}"
+        plural = "pose" if len(poses) == 1 else "poses"
+        problem = f"has {len(poses)} {plural}, but there are {len(numbers)} scans in {where}"
         hint = "Give one pose a scan; or stamps for both (TUM, CSV), or an index (CSV), to match them by"
         raise DataError(file, problem, hint=hint)
     known = poses.stamps if stamps is None else stamps

@@ -150,7 +150,7 @@ def test_another_clock_is_told(tmp_path: Path) -> None:
 
 def test_one_pose_for_many_scans_is_told(tmp_path: Path) -> None:
     tum(scans(tmp_path, ".ply", NAMES) / "drive.tum", STAMPS[2:3], POSES[2:3])
-    with pytest.raises(DataError, match=r"drive\.tum: has 1 poses, but there are 5 scans"):
+    with pytest.raises(DataError, match=r"drive\.tum: has 1 pose, but there are 5 scans"):
         dv.open(tmp_path)
 
 
