@@ -15,7 +15,7 @@ from dynaviz.benches.file import plan_of, read
 from dynaviz.benches.local import Local
 from dynaviz.benches.plan import Cell, ParameterSet, Plan, Source
 from dynaviz.benches.source import open_source, placed, simulated
-from dynaviz.errors import DynavizError, UsageError
+from dynaviz.errors import DataError, DynavizError, UsageError
 
 __all__ = ["Board", "Cell", "Found", "Plan", "Row", "Watcher", "bench", "combined", "read"]
 
@@ -75,6 +75,11 @@ def bench(
     if scheduler and checked.timing:
         raise UsageError("timing needs this machine alone: leave out --scheduler")
     folder, watcher = Path(out), watcher or Watcher()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made ({error.strerror})"
+        raise DataError(folder, problem, hint="Choose another folder with -o") from None
     if checked.search:
         from dynaviz.benches import study
 

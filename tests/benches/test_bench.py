@@ -250,3 +250,9 @@ def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
     ):
         problem = difference(timed, replace(row.result, runtime=runtime, instrumented=instrumented), row.folder)
         assert problem is None if says is None else says in str(problem)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match=r"file/bench: cannot be made .* Choose another folder with -o"):
+        bench({"methods": ["octomap"], "sequences": [{"path": str(tmp_path)}]}, tmp_path / "file/bench")
