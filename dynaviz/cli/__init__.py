@@ -17,6 +17,7 @@ from dynaviz.cli import (
     config,
     convert,
     demo,
+    download,
     export_labels,
     failures,
     info,
@@ -41,8 +42,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 VERBS = (
-    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, convert, export_labels,
-    view, shot, repair
+    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, download, convert,
+    export_labels, view, shot, repair
 )  # fmt: skip
 for verb in VERBS:
     verb.add_to(app)
