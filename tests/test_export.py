@@ -35,6 +35,23 @@ def test_each_frame_has_a_file_with_a_number_for_each_point(folder: Path, tmp_pa
     assert all(file.stat().st_size == 4 * 1003 for file in files)
 
 
+def test_the_files_are_labels_of_the_sweeps(folder: Path, tmp_path: Path) -> None:
+    """Beside the sweeps of SemanticKITTI, they are read as its ground truth."""
+    run, data = folder / "run", tmp_path / "sequences/08"
+    whole = dv.open(folder / "room")
+    (data / "velodyne").mkdir(parents=True)
+    for scan in whole:
+        local = np.column_stack([scan.points - scan.position.astype(np.float32), np.zeros(len(scan), np.float32)])
+        local.astype("<f4").tofile(data / f"velodyne/{scan.index:06d}.bin")
+    pose = "1 0 0 0 0 1 0 0 0 0 1 0"
+    (data / "calib.txt").write_text(f"Tr: {pose}\n")
+    (data / "poses.txt").write_text(f"{pose}\n" * 14)
+    export_labels(run, whole, data / "labels")
+    with np.load(run / "labels.npz") as z:
+        answers = np.unpackbits(z["dynamic"])[: z["points"].sum()]
+    np.testing.assert_array_equal(np.concatenate([scan.labels for scan in dv.open(data)]), answers)
+
+
 def test_labels_and_data_must_belong_together(folder: Path, tmp_path: Path) -> None:
     whole, part = dv.open(folder / "room"), dv.open(folder / "room", frames="0:2")
     with pytest.raises(DataError, match="belongs to other data"):
