@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dynaviz.api import compare, open, run, score
     from dynaviz.benches import bench
+    from dynaviz.diagnosis import doctor
     from dynaviz.result import Result
     from dynaviz.study import report
 
-__all__ = ["Result", "bench", "compare", "open", "report", "run", "score"]
+__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score"]
 
 _HOMES = {
     "bench": "dynaviz.benches",
     "compare": "dynaviz.api",
+    "doctor": "dynaviz.diagnosis",
     "open": "dynaviz.api",
     "report": "dynaviz.study",
     "run": "dynaviz.api",

@@ -17,6 +17,7 @@ from dynaviz.cli import (
     config,
     convert,
     demo,
+    doctor,
     download,
     export_labels,
     failures,
@@ -42,7 +43,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 VERBS = (
-    demo, run, score, failures, compare, bench, report, check, info, list, config, simulate, download, convert,
+    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, download, convert,
     export_labels, view, shot, repair
 )  # fmt: skip
 for verb in VERBS:

@@ -1,0 +1,52 @@
+"""dynaviz doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import progress, show
+from dynaviz.cli.opening import Deskew, PointsIn, Poses
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the verb."""
+    app.command("doctor")(doctor)
+
+
+def doctor(
+    sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder; FORMAT:PATH forces its format.")],
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
+    sensor: Annotated[
+        str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
+    ] = None,
+    poses: Poses = None,
+    points_in: PointsIn = None,
+    deskew: Deskew = None,
+    out: Annotated[
+        Path | None, typer.Option("--json", metavar="F", help="Write the findings to a file as well.")
+    ] = None,
+) -> None:
+    """Say what is wrong with a sequence, and what mends it: exit 0 nothing found, 1 findings, 2 unreadable.
+
+    \b
+    dynaviz doctor path/to/sequence
+    dynaviz doctor kitti/sequences/08 --frames 0:200 --json findings.json
+    dynaviz doctor files:scans --poses odometry.txt --sensor vlp16
+    """
+    import json
+
+    from dynaviz.cli.opening import open_sequence
+    from dynaviz.diagnosis import doctor as examine
+    from dynaviz.io.atomic import write_whole
+
+    opened = open_sequence(sequence, frames=frames, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
+    with progress(f"doctor on {opened.name}") as tell:
+        found = examine(opened, progress=tell)
+    show(found)
+    if out:
+        write_whole(out, json.dumps(found.to_dict(), indent=1, allow_nan=False).encode())
+    if not found.sound:
+        raise typer.Exit(1)

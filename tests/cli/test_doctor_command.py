@@ -1,0 +1,53 @@
+"""dynaviz doctor, as a user types it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynaviz.cli import main
+from dynaviz.io.pcd import write_pcd
+from dynaviz.testing.world import crossing
+
+
+def write(folder: Path, in_sensor_frame: bool = False) -> Path:
+    for scan in crossing(6):
+        T = scan.T_world_sensor
+        points = (scan.points - T[:3, 3]) @ T[:3, :3] if in_sensor_frame else scan.points
+        write_pcd(folder / f"pcd/{scan.index:06d}.pcd", dict(zip("xyz", points.T.astype(np.float32), strict=True)), T)
+    return folder
+
+
+def command(*words: object) -> int:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            main()
+    return int(end.value.code or 0)
+
+
+def test_exit_codes_list_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("doctor", write(tmp_path / "good")) == 0
+    assert "nothing found" in capsys.readouterr().out
+    bad = write(tmp_path / "bad", in_sensor_frame=True)
+    assert command("doctor", bad, "--json", tmp_path / "findings.json") == 1
+    out, err = capsys.readouterr()
+    assert "points in sensor frame" in out
+    assert "Mend: " in out
+    assert "reading 6/6" in err
+    written = json.loads((tmp_path / "findings.json").read_text())
+    assert [(row["name"], row["sure"]) for row in written["findings"]] == [("points in sensor frame", "certain")]
+    assert command("doctor", tmp_path / "absent") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    # What the finding recommends helps.
+    assert command("doctor", f"files:{bad}", "--points-in", "sensor") == 0
+
+
+def test_help_begins_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command("doctor", "--help") == 0
+    out = capsys.readouterr().out
+    assert out.index("  dynaviz doctor") < out.index("Options:")

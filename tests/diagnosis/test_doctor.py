@@ -1,0 +1,273 @@
+"""Faults are put into a good sequence one by one: the doctor names each, and nothing else; good sequences are sound."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import dynaviz as dv
+from dynaviz.diagnosis import Diagnosis, Sure, doctor
+from dynaviz.errors import DataError
+from dynaviz.scan import Scan
+from dynaviz.sensors import Sensor
+from dynaviz.simulate import simulate
+from dynaviz.testing import InMemory
+from dynaviz.testing.world import SENSOR, crossing
+
+F64 = NDArray[np.float64]
+SCANS = crossing()
+
+
+def diagnose(scans: list[Scan], sensor: Sensor = SENSOR) -> Diagnosis:
+    return doctor(InMemory(scans, "crossing", sensor))
+
+
+def names(found: Diagnosis) -> list[str]:
+    return [finding.name for finding in found.findings]
+
+
+def changed(scan: Scan, **fields: Any) -> Scan:
+    """With other fields; the ray's origin follows the pose."""
+    return dataclasses.replace(scan, **{"origins": None, **fields})
+
+
+def in_sensor_frame(scan: Scan) -> F64:
+    T = scan.T_world_sensor
+    return (scan.points - T[:3, 3]) @ T[:3, :3]
+
+
+def placed(points: F64, T: F64) -> NDArray[np.float32]:
+    return (points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+
+
+def test_a_good_sequence_is_sound() -> None:
+    found = diagnose(SCANS)
+    assert found.sound, found
+    assert (found.frames, found.examined) == (12, 12)
+    assert "nothing found" in str(found)
+
+
+# What goes wrong with poses: a sequence whose points were placed by the wrong pose, and one in which only it is wrong.
+OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # camera axes in a lidar's frame
+
+
+def shuffled(T: F64, order: list[int]) -> F64:
+    """The pose with the numbers of its quaternion (x, y, z, w) in another order."""
+    wrong = T.copy()
+    wrong[:3, :3] = Rotation.from_quat(Rotation.from_matrix(T[:3, :3]).as_quat()[order]).as_matrix()
+    return wrong
+
+
+POSES: dict[str, tuple[str, Callable[[F64], F64]]] = {
+    "inverse": ("poses inverted", np.linalg.inv),
+    "camera": ("poses of a camera", lambda T: np.linalg.inv(OPTICAL) @ T @ OPTICAL),
+    "camera's axes": ("poses of a camera", lambda T: T @ OPTICAL),
+    "xyzw as wxyz": ("quaternion order", lambda T: shuffled(T, [1, 2, 3, 0])),  # w <- x, x <- y, y <- z, z <- w
+    "wxyz as xyzw": ("quaternion order", lambda T: shuffled(T, [3, 0, 1, 2])),
+    "zero": ("poses missing", lambda T: np.eye(4)),
+}
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_scans_placed_by_wrong_poses(kind: str) -> None:
+    name, wrong = POSES[kind]
+    scans = []
+    for scan in SCANS:
+        T = wrong(scan.T_world_sensor)
+        scans.append(changed(scan, points=placed(in_sensor_frame(scan), T), T_world_sensor=T))
+    found = diagnose(scans)
+    assert names(found) == [name], found
+    assert found.findings[0].sure is Sure.CERTAIN
+
+
+@pytest.mark.parametrize("kind", POSES)
+def test_wrong_poses_beside_scans_that_are_right(kind: str) -> None:
+    name, wrong = POSES[kind]
+    found = diagnose([changed(scan, T_world_sensor=wrong(scan.T_world_sensor)) for scan in SCANS])
+    assert names(found) == [name], found
+    assert found.findings[0].sure is Sure.LIKELY
+
+
+def test_points_in_another_frame_than_claimed() -> None:
+    found = diagnose([changed(scan, points=in_sensor_frame(scan)) for scan in SCANS])
+    assert names(found) == ["points in sensor frame"], found
+    assert "--points-in sensor" in found.findings[0].mend
+    found = diagnose([changed(s, points=placed(s.points.astype(np.float64), s.T_world_sensor)) for s in SCANS])
+    assert names(found) == ["points in world frame"], found
+    assert "--points-in world" in found.findings[0].mend
+
+
+def test_a_sensor_that_really_stands_is_sound() -> None:
+    points = in_sensor_frame(SCANS[0])
+    noise = np.random.default_rng(1)
+    scans = [Scan(k, points + noise.normal(0, 0.01, points.shape), np.eye(4), None, SCANS[0].labels) for k in range(6)]
+    assert diagnose(scans).sound
+
+
+def test_a_jump_is_found_where_it_is() -> None:
+    scans = list(SCANS)
+    T = np.eye(4)
+    T[:2, 3] = 4.0, 3.0
+    for k in range(6, len(scans)):
+        scans[k] = changed(
+            scans[k], points=placed(scans[k].points.astype(np.float64), T), T_world_sensor=T @ scans[k].T_world_sensor
+        )
+    found = diagnose(scans)
+    assert names(found) == ["poses jump"], found
+    assert found.findings[0].frames == (6,)
+    assert "jumps by 5." in found.findings[0].what or "jumps by 4." in found.findings[0].what
+
+
+def test_an_origin_outside_its_cloud() -> None:
+    far = np.eye(4)
+    far[0, 3] = 500.0
+    found = diagnose([changed(scan, T_world_sensor=far @ scan.T_world_sensor) for scan in SCANS])
+    assert len(found.findings) == 1, found
+    assert names(found)[0] in ("origin outside", "origin elsewhere")
+
+
+def with_points(scan: Scan, rows: slice, points: Any) -> Scan:
+    changed_points = scan.points.copy()
+    changed_points[rows] = points
+    return changed(scan, points=changed_points)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("not finite", lambda s: with_points(s, slice(0, 40), np.nan)),
+        ("not finite", lambda s: with_points(s, slice(7, 8), np.inf)),
+        ("far points", lambda s: with_points(s, slice(0, 1), 2e5)),
+        ("no return", lambda s: with_points(s, slice(0, 500), s.position)),
+        ("no return", lambda s: with_points(s, slice(0, 500), 0.0)),
+        ("duplicate points", lambda s: with_points(s, slice(0, 200), s.points[200:400])),
+        ("empty frame", lambda s: changed(s, points=s.points[:0], labels=s.labels[:0])),
+        ("empty frame", lambda s: with_points(s, slice(None), np.nan)),
+    ],
+)  # fmt: skip
+def test_bad_points_in_one_scan(name: str, fault: Callable[[Scan], Scan]) -> None:
+    scans = list(SCANS)
+    scans[4] = fault(scans[4])
+    found = diagnose(scans)
+    wanted = {name} | ({"not finite"} if name == "empty frame" and len(scans[4]) else set())
+    assert set(names(found)) == wanted, found
+    assert all((f.frames, f.count, f.sure) == ((4,), 1, Sure.CERTAIN) for f in found.findings)
+
+
+@pytest.mark.parametrize(("columns", "sound"), [(2, True), (40, False)])
+def test_ego_points_matter_where_they_block_rays(columns: int, sound: bool) -> None:
+    """0.4 m from the sensor, in some of 400 directions."""
+    scans = []
+    for scan in SCANS:
+        rays = in_sensor_frame(scan)[:columns]
+        rays *= 0.4 / np.linalg.norm(rays, axis=1, keepdims=True)
+        scans.append(with_points(scan, slice(0, columns), placed(rays, scan.T_world_sensor)))
+    found = diagnose(scans)
+    assert names(found) == ([] if sound else ["ego points"]), found
+    if not sound:
+        assert "--set min_range=0.6" in found.findings[0].mend
+        assert "dufomap" in found.findings[0].mend
+        assert found.findings[0].count == len(scans)
+
+
+def test_frames_twice_numbers_missing_and_times() -> None:
+    twice = [*SCANS[:6], changed(SCANS[5], index=6, stamp_ns=SCANS[6].stamp_ns), *SCANS[7:]]
+    found = diagnose(twice)
+    assert names(found) == ["duplicate frame"], found
+    assert found.findings[0].frames == (6,)
+    found = diagnose([*SCANS[:5], *SCANS[7:]])
+    assert names(found) == ["gap in numbers"], found
+    assert "2 numbers" in found.findings[0].what
+    for stamp in (SCANS[4].stamp_ns, 0):
+        found = diagnose([*SCANS[:5], changed(SCANS[5], stamp_ns=stamp), *SCANS[6:]])
+        assert names(found)[0] == "time goes back", found
+        assert found.findings[0].frames == (5,)
+    late = [
+        changed(scan, stamp_ns=scan.stamp_ns + 10**9 * (k > 5))
+        for k, scan in enumerate(SCANS)
+        if scan.stamp_ns is not None
+    ]
+    assert names(diagnose(late)) == ["gap in time"]
+
+
+def test_the_ground_against_the_sensor() -> None:
+    found = diagnose(SCANS, dataclasses.replace(SENSOR, height=0.4))
+    assert names(found) == ["ground height"], found
+    assert "1.8 m below" in found.findings[0].what or "1.7 m below" in found.findings[0].what
+
+
+def test_labels() -> None:
+    assert names(diagnose([changed(s, labels=np.zeros(len(s), np.uint8)) for s in SCANS])) == ["no dynamic label"]
+    assert names(diagnose([changed(s, labels=np.full(len(s), 255, np.uint8)) for s in SCANS])) == ["all unlabelled"]
+    assert diagnose([changed(s, labels=None) for s in SCANS]).sound
+
+
+def test_labels_of_another_length_name_their_file(tmp_path: Path) -> None:
+    for scan in SCANS:
+        (tmp_path / "labels").mkdir(exist_ok=True)
+        np.save(tmp_path / f"{scan.index:06d}.npy", in_sensor_frame(scan).astype(np.float32))
+        assert scan.labels is not None
+        np.save(tmp_path / f"labels/{scan.index:06d}.npy", scan.labels)
+    np.savetxt(tmp_path / "poses.txt", [scan.T_world_sensor[:3].ravel() for scan in SCANS])
+    assert doctor(dv.open(tmp_path)).sound
+    np.save(tmp_path / "labels/000007.npy", np.zeros(3, np.uint8))
+    found = doctor(dv.open(tmp_path))
+    assert names(found) == ["labels do not fit"], found
+    assert str(found.findings[0].file).endswith("000007.npy")
+
+
+def test_nothing_readable_is_an_error() -> None:
+    class Broken(InMemory):
+        def __getitem__(self, position: int) -> Scan:
+            raise DataError(f"{position}.bin", "is cut off", hint="Copy it again")
+
+    with pytest.raises(DataError, match="cut off"):
+        doctor(Broken(SCANS))
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_the_shortest_sequences(frames: int) -> None:
+    if frames:
+        assert diagnose(SCANS[:frames]).sound
+    else:
+        with pytest.raises(DataError, match="no frame"):
+            diagnose([])
+
+
+def test_long_sequences_are_sampled_and_say_so() -> None:
+    class Long(InMemory):
+        def __len__(self) -> int:
+            return 3000
+
+        def __getitem__(self, position: int) -> Scan:
+            read.append(position)
+            T = np.eye(4)
+            T[0, 3] = 0.1 * position
+            return Scan(position, np.random.default_rng(position).normal(size=(9, 3)) + T[:3, 3], T)
+
+    read: list[int] = []
+    found = doctor(Long([]))
+    assert found.sound, found
+    assert (found.examined, len(set(read))) == (400, 400)
+    assert max(read) - min(read) == 2999
+    assert "400 of 3,000 frames" in str(found)
+
+
+@pytest.mark.parametrize(("preset", "frames"), [("demo", 14), ("hall_mid360", 14), ("square_vlp32c", 6)])
+def test_simulated_sequences_are_sound(preset: str, frames: int, tmp_path: Path) -> None:
+    found = doctor(simulate(preset, tmp_path / preset, frames=frames))
+    assert found.sound, found
+
+
+@pytest.mark.parametrize("part", ["kitti_tracking/training/velodyne/0012", "semantickitti/sequences/08", "argoverse2"])
+def test_real_sequences_are_sound(part: str, real_data: Path) -> None:
+    """A sensor that stands, and two that drive."""
+    found = doctor(dv.open(real_data / part, frames="0:20"))
+    assert found.sound, found
