@@ -10,6 +10,7 @@ import zipfile
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -333,3 +334,12 @@ def test_sensors_are_known() -> None:
     from dynaviz.sensors import sensor_names
 
     assert {remote.sensor for remote in SEQUENCES.values()} - {None} <= set(sensor_names())
+
+
+def test_too_little_space_is_told_before_unpacking(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=40))
+    with pytest.raises(DataError, match=r"needs 0\.0 GB unpacked, but 0\.0 GB are free.*the archive is kept"):
+        download("00", tmp_path, server.base)
+    assert left(tmp_path) == [".00.zip.part"]
