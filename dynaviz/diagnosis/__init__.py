@@ -59,8 +59,8 @@ def doctor(
     findings += _unreadable(errors)
     placed = list(_placed(walk, progress))
     misplaced = any(finding.name not in LOCAL for finding in placed)
+    findings += placed  # first of what is equally sure: the rest may follow from it
     findings += (finding for finding in walk.findings() if not (misplaced and finding.name == "ego points"))
-    findings += placed
     if len(walk.positions) > 1:
         findings += trajectory.jumps(walk.positions, walk.indices, walk.poses)
     return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings)

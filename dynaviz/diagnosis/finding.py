@@ -105,7 +105,7 @@ class Diagnosis:
             if finding.file is not None:
                 lines.insert(1, (finding.file, "dim"))
             for line, style in lines:
-                yield Padding(Text(line, style), (0, 0, 0, 4))
+                yield Padding(Text(line, style), (0, 0, 0, 4), expand=False)
         count = len(self.findings)
         found = f"{count} finding{'s' * (count > 1)}" if count else "nothing found"
         yield Text(f"{self.sequence}: {found}. {self._read}")

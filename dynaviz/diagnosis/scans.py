@@ -277,7 +277,7 @@ class ScanWalk:
             yield Finding("no dynamic label", Sure.CERTAIN, what, "Give the labels that tell moving objects, "
                           "or frames in which something moves (--frames A:B)")  # fmt: skip
         unmatched: Mapping[int, int] = getattr(getattr(self.sequence, "whole", self.sequence), "unmatched", {})
-        lost = {index: count for index, count in unmatched.items() if count and index in set(self.indices)}
+        lost = {index: unmatched[index] for index in self.indices if unmatched.get(index)}
         if lost:
             notes = Notes()
             for index in sorted(lost):
