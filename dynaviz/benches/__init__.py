@@ -75,11 +75,6 @@ def bench(
     if scheduler and checked.timing:
         raise UsageError("timing needs this machine alone: leave out --scheduler")
     folder, watcher = Path(out), watcher or Watcher()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"cannot be made ({error.strerror})"
-        raise DataError(folder, problem, hint="Choose another folder with -o") from None
     if checked.search:
         from dynaviz.benches import study
 
@@ -90,6 +85,7 @@ def bench(
         for source in learning:
             if not source.scene:
                 open_source(source)  # what is not there is told before any work
+        _make(folder)
         rows = desk.rows(checked.sets, learning)
         if not checked.search:
             return Board(rows)
@@ -102,6 +98,14 @@ def bench(
         held = [source for source in checked.sources if source.name in checked.holdout]
         rows += desk.rows([*checked.sets, *best], held)
         return Board(rows, checked.holdout, found, [*trials.values()])
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made ({error.strerror})"
+        raise DataError(folder, problem, hint="Choose another folder with -o") from None
 
 
 @contextlib.contextmanager

@@ -57,7 +57,7 @@ def test_the_cases_of_a_run_that_ended_early_are_found_again(little_room, tmp_pa
 def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
     recording = Recording(record(little_room, tmp_path / "run.rrd"))
     cases = recording.result.failures
-    boxes = dict(recording._frames(paths.FAILURES))
+    boxes = dict(recording.rows(paths.FAILURES))
     assert set(boxes) == set(range(len(little_room)))
     for drawn in recording.drawn():
         wrong = drawn.xyz[np.isin(drawn.outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE))]
