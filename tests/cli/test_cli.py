@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from worlds import room
 
+from dynaviz.cli import app
 from dynaviz.io.pcd import write_pcd
 
 Command = Callable[..., tuple[int, str, str]]
@@ -144,23 +145,7 @@ def test_info_of_a_run(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
 
 
 def test_help_begins_with_examples(dynaviz: Command) -> None:
-    for verb in (
-        "demo",
-        "run",
-        "score",
-        "bench",
-        "compare",
-        "failures",
-        "report",
-        "check",
-        "repair",
-        "info",
-        "list",
-        "config",
-        "simulate",
-        "view",
-        "shot",
-    ):
+    for verb in (command.name for command in app.registered_commands):
         code, out, _ = dynaviz(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
