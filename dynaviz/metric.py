@@ -77,9 +77,9 @@ Figure = FrameHistograms | FrameBoxes
 class Metric(Protocol):
     """Counts what happens to the points of a run, in memory that does not grow with their number.
 
-    Constructed anew for each run with the method's info. Two more functions are optional: ``combine(sections)``, static,
-    gives the metric's sections of several runs on other sequences as one, by adding counts (see ``Confusion``); and
-    ``cleaned_map(points)`` is shown the map itself where one is scored that another program wrote (see ``Voxelwise``).
+    Constructed anew for each run with the method's info. Two more functions are optional: ``combine(sections)``,
+    static, gives its sections of runs on several sequences as one, by adding counts (see ``Confusion``); and
+    ``cleaned_map(points)`` is shown the map itself, where one is scored that another program wrote (see ``Voxelwise``).
     """
 
     def __init__(self, info: MethodInfo) -> None: ...
