@@ -1,6 +1,7 @@
 # make demo: install into .venv and run the whole thing on a simulated street.   make test: the tests.   make check: all that CI runs.
 PYTHON ?= python3
 BIN := .venv/bin
+ALL_CORES := -n auto --dist worksteal
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 
 .PHONY: demo test lint types boundscheck check clean
@@ -10,7 +11,7 @@ demo: .venv/.user
 	$(BIN)/dynaviz demo
 
 test: .venv/.dev
-	$(BIN)/pytest
+	$(BIN)/pytest $(ALL_CORES)
 
 lint: .venv/.dev
 	$(BIN)/ruff check
@@ -20,7 +21,7 @@ types: .venv/.dev
 	$(BIN)/mypy
 
 boundscheck: .venv/.dev  # kernels again, with every index checked
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q -k 'not golden' tests/kernels tests/methods tests/eval
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q $(ALL_CORES) -k 'not golden and not report' tests/kernels tests/methods tests/eval
 
 check: lint types test boundscheck
 
