@@ -7,10 +7,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import pytest
 from worlds import InMemory, room
 
 from dynaviz.cli import main
+
+hypothesis.settings.register_profile("patient", deadline=None)  # the first call may compile a kernel
+hypothesis.settings.load_profile("patient")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
