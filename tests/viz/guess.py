@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import rerun as rr
+from rerun.experimental import ViewerClient
 
 from dynaviz.loop import Run, execute
 from dynaviz.method import Context, MethodInfo, Reason
@@ -118,3 +120,13 @@ def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any)
     with Recorder(path, mode) as recorder:
         execute(guess_run(sequence, **changes), [recorder], recorder)
     return path
+
+
+def settled(client: ViewerClient) -> dict[Any, Any]:
+    """What the viewer complains of, by view, once all data have arrived; at once where it complains of nothing."""
+    end = time.monotonic() + 30
+    while True:
+        shown = {view.name: view.reports for view in client.get_state().views}
+        if not any(shown.values()) or time.monotonic() > end:
+            return shown
+        time.sleep(0.2)

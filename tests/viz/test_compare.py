@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import re
-import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from guess import record
+from guess import record, settled
 from test_drawing import EYES, lab, linear
 from worlds import InMemory, room
 
@@ -253,12 +252,7 @@ def test_the_viewer_has_no_complaint(merged: dict[str, Path]) -> None:
         try:
             with viewer.headless((1600, 900)) as client:
                 push(merged[name], client)
-                end = time.monotonic() + 30
-                while True:  # what is still on its way is complained of, too
-                    shown = {view.name: view.reports for view in client.get_state().views}
-                    if not any(shown.values()) or time.monotonic() > end:
-                        break
-                    time.sleep(0.2)
+                shown = settled(client)
         except MissingDependency as missing:
             pytest.skip(str(missing))
         assert {n: reports for n, reports in shown.items() if reports} == {}

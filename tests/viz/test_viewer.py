@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from guess import Guess, guess_run, record
+from guess import Guess, guess_run, record, settled
 from rerun.experimental import ViewerClient
 from worlds import InMemory, room
 
@@ -48,7 +48,7 @@ def pixels(png: Path) -> np.ndarray:
 
 def test_the_layout_shows_everything_without_a_complaint(client: ViewerClient, recording: Path) -> None:
     push(recording, client)
-    shown = {v.name: v.reports for v in client.get_state().views}
+    shown = settled(client)
     assert {"map", "frame", "scores so far [%]", WRONG, "report"} <= set(shown)
     assert set(shown) >= {state.name for state in Guess.info.emits if state.name != "remark"}
     assert {name: reports for name, reports in shown.items() if reports} == {}
