@@ -52,7 +52,6 @@ class FrameBoxes:
     """Cases that have a place in the world, and a box in each of their frames.
 
     Attributes:
-        title: what the cases are.
         labels: a line for each case.
         outcomes: (C,) uint8, the ``Outcome`` of the points of each case.
         low, high: (C, 3) float32, metres, world frame: all that a case ever covers.
@@ -60,7 +59,6 @@ class FrameBoxes:
         box_low, box_high: (B, 3) float32, metres, world frame.
     """
 
-    title: str
     labels: tuple[str, ...]
     outcomes: U8
     low: F32

@@ -13,18 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import show
+from dynaviz.cli.run import Record
 
 if TYPE_CHECKING:
     from dynaviz.benches import Board, Watcher
-
-
-class Record(StrEnum):
-    """How much the recordings hold."""
-
-    full = "full"
-    errors = "errors"
-    scores = "scores"
-    none = "none"
 
 
 class Kind(StrEnum):

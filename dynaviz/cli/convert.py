@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
+from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
 def add_to(app: typer.Typer) -> None:
@@ -20,11 +20,9 @@ def add_to(app: typer.Typer) -> None:
 def convert(
     sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder or bag; FORMAT:PATH forces its format.")],
     out: Annotated[Path, typer.Argument(help="Folder for the copy; must not exist.")],
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
-    stride: Annotated[int, typer.Option(help="Only every K-th frame.")] = 1,
-    sensor: Annotated[
-        str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
-    ] = None,
+    frames: Frames = None,
+    stride: Stride = 1,
+    sensor: SensorName = None,
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, PointsIn, Poses
+from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName
 
 
 def add_to(app: typer.Typer) -> None:
@@ -18,10 +18,8 @@ def add_to(app: typer.Typer) -> None:
 
 def doctor(
     sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder; FORMAT:PATH forces its format.")],
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
-    sensor: Annotated[
-        str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
-    ] = None,
+    frames: Frames = None,
+    sensor: SensorName = None,
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,

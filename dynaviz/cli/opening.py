@@ -20,6 +20,9 @@ class Frame(StrEnum):
     world = "world"
 
 
+Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")]
+Stride = Annotated[int, typer.Option(help="Only every K-th frame.")]
+SensorName = Annotated[str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")]
 Poses = Annotated[
     str | None,
     typer.Option(

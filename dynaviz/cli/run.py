@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
+from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
 class Record(StrEnum):
@@ -34,8 +34,8 @@ def run(
         Path | None,
         typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/METHOD]"),
     ] = None,
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
-    stride: Annotated[int, typer.Option(help="Only every K-th frame.")] = 1,
+    frames: Frames = None,
+    stride: Stride = 1,
     online: Annotated[
         bool | None,
         typer.Option("--online/--offline", help="Label each scan right after it was seen, or after all were."),
@@ -45,9 +45,7 @@ def run(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")
     ] = None,
-    sensor: Annotated[
-        str | None, typer.Option(help="The sensor, where the data do not tell (dynaviz list sensors).")
-    ] = None,
+    sensor: SensorName = None,
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,

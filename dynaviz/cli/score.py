@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import PointsIn, Poses, open_sequence
+from dynaviz.cli.opening import Frames, PointsIn, Poses, open_sequence
 from dynaviz.cli.run import Record
 
 
@@ -37,7 +37,7 @@ def score(
         float, typer.Option(help="Metres around a point of the map in which points count as kept.")
     ] = 0.05,
     name: Annotated[str | None, typer.Option(help="For tables. [default: the map's file name]")] = None,
-    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Only these frames, as in a Python slice.")] = None,
+    frames: Frames = None,
     poses: Poses = None,
     points_in: PointsIn = None,
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,

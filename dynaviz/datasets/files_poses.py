@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Self
@@ -92,9 +93,9 @@ class FilesSequence:
         """That of the folder, or of the one around it where it only says what the files are."""
         return (self.folder.parent if self.folder.name.lower() in _PLAIN else self.folder).name or "scans"
 
-    @property
+    @cached_property
     def has_labels(self) -> bool:
-        """Whether any scan has labels."""
+        """Whether any scan has labels; looked for once, for it asks for the files of every scan."""
         return any(self._label_file(scan) is not None for scan in self.scans)
 
     @property

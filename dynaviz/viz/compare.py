@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from dynaviz.compared import Comparison, differences, names, runtimes
 from dynaviz.comparison import PLACE, Crossed, PlaceGains, Places, compare_pair, cross, place_gains, run_scores
 from dynaviz.errors import DataError, UsageError
+from dynaviz.loop import Progress
 from dynaviz.result import Result
 from dynaviz.viz.reader import Recording
 from dynaviz.viz.sink import sha256
 
 LETTERS = "ABCDEFGH"
 FINE = 1.0  # metres: edge of the cells that are drawn
-Progress = Callable[[str, int, int], None]
 
 
 def compare(

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from dynaviz.scan import F64
 from dynaviz.viz import paths
-from dynaviz.viz.layout import follow, solid
+from dynaviz.viz.layout import blueprint, follow, solid
 
 COMPARE = "compare"  # holds the legend of who is right
 GROUND = "compare/ground"  # static: the first run's map, darker
@@ -48,7 +48,7 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     gain = f"above 0: {names[1]} is better in this frame; below: {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
-        return _blueprint(_column(numbers, names))
+        return blueprint(_column(numbers, names))
     which = "right in this frame: green A, purple B, white none"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
     where = solid("whole run: green A is better, purple B", [WHERE, PLACES, *context], above(places), COMPARE)
@@ -56,14 +56,14 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
     world = rrb.Grid(where, who, *frames, grid_columns=2)
-    return _blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
+    return blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     """The layout for more runs, as ``two``: a small map and a small frame of each."""
     numbers = _column(_numbers(names), names)
     if places is None:
-        return _blueprint(numbers)
+        return blueprint(numbers)
     maps = [_map(side, name, places) for side, name in zip(SIDES, names, strict=False)]
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
     if len(names) <= ABREAST:
@@ -71,7 +71,7 @@ def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     else:
         tabs = [rrb.Tabs(*pair) for pair in zip(frames, maps, strict=True)]
         grid = rrb.Grid(*tabs, grid_columns=ABREAST)
-    return _blueprint(rrb.Horizontal(grid, numbers, column_shares=[5, 3]))
+    return blueprint(rrb.Horizontal(grid, numbers, column_shares=[5, 3]))
 
 
 def _column(numbers: Sequence[Any], names: Sequence[str]) -> Any:
@@ -126,15 +126,4 @@ def above(points: F64) -> rrb.EyeControls3D:
     position = centre + 0.65 * length * (0.4 * side + np.array([0.0, 0.0, 0.95]))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
-    )
-
-
-def _blueprint(body: Any) -> rrb.Blueprint:
-    return rrb.Blueprint(
-        body,
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=paths.FRAME, fps=10.0, play_state="paused"),
-        auto_layout=False,
-        auto_views=False,
     )

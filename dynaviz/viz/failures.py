@@ -11,17 +11,10 @@ from dynaviz import registry
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
-from dynaviz.scan import Label, Outcome, Scan
+from dynaviz.scan import F32, Outcome, Scan
+from dynaviz.viz import paths
 from dynaviz.viz.answers import Answers
 from dynaviz.viz.reader import Drawn, Recording
-
-_TRUTH = {
-    Outcome.STATIC_KEPT: Label.STATIC,
-    Outcome.FALSE_POSITIVE: Label.STATIC,
-    Outcome.DYNAMIC_REMOVED: Label.DYNAMIC,
-    Outcome.FALSE_NEGATIVE: Label.DYNAMIC,
-}
-_REMOVED = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED)
 
 
 def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -49,27 +42,25 @@ def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _found_again(recording: Recording) -> dict[str, Any]:
     p = recording.properties
     metric = registry.load("metrics", "failures")(MethodInfo(p["method"], p["title"], "", recording.reasons))
+    positions = {frame: parts["Transform3D:translation"][0] for frame, parts in recording.rows(paths.SENSOR)}
     for drawn, answers in zip(recording.drawn(), recording.answers(), strict=False):  # the last may lack its answers
-        metric.update(_labelled(drawn, answers))
+        if drawn.frame in positions:
+            metric.update(_labelled(drawn, answers, positions[drawn.frame]))
     section: dict[str, Any] = metric.finish()["failures"]
     return section
 
 
-def _labelled(drawn: Drawn, answers: Answers) -> Labelled:
+def _labelled(drawn: Drawn, answers: Answers, position: F32) -> Labelled:
     """What was drawn of a frame as a labelled scan, a point for each that it stands for.
 
-    All static points must count, for costs are shares of them; those that were kept were not drawn and have no place.
+    All static points must count, for costs are shares of them; those that were kept have no place here, drawn or not.
     """
-    every = np.repeat(np.arange(len(drawn.xyz)), drawn.stands_for)
-    every = every[drawn.outcome[every] != Outcome.STATIC_KEPT]
-    kept = int((answers.outcome == Outcome.STATIC_KEPT).sum())
-    points = np.concatenate([drawn.xyz[every], np.full((kept, 3), np.nan, np.float32)])
-    outcome = np.concatenate([drawn.outcome[every], np.full(kept, Outcome.STATIC_KEPT, np.uint8)])
-    reasons = np.concatenate([drawn.reasons[every], np.zeros(kept, np.uint8)])
-    truth = np.full(len(points), Label.UNLABELLED, np.uint8)
-    for of, label in _TRUTH.items():
-        truth[outcome == of] = label
+    wrong_or_moving = np.repeat(np.arange(len(drawn.xyz)), drawn.stands_for)
+    wrong_or_moving = wrong_or_moving[drawn.outcome[wrong_or_moving] != Outcome.STATIC_KEPT]
+    kept = np.flatnonzero(answers.outcome == Outcome.STATIC_KEPT)
+    points = np.concatenate([drawn.xyz[wrong_or_moving], np.full((len(kept), 3), np.nan, np.float32)])
+    rows = np.concatenate([drawn.point[wrong_or_moving], kept])
     T_world_sensor = np.eye(4)
-    T_world_sensor[:3, 3] = drawn.position
-    scan = Scan(answers.index, points, T_world_sensor, labels=truth)
-    return Labelled.of(drawn.frame, scan, np.isin(outcome, _REMOVED), reasons)
+    T_world_sensor[:3, 3] = position
+    scan = Scan(answers.index, points, T_world_sensor, labels=answers.truth[rows])
+    return Labelled.of(drawn.frame, scan, answers.dynamic[rows], answers.reasons[rows])

@@ -36,6 +36,11 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     if geometry:
         columns.insert(0, _world(info, extent))
     body = rrb.Horizontal(*columns, column_shares=[10, 6, 5][-len(columns) :])
+    return blueprint(body)
+
+
+def blueprint(body: Any) -> rrb.Blueprint:
+    """A layout with its panels folded, and the cursor on frames."""
     return rrb.Blueprint(
         body,
         rrb.BlueprintPanel(state="collapsed"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dynaviz.compared import Comparison, label
 from dynaviz.comparison import BOTH, FIRST, NEITHER, SECOND, Crossed, PlaceGains, frame_gains, who_is_right
 from dynaviz.io.atomic import whole_file
+from dynaviz.loop import Progress
 from dynaviz.scan import F32, F64, U8, Label
 from dynaviz.viz import compare_layout, paths
 from dynaviz.viz.answers import Answers
@@ -33,8 +34,6 @@ from dynaviz.viz.compare_layout import (
 )
 from dynaviz.viz.reader import COMPARISON, Drawn, Recording
 from dynaviz.viz.tap import Tap
-
-Progress = Callable[[str, int, int], None]
 
 KEPT = (  # of each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,

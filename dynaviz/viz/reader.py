@@ -20,7 +20,7 @@ from rerun.chunk import RrdReader
 from dynaviz.errors import DataError
 from dynaviz.method import Cause, Reason
 from dynaviz.result import Result
-from dynaviz.scan import F32, F64, U8
+from dynaviz.scan import F32, U8
 from dynaviz.viz import paths
 from dynaviz.viz.answers import ARCHETYPE, Answers
 from dynaviz.viz.sink import of_part, part_of
@@ -44,8 +44,6 @@ class Drawn:
         outcome: (M,) uint8, an ``Outcome`` per point.
         point: (M,) their positions in the scan.
         stands_for: (M,) how many points each stands for.
-        reasons: (M,) uint8, the method's reason codes.
-        position: (3,) float64, metres, world frame: where the sensor is.
     """
 
     frame: int
@@ -53,8 +51,6 @@ class Drawn:
     outcome: U8
     point: NDArray[np.int64]
     stands_for: NDArray[np.int64]
-    reasons: U8
-    position: F64
 
 
 class Recorded:
@@ -209,12 +205,8 @@ class Recording(Recorded):
 
     def drawn(self) -> Iterator[Drawn]:
         """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
-        positions = {frame: c["Transform3D:translation"][0] for frame, c in self.rows(paths.SENSOR)}
-        reasons = (
-            {answers.frame: answers.reasons for answers in self.answers()} if self.properties["mode"] == "full" else {}
-        )
         for frame, components in self.rows(paths.SCAN):
-            if "Points3D:positions" not in components or frame not in positions:
+            if "Points3D:positions" not in components:
                 continue  # a killed run's last frame, cut off within
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
@@ -224,10 +216,6 @@ class Recording(Recorded):
                 components["Points3D:class_ids"].astype(np.uint8),
                 components.get("dynaviz.Scan:point", every).astype(np.int64),
                 components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
-                components["dynaviz.Scan:reason"]
-                if "dynaviz.Scan:reason" in components
-                else reasons.get(frame, every.astype(np.uint8)),
-                positions[frame].astype(np.float64),
             )
 
 

@@ -89,7 +89,6 @@ class Failures:
         low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
         return {
             "failures": FrameBoxes(
-                "failure cases",
                 tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1)),
                 np.array([_KINDS[case["kind"]] for case in cases], np.uint8),
                 low,
