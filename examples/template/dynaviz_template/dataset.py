@@ -1,0 +1,67 @@
+"""A data set: a folder of text files ``000000.xyzl``, a row ``x y z label`` for each point, and ``origins.txt``.
+
+Points are in the world frame, in metres; a label is 0 static, 1 dynamic, 255 unlabelled. ``origins.txt`` has a row
+``x y z`` for each scan: where the sensor was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.datasets.files import holds, numbered
+from dynaviz.errors import DataError
+from dynaviz.scan import F64, Scan
+from dynaviz.sensors import Sensor
+
+
+@dataclass(frozen=True)
+class TextScans:
+    """Text files with labels, and a file of the sensor's positions."""
+
+    name: str
+    scans: dict[int, Path]
+    origins: F64
+    sensor: Sensor = Sensor()  # unknown; --sensor NAME names one
+    has_labels: bool = True
+    layout: ClassVar[str] = "*.xyzl and origins.txt"
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """By names only: dynaviz asks every data set about every path."""
+        return (path / "origins.txt").is_file() and holds(path, "*.xyzl")
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Read what is small; scans are read when they are asked for.
+
+        Raises:
+            DataError: naming the file, the place in it and what to do.
+        """
+        scans, origins = numbered(path, ".xyzl"), _rows(path / "origins.txt", np.float64, 3)
+        if len(origins) != len(scans):
+            raise DataError(
+                path / "origins.txt", f"has {len(origins)} rows for {len(scans)} scans", hint="Give one for each"
+            )
+        return cls(path.name, scans, origins)
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def __getitem__(self, position: int) -> Scan:
+        index, T_world_sensor = list(self.scans)[position], np.eye(4)
+        T_world_sensor[:3, 3] = self.origins[position]
+        rows = _rows(self.scans[index], np.float32, 4)
+        return Scan(index, rows[:, :3], T_world_sensor, labels=rows[:, 3].astype(np.uint8))
+
+
+def _rows(path: Path, dtype: Any, columns: int) -> NDArray[Any]:
+    """Numbers in a text file, (rows, columns)."""
+    try:
+        return np.loadtxt(path, dtype, ndmin=2, usecols=range(columns))
+    except (OSError, ValueError) as error:  # numpy names the row
+        raise DataError(path, f"cannot be read: {error}", hint=f"Write {columns} numbers into each row") from None

@@ -1,0 +1,44 @@
+"""A metric: the space that ghosts fill, and that holes leave empty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dynaviz.grid import KeySet, has_voxel, pack
+from dynaviz.method import MethodInfo
+from dynaviz.metric import Figure, Labelled
+from dynaviz.scan import Outcome
+
+EDGE = 0.2  # metres
+KINDS = {"ghosts": Outcome.FALSE_NEGATIVE, "holes": Outcome.FALSE_POSITIVE}
+
+
+class GhostVolume:
+    """Section ``ghost_volume``: cubic metres, in voxels of 0.2 m, of what was wrongly kept and wrongly removed.
+
+    A point more or less on a surface that is seen a hundred times changes nothing here, unlike in SA and DA.
+    """
+
+    def __init__(self, info: MethodInfo) -> None:
+        self._voxels = {kind: KeySet() for kind in KINDS}
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the voxels of a scan's wrong points; the numbers returned become curves over the frames."""
+        volumes = {}
+        for kind, outcome in KINDS.items():
+            points = labelled.scan.points[labelled.outcome == outcome]
+            self._voxels[kind].add(pack(points[has_voxel(points, EDGE)], EDGE))
+            volumes[f"ghost_volume/{kind}"] = self._volume(kind)
+        return volumes
+
+    def finish(self) -> Mapping[str, Any]:
+        """The section of ``result.json``."""
+        return {"ghost_volume": {"edge_m": EDGE, **{f"{kind}_m3": self._volume(kind) for kind in KINDS}}}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """Nothing to draw besides the curves."""
+        return {}
+
+    def _volume(self, kind: str) -> float:
+        return round(len(self._voxels[kind]) * EDGE**3, 3)

@@ -1,0 +1,9 @@
+"""Every check of the conformance kit: odd scans, memory, threads, moved worlds, states, parameters."""
+
+from dynaviz_template.method import Seldom
+
+from dynaviz.testing import check_method
+
+
+def test_seldom_conforms() -> None:
+    check_method(Seldom)

@@ -1,0 +1,94 @@
+"""The template of a package with a method, a data set and a metric, installed for real."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynaviz.testing import crossing
+
+TEMPLATE = Path(__file__).resolve().parents[2] / "examples/template"
+FRAMES = 5
+MAIN = "from dynaviz.cli import main; main()"
+Python = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Python:
+    """Call Python with the template installed beside everything else."""
+    pytest.importorskip("hatchling")
+    site = tmp_path_factory.mktemp("site")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    subprocess.run([*pip, "--no-build-isolation", "--target", site, TEMPLATE], check=True, capture_output=True)
+
+    def call(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "160"}
+        command = [sys.executable, *words]
+        return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The kit's crossing as the template's text files."""
+    folder = tmp_path_factory.mktemp("text") / "crossing"
+    folder.mkdir()
+    scans = crossing(FRAMES)
+    for scan in scans:
+        np.savetxt(folder / f"{scan.index:06d}.xyzl", np.column_stack([scan.points, scan.labels]), fmt="%.9g")
+    np.savetxt(folder / "origins.txt", [scan.position for scan in scans])
+    return folder
+
+
+def test_it_runs_and_is_scored_as_any_other(python: Python, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = python("-c", MAIN, "run", "seldom", folder, "-o", out, "--record", "scores", "--set", "min_scans=2")
+    assert not done.returncode, done.stderr
+    result = json.loads((out / "result.json").read_text())
+    scans = crossing(FRAMES)
+    assert result["sequence"]["points"] == sum(map(len, scans))
+
+    # the same by hand
+    seen, ghosts = defaultdict(set), set()
+    for scan in scans:
+        for voxel in map(tuple, np.floor(scan.points / np.float32(0.5)).astype(int)):
+            seen[voxel].add(scan.index)
+    counts = dict.fromkeys(("static_kept", "static_removed", "dynamic_removed", "dynamic_kept"), 0)
+    for scan in scans:
+        voxels = np.floor(scan.points / np.float32(0.5)).astype(int)
+        for voxel, point, label in zip(map(tuple, voxels), scan.points, scan.labels, strict=True):
+            removed = len(seen[voxel]) < 2
+            counts[f"{'dynamic' if label else 'static'}_{'removed' if removed else 'kept'}"] += 1
+            if label and not removed:
+                ghosts.add(tuple(np.floor(point.astype(float) / 0.2).astype(int)))
+    assert {name: result["counts"][name] for name in counts} == counts
+    assert min(counts.values()) > 0
+    assert result["ghost_volume"]["ghosts_m3"] == pytest.approx(len(ghosts) * 0.2**3, abs=1e-3)
+    assert result["reasons"]["false_negative"]["often_seen"] == counts["dynamic_kept"]
+
+
+def test_damaged_data_are_told_in_a_line(python: Python, folder: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "000000.xyzl").write_text("1 2 3 0\n1 2 three 0\n")
+    (broken / "origins.txt").write_text("0 0 1\n")
+    done = python("-c", MAIN, "info", broken)
+    assert done.returncode == 2
+    assert "000000.xyzl" in done.stderr
+    assert "row 1" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_its_own_test_passes(python: Python) -> None:
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:dash", TEMPLATE / "test_template.py")
+    assert not done.returncode, done.stdout
+    assert "1 passed" in done.stdout
