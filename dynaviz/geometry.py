@@ -45,16 +45,18 @@ def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
         (N, 3) float64, metres, frame a.
     """
     T = np.asarray(T_a_b, np.float64)
-    x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
     out = np.empty((len(points), 3))
-    for axis in range(3):
-        out[:, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite stays so
+        x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
+        for axis in range(3):
+            out[:, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
     return out
 
 
 def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
     """Points in another frame, rounded to float32 at the end; the rest as in ``apply``."""
-    return apply(T_a_b, points).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite
+        return apply(T_a_b, points).astype(np.float32)
 
 
 def pose(position: ArrayLike, quaternion: ArrayLike) -> F64:

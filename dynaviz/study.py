@@ -1,16 +1,17 @@
-"""Many results as one study: found in folders, and reported in one of the formats that are installed."""
+"""Many results as one study: found in folders, combined by counts, and reported in a format that is installed."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dynaviz import registry
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError, DynavizError, UsageError
 from dynaviz.io.atomic import opened, write_whole
 from dynaviz.result import Result
 
@@ -136,6 +137,47 @@ def collect(paths: Sequence[str | os.PathLike[str]]) -> list[Cell]:
         for file in found:
             cells.setdefault(file.resolve(), _cell(file, given))
     return list(cells.values())
+
+
+def combined(results: Sequence[Result]) -> Result:
+    """Results of one method on several sequences as one: each metric combines its own sections, by adding counts.
+
+    Args:
+        results: at least one, of the same method and parameters.
+
+    Raises:
+        DynavizError: where they were scored in different ways.
+    """
+    first = results[0]
+    if len({result.scoring for result in results}) > 1:
+        raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
+    sections: dict[str, Any] = {}
+    for handle in registry.handles("metrics"):
+        if combine := getattr(handle.load(), "combine", None):
+            sections |= combine([result.sections for result in results])
+    total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
+    digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))
+    return replace(
+        first,
+        sequence={"name": f"all {len(results)}", "digest": digest, **total},
+        sections=sections,
+        runtime=_runtime([result.runtime for result in results]),
+        labels_sha256=None,
+        recording_sha256=None,
+        record=None,
+        instrumented=any(result.instrumented for result in results),
+        command="",
+    )
+
+
+def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and deviation over the frames of all sequences."""
+    if not all("mean_s" in runtime for runtime in runtimes):
+        return {}
+    frames = sum(runtime["frames"] for runtime in runtimes)
+    mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames
+    square = sum(runtime["frames"] * (runtime["std_s"] ** 2 + runtime["mean_s"] ** 2) for runtime in runtimes) / frames
+    return {"mean_s": mean, "std_s": math.sqrt(max(0.0, square - mean**2)), "frames": frames}
 
 
 def report(

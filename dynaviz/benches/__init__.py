@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from dynaviz.benches import cell as cells
-from dynaviz.benches.board import Board, Found, Row, combined
+from dynaviz.benches.board import Board, Found, Row
 from dynaviz.benches.file import plan_of, read
 from dynaviz.benches.local import Local
 from dynaviz.benches.plan import Cell, ParameterSet, Plan, Source
 from dynaviz.benches.source import open_source, placed, simulated
 from dynaviz.errors import DataError, DynavizError, UsageError
 
-__all__ = ["Board", "Cell", "Found", "Plan", "Row", "Watcher", "bench", "combined", "read"]
+__all__ = ["Board", "Cell", "Found", "Plan", "Row", "Watcher", "bench", "read"]
 
 
 class Watcher:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dynaviz import registry
 from dynaviz.benches.plan import Cell, ParameterSet
-from dynaviz.errors import DynavizError
 from dynaviz.result import Result
+from dynaviz.study import combined
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -114,47 +113,6 @@ class Board:
                 table.add_row(row.cell.source.name, row.cell.path.name, row.error)
             parts.append(table)
         return Group(*parts)
-
-
-def combined(results: Sequence[Result]) -> Result:
-    """Results of one method on several sequences as one: each metric combines its own sections, by adding counts.
-
-    Args:
-        results: at least one, of the same method and parameters.
-
-    Raises:
-        DynavizError: where they were scored in different ways.
-    """
-    first = results[0]
-    if len({result.scoring for result in results}) > 1:
-        raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
-    sections: dict[str, Any] = {}
-    for handle in registry.handles("metrics"):
-        if combine := getattr(handle.load(), "combine", None):
-            sections |= combine([result.sections for result in results])
-    total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
-    digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))
-    return replace(
-        first,
-        sequence={"name": f"all {len(results)}", "digest": digest, **total},
-        sections=sections,
-        runtime=_runtime([result.runtime for result in results]),
-        labels_sha256=None,
-        recording_sha256=None,
-        record=None,
-        instrumented=any(result.instrumented for result in results),
-        command="",
-    )
-
-
-def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and deviation over the frames of all sequences."""
-    if not all("mean_s" in runtime for runtime in runtimes):
-        return {}
-    frames = sum(runtime["frames"] for runtime in runtimes)
-    mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames
-    square = sum(runtime["frames"] * (runtime["std_s"] ** 2 + runtime["mean_s"] ** 2) for runtime in runtimes) / frames
-    return {"mean_s": mean, "std_s": math.sqrt(max(0.0, square - mean**2)), "frames": frames}
 
 
 def _ranked(results: Sequence[Result]) -> list[Result]:

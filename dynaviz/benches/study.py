@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from dynaviz import params, registry
-from dynaviz.benches.board import Found, Row, combined
+from dynaviz.benches.board import Found, Row
 from dynaviz.benches.plan import ParameterSet, Plan, Search, Source
 from dynaviz.errors import DynavizError, MissingDependency, UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.registry import suggest
+from dynaviz.study import combined
 
 if TYPE_CHECKING:
     from dynaviz.benches import Desk

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dynaviz import geometry
 from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.files import holds, numbered, only
-from dynaviz.datasets.truth import Truth
+from dynaviz.datasets.truth import Truth, fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
 from dynaviz.scan import F64, Scan
@@ -149,11 +149,8 @@ class Argoverse2Sequence:
             points=geometry.transform(T_world_ego, xyz),
             T_world_sensor=geometry.compose(T_world_ego, T_ego_sensor),
             stamp_ns=stamp,
-            labels=truth.labels if truth else None,
-            classes=truth.classes if truth else None,
-            instances=truth.instances if truth else None,
             origins=self._origins(sweep, stamp),
-            class_names=CLASS_NAMES if truth else {},
+            **fields_of(truth, CLASS_NAMES),
         )
 
     def _truth(self, xyz: F64, stamp: int) -> Truth:

@@ -13,6 +13,7 @@ from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.datasets.kitti_tracking import CLASS_NAMES, KINDS, SWEEP
+from dynaviz.datasets.truth import fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
 from dynaviz.io.calib import matrix_of, read_calib, rigid_of
@@ -110,10 +111,7 @@ class KittiRawSequence:
             points=geometry.transform(T_world_sensor, xyz),
             T_world_sensor=T_world_sensor,
             stamp_ns=self.stamps.get(index),
-            labels=truth.labels if truth else None,
-            classes=truth.classes if truth else None,
-            instances=truth.instances if truth else None,
-            class_names=CLASS_NAMES if truth else {},
+            **fields_of(truth, CLASS_NAMES),
         )
 
 

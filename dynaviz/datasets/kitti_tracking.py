@@ -14,7 +14,7 @@ from dynaviz import geometry
 from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import holds, numbered, only_folder
-from dynaviz.datasets.truth import Truth
+from dynaviz.datasets.truth import Truth, fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import REGION, read_boxes
 from dynaviz.io.boxes import Box as Line
@@ -101,18 +101,10 @@ class KittiTrackingSequence:
         xyz = read_velodyne(self.scans[index])[:, :3]
         T_world_sensor = self.poses[index]
         points = geometry.transform(T_world_sensor, xyz)
-        if self.boxes is None:
-            return Scan(index, points, T_world_sensor)
-        truth = self._truth(geometry.apply(self.camera.T_camera_sensor, xyz), self.boxes.get(index, []))
-        return Scan(
-            index=index,
-            points=points,
-            T_world_sensor=T_world_sensor,
-            labels=truth.labels,
-            classes=truth.classes,
-            instances=truth.instances,
-            class_names=CLASS_NAMES,
-        )
+        truth = None
+        if self.boxes is not None:
+            truth = self._truth(geometry.apply(self.camera.T_camera_sensor, xyz), self.boxes.get(index, []))
+        return Scan(index, points, T_world_sensor, **fields_of(truth, CLASS_NAMES))
 
     def _truth(self, points: F64, boxes: Iterable[Line]) -> Truth:
         """The truth of (N, 3) points in the camera frame."""

@@ -12,6 +12,7 @@ import numpy as np
 from dynaviz import geometry
 from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.files import holds, only
+from dynaviz.datasets.truth import fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.records import read_records
 from dynaviz.io.velodyne import read_velodyne
@@ -133,10 +134,7 @@ class NuScenesSequence:
             points=points.astype(np.float32),
             T_world_sensor=geometry.compose(sweep.T_world_ego, sweep.T_ego_sensor),
             stamp_ns=sweep.time * 1000,
-            labels=truth.labels if truth else None,
-            classes=truth.classes if truth else None,
-            instances=truth.instances if truth else None,
-            class_names=self.class_names if truth else {},
+            **fields_of(truth, self.class_names),
         )
 
 

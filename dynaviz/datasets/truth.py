@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,14 @@ class Truth:
     classes: NDArray[np.uint16] | None
     instances: NDArray[np.int32] | None
     unmatched: int = 0
+
+
+def fields_of(truth: Truth | None, class_names: Mapping[int, str]) -> dict[str, Any]:
+    """What is known of a scan's points, as fields of a ``Scan``; nothing without truth."""
+    if truth is None:
+        return {}
+    fields = {"labels": truth.labels, "classes": truth.classes, "instances": truth.instances}
+    return {**fields, "class_names": class_names}
 
 
 class GroundTruth:

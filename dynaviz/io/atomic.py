@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import shutil
 from collections.abc import Iterator
@@ -80,6 +81,16 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise DataError(path, problem, hint="Free space or choose another folder") from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """Digest of a file.
+
+    Raises:
+        OSError: where it cannot be read.
+    """
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def remove(path: str | os.PathLike[str]) -> None:

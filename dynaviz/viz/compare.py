@@ -10,10 +10,10 @@ from typing import Any
 from dynaviz.compared import Comparison, differences, names, runtimes
 from dynaviz.comparison import PLACE, Crossed, PlaceGains, Places, compare_pair, cross, place_gains, run_scores
 from dynaviz.errors import DataError, UsageError
+from dynaviz.io.atomic import sha256
 from dynaviz.loop import Progress
 from dynaviz.result import Result
 from dynaviz.viz.reader import Recording
-from dynaviz.viz.sink import sha256
 
 LETTERS = "ABCDEFGH"
 FINE = 1.0  # metres: edge of the cells that are drawn

@@ -13,6 +13,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz.errors import UsageError
+from dynaviz.io.atomic import sha256
 from dynaviz.loop import Listener, Run
 from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
@@ -68,7 +69,7 @@ class Recorder(Listener):
 
     def sha256(self) -> str:
         """Digest of the finished recording."""
-        return sink.sha256(self.path)
+        return sha256(self.path)
 
     def wants(self, name: str) -> bool:
         """States are drawn wherever the recording holds geometry."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import re
 import uuid
@@ -30,12 +29,6 @@ def of_part(path: Path) -> Path | None:
     """The recording's place, from where it was being written; None for another path."""
     name = path.name.removeprefix(".").removesuffix(".part")
     return path.with_name(name) if path == part_of(path.with_name(name)) else None
-
-
-def sha256(path: str | os.PathLike[str]) -> str:
-    """Digest of a finished recording's file."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class Sink:

@@ -18,13 +18,14 @@ from rich.console import Console
 from toys import Here, gone, who, write_room
 
 from dynaviz import api
-from dynaviz.benches import Board, bench, combined
+from dynaviz.benches import Board, bench
 from dynaviz.benches.cell import difference
 from dynaviz.cli import main
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.result import Result
 from dynaviz.simulate import recording
+from dynaviz.study import combined
 
 MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
 NONE = {"methods": ["toy"], "record": "none"}

@@ -8,9 +8,10 @@ import pytest
 from toys import Here, write_room
 
 from dynaviz import params, registry
-from dynaviz.benches import bench, combined
+from dynaviz.benches import bench
 from dynaviz.benches import source as sources
 from dynaviz.errors import DynavizError, UsageError
+from dynaviz.study import combined
 
 pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dynaviz.result import Result
-from dynaviz.study import Cell, Study
-from dynaviz_eval.confusion import Counts
+from dynaviz.study import Cell, Study, combined
 
 UNKNOWN = "unknown"  # the cause of what no method explains
 SCORES = ("SA", "DA", "AA", "HA")
@@ -134,7 +133,7 @@ def together(study: Study, every: Sequence[Board]) -> tuple[list[Board], list[st
     Returns:
         The boards, and where there can be none, a sentence that says why.
     """
-    combined, notes = [], []
+    boards_of_all, notes = [], []
     for scoring in dict.fromkeys(board.scoring for board in every):
         alike = [board for board in every if board.scoring == scoring]
         labels = list(dict.fromkeys(row.label for board in alike for row in board.rows))
@@ -146,20 +145,12 @@ def together(study: Study, every: Sequence[Board]) -> tuple[list[Board], list[st
             rest = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
             notes.append(f"No row for all sequences together{of}: there is no {', no '.join(absent[:3])}{rest}.")
             continue
-        rows = [_sum(label, [row for board in alike if (row := board.row(label))]) for label in labels]
-        combined.append(Board(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
+        rows = [Row(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels]
+        boards_of_all.append(Board(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
         differ = [row.label for row in rows if _parameters_differ([board.row(row.label) for board in alike])]
         if differ:
             notes.append(f"All sequences together{of}: {', '.join(differ)} had other parameters on some sequences.")
-    return combined, notes
-
-
-def _sum(label: str, rows: Sequence[Row]) -> Row:
-    counts = sum((Counts(**row.result.counts) for row in rows), Counts())
-    sequence = {key: sum(row.result.sequence.get(key, 0) for row in rows) for key in ("frames", "points")}
-    sections = {"counts": dict(counts.row()), "metrics": counts.metrics()}
-    result = replace(rows[0].result, sequence={"name": f"all {len(rows)}", **sequence}, sections=sections, runtime={})
-    return Row(label, result)
+    return boards_of_all, notes
 
 
 def _parameters_differ(rows: Sequence[Row | None]) -> bool:
