@@ -1,0 +1,365 @@
+"""Laws of places: transforms, voxel keys, blocks, polar bins, range images, nearest points. No examples, no oracle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from dynaviz import geometry, kernels
+from dynaviz.blocks import BlockGrid, read, voxels_of
+from dynaviz.grid import REACH, has_voxel, pack, thin, unpack
+from dynaviz.nearest import Nearest, nearest_distance
+from dynaviz.scan import Scan
+from dynaviz.survey import Extent
+from dynaviz_methods.polar import PolarBins
+from dynaviz_methods.range_images import image_views, slices
+
+some = settings(max_examples=40)
+numbers = st.floats(-100, 100, allow_subnormal=False)
+quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 1e-3)
+poses = st.builds(geometry.pose, hnp.arrays(np.float64, 3, elements=numbers), quaternions)
+whole_steps = st.tuples(*[st.integers(-40, 40)] * 3)
+binary_sizes = st.sampled_from([0.125, 0.25, 0.5, 1.0, 2.0])  # voxels whose borders are float32
+seeds = st.integers(0, 2**32 - 1)
+
+
+def clouds(most: int = 40, least: int = 0) -> st.SearchStrategy[Any]:
+    """(N, 3) float32 within 60 m: on borders and on each other, near both, and anywhere.
+
+    All are whole multiples of a millimetre or so, 2^-10 m, so that shifts round nothing.
+    """
+
+    def cloud(n: int, seed: int) -> Any:
+        random = np.random.default_rng(seed)
+        kinds = [random.uniform(-60, 60, (n, 3)), random.integers(-30, 30, (n, 3)), random.normal(0, 0.01, (n, 3))]
+        points = np.choose(random.integers(0, 3, (n, 3)), kinds)
+        return (np.round(points * 1024) / 1024).astype(np.float32)
+
+    return st.builds(cloud, st.integers(least, most), seeds)
+
+
+def shuffled(n: int, seed: int) -> Any:
+    return np.random.default_rng(seed).permutation(n)
+
+
+# Transforms
+
+
+@given(poses)
+def test_inverting_twice_changes_nothing(T: Any) -> None:
+    np.testing.assert_allclose(geometry.inverse(geometry.inverse(T)), T, atol=1e-12)
+
+
+@given(poses, poses)
+def test_the_inverse_of_a_way_is_the_way_back(T_a_b: Any, T_b_c: Any) -> None:
+    back = geometry.compose(geometry.inverse(T_b_c), geometry.inverse(T_a_b))
+    np.testing.assert_allclose(geometry.inverse(geometry.compose(T_a_b, T_b_c)), back, atol=1e-10)
+
+
+@given(poses, poses, poses)
+def test_how_a_way_is_parted_does_not_matter(A: Any, B: Any, C: Any) -> None:
+    left, right = geometry.compose(geometry.compose(A, B), C), geometry.compose(A, geometry.compose(B, C))
+    np.testing.assert_allclose(left, right, atol=1e-10)
+
+
+@given(poses, clouds())
+def test_points_come_back(T: Any, points: Any) -> None:
+    away = geometry.apply(T, points)
+    np.testing.assert_allclose(geometry.apply(geometry.inverse(T), away), points, atol=1e-11)
+
+
+@given(poses, clouds(20))
+def test_distances_between_points_stay(T: Any, points: Any) -> None:
+    def distances(xyz: Any) -> Any:
+        return np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
+
+    np.testing.assert_allclose(distances(geometry.apply(T, points)), distances(points.astype(float)), atol=1e-11)
+
+
+@given(clouds())
+def test_the_identity_changes_no_bit(points: Any) -> None:
+    np.testing.assert_array_equal(geometry.transform(np.eye(4), points), points)
+
+
+@given(quaternions, st.sampled_from([-3.0, -1.0, 0.01, 1000.0]))
+def test_length_and_sign_of_a_quaternion_do_not_matter(q: Any, factor: float) -> None:
+    np.testing.assert_allclose(geometry.matrix(q * factor), geometry.matrix(q), atol=1e-12)
+
+
+@given(quaternions)
+def test_a_rotation_survives_its_quaternion(q: Any) -> None:
+    R = geometry.matrix(q)
+    np.testing.assert_allclose(geometry.matrix(geometry.quaternion(R)), R, atol=1e-12)
+
+
+# Voxel keys
+
+
+@given(clouds(), binary_sizes)
+def test_keys_survive_a_round_trip(points: Any, size: float) -> None:
+    keys = pack(points, size)
+    middles = ((unpack(keys) + 0.5) * size).astype(np.float32)
+    np.testing.assert_array_equal(pack(middles, size), keys)
+
+
+@given(clouds(), binary_sizes, whole_steps)
+def test_a_shift_by_whole_voxels_shifts_indices(points: Any, size: float, step: Any) -> None:
+    moved = points + np.multiply(step, size).astype(np.float32)
+    np.testing.assert_array_equal(unpack(pack(moved, size)), unpack(pack(points, size)) + step)
+
+
+@given(clouds(), binary_sizes)
+def test_voxels_nest(points: Any, size: float) -> None:
+    np.testing.assert_array_equal(unpack(pack(points, 2 * size)), unpack(pack(points, size)) >> 1)
+
+
+@given(clouds(), st.floats(0.01, 5), st.integers(0, 2))
+def test_indices_grow_with_coordinates(points: Any, size: float, axis: int) -> None:
+    ordered = points[np.argsort(points[:, axis], kind="stable")]
+    assert (np.diff(unpack(pack(ordered, size))[:, axis]) >= 0).all()
+
+
+@given(
+    hnp.arrays(np.float32, st.tuples(st.integers(1, 4), st.just(3)), elements=st.floats(width=32)),
+    st.floats(0.01, 100) | st.sampled_from([0.1, 0.3, 1 / 3]),
+    st.integers(0, 2),
+    st.sampled_from([-1, 1]),
+    st.integers(-2, 2),
+)
+def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: int, steps: int) -> None:
+    """Also a few float32 numbers around the farthest coordinate."""
+    edge = np.float32(side * REACH * size)
+    for _ in range(abs(steps)):
+        edge = np.nextafter(edge, np.float32(np.inf * steps), dtype=np.float32)
+    points[0] = 0
+    points[0, axis] = edge
+    for point, has in zip(points, has_voxel(points, size), strict=True):
+        if has:
+            index = unpack(pack(point[None], size))[0]
+            assert (np.abs(index) <= REACH).all()
+
+
+@given(clouds(), st.floats(0.05, 5), seeds)
+def test_thinning_keeps_one_of_each_voxel_and_all_weight(points: Any, size: float, seed: int) -> None:
+    chosen, counts = thin(points, size)
+    assert counts.sum() == len(points)
+    again, ones = thin(points[chosen], size)
+    assert again.tolist() == list(range(len(chosen)))
+    assert (ones == 1).all()
+    other, _ = thin(points[shuffled(len(points), seed)], size)
+    assert len(other) == len(chosen)
+
+
+# Blocks of voxels
+
+
+def grid_of(points: Any, size: float) -> BlockGrid:
+    return BlockGrid(Extent.of(Scan(0, points, np.eye(4))), size)
+
+
+@some
+@given(clouds(), st.sampled_from([0.05, 0.1, 0.3, 1.0]))
+def test_blocks_and_keys_agree(points: Any, size: float) -> None:
+    grid = grid_of(points, size)
+    voxels, keys = grid.locate(points), pack(points, size)
+    np.testing.assert_array_equal(grid.keys(voxels), unpack(keys))
+    assert len(np.unique(voxels)) == len(np.unique(keys))  # one number a voxel
+
+
+@some
+@given(clouds(least=2), st.sampled_from([0.1, 0.3]), st.integers(1, 39), seeds)
+def test_a_larger_extent_moves_no_point(points: Any, size: float, few: int, seed: int) -> None:
+    part = points[:few]
+    small, large = grid_of(part, size), grid_of(points[shuffled(len(points), seed)], size)
+    np.testing.assert_array_equal(small.keys(small.locate(part)), large.keys(large.locate(part)))
+
+
+@some
+@given(hnp.arrays(np.int64, st.tuples(st.integers(0, 6), st.just(8))))
+def test_set_bits_are_those_that_are_read(bits: Any) -> None:
+    voxels = voxels_of(np.arange(len(bits), dtype=np.int32), bits)
+    everywhere = np.arange(512 * len(bits))
+    np.testing.assert_array_equal(np.flatnonzero(read(bits, everywhere)), voxels)
+    assert len(voxels) == sum(int(word).bit_count() for word in bits.view(np.uint64).ravel())
+    assert not read(bits, np.array([-1])).any() if len(bits) else True
+
+
+@some
+@given(clouds(30, 2), seeds, st.data())
+def test_rays_mark_alone_what_they_mark_together(points: Any, seed: int, data: Any) -> None:
+    """Marks of a scan are the union of those of its parts, in any order of its points."""
+    grid = grid_of(points, 0.5)
+    at = data.draw(st.integers(1, len(points) - 1))
+    order = shuffled(len(points), seed)
+
+    def marks(xyz: Any) -> tuple[set[int], set[int]]:
+        told = grid.mark(Scan(0, xyz, np.eye(4)), np.ones(len(xyz), bool), np.ones(len(xyz), bool))
+        return tuple(set(voxels_of(told.blocks, part).tolist()) for part in (told.bits[:, :8], told.bits[:, 8:]))  # type: ignore[return-value]
+
+    whole, first, second = marks(points[order]), marks(points[:at]), marks(points[at:])
+    assert whole == (first[0] | second[0], first[1] | second[1])
+    assert whole[1] == set(grid.locate(points).tolist())
+
+
+# Bins around the sensor
+
+BINS = PolarBins(max_range=40.0, rings=10, sectors=36, low=-2.0, high=3.0)
+FOOT = np.array([1.5, -2.25, 0.5])
+
+
+def every_bin() -> Any:
+    """(rings * sectors, 3) the middles of all bins."""
+    ring, sector = np.divmod(np.arange(BINS.rings * BINS.sectors), BINS.sectors)
+    r = (ring + 0.5) * BINS.max_range / BINS.rings
+    azimuth = (sector + 0.5) * 2 * np.pi / BINS.sectors
+    return (FOOT + np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.zeros(len(r))], 1)).astype(np.float32)
+
+
+def test_the_middle_of_each_bin_is_in_it() -> None:
+    rows, bins = BINS.locate(every_bin(), FOOT)
+    np.testing.assert_array_equal(rows, bins)
+    assert len(rows) == BINS.rings * BINS.sectors
+
+
+@given(clouds())
+def test_bins_part_what_is_within_range_and_heights(points: Any) -> None:
+    rows, bins = BINS.locate(points, FOOT)
+    away = points.astype(np.float64) - [*FOOT[:2], 0.0]
+    near = np.hypot(away[:, 0], away[:, 1]) < BINS.max_range
+    clear = np.abs(np.hypot(away[:, 0], away[:, 1]) - BINS.max_range) > 1e-9
+    assert set(rows[clear[rows]].tolist()) == set(np.flatnonzero(near & clear).tolist())
+    height = points[rows, 2].astype(np.float64) - FOOT[2]
+    np.testing.assert_array_equal(bins >= 0, (height > BINS.low) & (height < BINS.high))
+    assert (bins < BINS.rings * BINS.sectors).all()
+    _, counts = BINS.heights(points, rows, bins)
+    assert counts.sum() == (bins >= 0).sum()
+
+
+@given(clouds(), st.integers(0, 40))
+def test_spans_and_gone_rows_part_the_points(points: Any, at: int) -> None:
+    at, n = min(at, len(points)), len(points)
+    whole = BINS.locate(points, FOOT)
+    parts = BINS.locate(points, FOOT, np.array([[0, at], [at, n]]))
+    np.testing.assert_array_equal(np.stack(whole), np.stack(parts))
+    gone = np.arange(n) < at
+    left = BINS.locate(points, FOOT, gone=gone)
+    np.testing.assert_array_equal(np.stack(left), np.stack(whole)[:, whole[0] >= at])
+
+
+@given(clouds(least=1), st.integers(0, 35))
+def test_a_turn_by_whole_sectors_turns_the_bins(points: Any, turn: int) -> None:
+    angle = 2 * np.pi * turn / BINS.sectors
+    away = points.astype(np.float64) - FOOT
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.stack([c * away[:, 0] - s * away[:, 1], s * away[:, 0] + c * away[:, 1], away[:, 2]], 1)
+    azimuth = np.degrees(np.arctan2(away[:, 1], away[:, 0])) / 10 % 1
+    r = np.hypot(away[:, 0], away[:, 1]) / 4
+    band = np.minimum(np.abs(away[:, 2] - BINS.low), np.abs(away[:, 2] - BINS.high))
+    clear = (np.minimum(azimuth, 1 - azimuth) > 1e-3) & (np.abs(r - np.round(r)) > 1e-3) & (band > 1e-3)
+    (rows, bins), (other_rows, other) = (
+        BINS.locate((xyz[clear] + FOOT).astype(np.float32), FOOT) for xyz in (away, turned)
+    )
+    np.testing.assert_array_equal(rows, other_rows)
+    ring, sector = np.divmod(bins, BINS.sectors)
+    np.testing.assert_array_equal(other, np.where(bins < 0, -1, ring * BINS.sectors + (sector + turn) % BINS.sectors))
+
+
+@given(clouds(), st.integers(-64, 64))
+def test_heights_do_not_know_where_zero_is(points: Any, lift: int) -> None:
+    up = np.array([0, 0, lift / 4], np.float32)
+    here, there = (
+        BINS.heights(xyz, *BINS.locate(xyz, foot)) for xyz, foot in ((points, FOOT), (points + up, FOOT + up))
+    )
+    np.testing.assert_array_equal(here[0], there[0])
+    np.testing.assert_array_equal(here[1], there[1])
+
+
+# Range images
+
+VIEWS = image_views((1.0, 0.4), (-25.0, 15.0), (-180.0, 180.0))
+AT, AXES = kernels.frozen((3.5, -1.25, 2.0), np.float64), kernels.frozen(np.eye(3), np.float64)
+
+
+def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
+    return kernels.range_image.nearest(kernels.frozen(points.T, np.float32), AT, AXES, VIEWS, False, lanes)
+
+
+def rays(view: Any, ranges: Any) -> Any:
+    """(rows * columns, 3): a point in the middle of every pixel; the first column's lie where azimuths begin and end."""
+    row, column = np.divmod(np.arange(int(view[0] * view[1])), int(view[1]))
+    elevation, azimuth = (view[2] - row) / view[3], (column - view[4]) / view[5]
+    flat = np.cos(elevation)
+    away = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 1)
+    return (AT + away * np.broadcast_to(ranges, len(row))[:, None]).astype(np.float32)
+
+
+@settings(max_examples=10)
+@given(st.floats(1, 90), st.integers(0, 1))
+def test_the_middle_of_each_pixel_is_in_it(distance: float, k: int) -> None:
+    ranges, indices = nearest_of(rays(VIEWS[k], distance))
+    (pixels,) = slices(VIEWS[k : k + 1])
+    inner = np.arange(pixels.stop - pixels.start) % int(VIEWS[k, 1])
+    inner = np.flatnonzero((inner > 0) & (inner < VIEWS[k, 1] - 1))
+    np.testing.assert_array_equal(indices[pixels][inner], inner)
+    np.testing.assert_allclose(ranges[pixels][inner], distance, rtol=1e-5)
+
+
+@some
+@given(clouds(60), clouds(60), seeds)
+def test_the_nearest_of_two_clouds_is_the_nearer_of_each(a: Any, b: Any, seed: int) -> None:
+    both = np.concatenate([a, b])
+    together, indices = nearest_of(both)
+    np.testing.assert_array_equal(together, np.minimum(nearest_of(a)[0], nearest_of(b)[0]))
+    np.testing.assert_array_equal(nearest_of(both[shuffled(len(both), seed)], lanes=3)[0], together)
+    met = indices >= 0
+    away = np.linalg.norm(both[indices[met]] - AT, axis=1)
+    np.testing.assert_allclose(together[met], away, rtol=1e-5)
+    assert np.isinf(together[~met]).all()
+
+
+# The nearest of many points
+
+
+@some
+@given(clouds(50, 1), clouds(50, 1), clouds(50, 1))
+def test_the_nearest_of_two_sets_is_the_nearer(query: Any, a: Any, b: Any) -> None:
+    both = nearest_distance(query, np.concatenate([a, b]))
+    np.testing.assert_array_equal(both, np.minimum(nearest_distance(query, a), nearest_distance(query, b)))
+
+
+@some
+@given(clouds(50, 1), clouds(50, 1), seeds)
+def test_order_decides_nothing_of_distances(query: Any, reference: Any, seed: int) -> None:
+    order = shuffled(len(query), seed)
+    other = nearest_distance(query[order], reference[shuffled(len(reference), seed)])
+    np.testing.assert_array_equal(other, nearest_distance(query, reference)[order])
+
+
+@some
+@given(clouds(50, 1), clouds(50, 1))
+def test_one_of_the_points_is_at_no_distance(points: Any, others: Any) -> None:
+    tree = Nearest(np.concatenate([others, points]))
+    assert (tree.distance(points) == 0).all()
+    assert tree.within(points, 0.0).all()
+
+
+@some
+@given(clouds(50, 1), clouds(50, 1), st.lists(st.floats(0, 200, width=32), min_size=2, max_size=4))
+def test_what_is_within_a_limit_is_within_a_larger_one(query: Any, reference: Any, limits: list[float]) -> None:
+    tree, distance = Nearest(reference), nearest_distance(query, reference)
+    before = np.zeros(len(query), bool)
+    for limit in sorted(limits):
+        within = tree.within(query, limit)
+        assert (within >= before).all()
+        np.testing.assert_array_equal(within, distance <= np.float32(limit))
+        before = within
+
+
+@some
+@given(clouds(30, 1), clouds(30, 1))
+def test_both_sides_see_the_same_smallest_distance(a: Any, b: Any) -> None:
+    assert nearest_distance(a, b).min() == nearest_distance(b, a).min()
