@@ -4,7 +4,7 @@ BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 
-.PHONY: demo test lint types boundscheck check clean
+.PHONY: demo test lint types boundscheck docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -23,7 +23,10 @@ types: .venv/.dev
 boundscheck: .venv/.dev  # kernels again, with every index checked
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q $(ALL_CORES) -k 'not golden and not report' tests/kernels tests/methods tests/eval
 
-check: lint types test boundscheck
+docs: .venv/.dev  # into build/site; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+check: lint types test boundscheck docs
 
 .venv/.venv:
 	@$(PYTHON) -c 'import sys; sys.exit("dynaviz needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'

@@ -6,4 +6,5 @@ from dynaviz.testing import check_method
 
 
 def test_seldom_conforms() -> None:
+    """The whole kit, with the default parameters."""
     check_method(Seldom)

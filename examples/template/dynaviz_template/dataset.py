@@ -6,7 +6,7 @@ Points are in the world frame, in metres; a label is 0 static, 1 dynamic, 255 un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -26,7 +26,7 @@ class TextScans:
     name: str
     scans: dict[int, Path]
     origins: F64
-    sensor: Sensor = Sensor()  # unknown; --sensor NAME names one
+    sensor: Sensor = field(default_factory=Sensor)  # unknown; --sensor NAME names one
     has_labels: bool = True
     layout: ClassVar[str] = "*.xyzl and origins.txt"
 
