@@ -2,6 +2,7 @@
 
     python docs/draw.py                # everything, some minutes
     python docs/draw.py dufomap        # the page of one method
+    python docs/draw.py tutorial       # the tutorial and the pages on recordings
 
 Simulates what it needs into a temporary folder; writes docs/pictures/*.jpg and docs/methods/measured.json.
 """
@@ -25,9 +26,9 @@ DOCS = Path(__file__).parent
 MEASURED = DOCS / "methods/measured.json"
 SCENE, FRAMES, FRAME = "street_hdl64", 40, 24
 STATES = {  # which state a method's picture shows, and where frame 24 does not tell enough, another
-    "removert": ("difference_1", 24),
+    "removert": ("accused", 24),
     "erasor": ("status", 23),  # every fourth scan is compared
-    "dynablox": ("free_voxels", 24),
+    "dynablox": ("clusters", 24),
     "octomap_g": ("ground_plane", 24),
     "octomap_gf": ("noise", 24),
     "dufomap": ("void", 24),
@@ -36,20 +37,26 @@ STATES = {  # which state a method's picture shows, and where frame 24 does not 
 HALF = (760, 620)  # pixels of each half of a method's picture
 
 
+BAR = 36  # pixels of the viewer's own bar, above the window
+WINDOW = (1400, 800 + BAR)
+
+
 def main(names: list[str]) -> None:
-    """Draw for the methods named, or for all and the tutorial."""
+    """Draw what is named, or everything."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         known = json.loads(MEASURED.read_text()) if MEASURED.exists() else {"methods": {}}
         known |= {"scene": SCENE, "frames": FRAMES}
-        sequence = simulate(SCENE, folder / "street", frames=FRAMES)
-        built_in = [h.name for h in registry.handles("methods") if h.package == "dynaviz_methods"]
-        for name in names or built_in:
-            known["methods"][name] = of_method(name, sequence, folder)
-            known["methods"] = dict(sorted(known["methods"].items()))
-            MEASURED.write_text(json.dumps(known, indent=1) + "\n")
-        if not names:
+        built_in = [handle.name for handle in registry.handles("methods") if handle.package == "dynaviz_methods"]
+        names = names or [*built_in, "tutorial"]
+        if "tutorial" in names:
             of_tutorial(folder)
+        if methods := [name for name in names if name != "tutorial"]:
+            sequence = simulate(SCENE, folder / SCENE, frames=FRAMES)
+            for name in methods:
+                known["methods"][name] = of_method(name, sequence, folder)
+        known["methods"] = dict(sorted(known["methods"].items()))
+        MEASURED.write_text(json.dumps(known, indent=1) + "\n")
 
 
 def of_method(name: str, sequence: Path, folder: Path) -> dict[str, Any]:
@@ -77,23 +84,24 @@ def of_method(name: str, sequence: Path, folder: Path) -> dict[str, Any]:
 
 def of_tutorial(folder: Path) -> None:
     """The pictures of the tutorial and of the pages on recordings: the demo."""
-    street = simulate("demo", folder / "demo")
+    street = simulate("demo", folder / "demo/street")
     runs = {name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap")}
     for name, recording in runs.items():
         dv.run(name, street, record=recording)
-    save(picture(runs["octomap"], folder, 41, None, (1400, 800)), "window")
+    save(picture(runs["octomap"], folder, 41, None, WINDOW), "window")
     save(picture(runs["octomap"], folder, 41, "frame", (1100, 640)), "frame")
-    save(picture(runs["octomap"], folder, 41, "failures", (700, 560)), "failures")
+    save(picture(runs["octomap"], folder, 41, "failures", (520, 560)), "failures")
     save(picture(runs["octomap"], folder, 41, "wrong points per frame", (900, 400)), "wrong")
     save(picture(runs["octomap"], folder, 41, "kept: error distance [m]", (900, 400)), "distance")
     save(picture(runs["octomap"], folder, 41, "hit", (1100, 640)), "hit")
     dv.compare(runs["octomap"], runs["dufomap"], out=folder / "compare.rrd")
-    save(picture(folder / "compare.rrd", folder, 35, None, (1400, 800)), "compared")
+    save(picture(folder / "compare.rrd", folder, 35, None, WINDOW), "compared")
 
 
 def picture(recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int]) -> Image.Image:
     """A view of a recording, or the whole window."""
-    return Image.open(shot(recording, folder / "shot.png", (frame,), view, size)[0]).convert("RGB")
+    image = Image.open(shot(recording, folder / "shot.png", (frame,), view, size)[0]).convert("RGB")
+    return image if view else image.crop((0, BAR, *image.size))
 
 
 def save(image: Image.Image, name: str) -> None:

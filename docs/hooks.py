@@ -1,8 +1,8 @@
 """What the site takes from elsewhere: READMEs as pages, and on methods' pages all that their code tells.
 
-A page of a method, ``docs/methods/NAME.md``, holds prose and, on lines of their own, the names of SECTIONS in braces, as
-in ``{{ parameters }}``. A method without a page gets one with all sections. ``docs/draw.py`` writes the numbers and the
-picture of ``{{ failures }}``.
+A page of a method, ``docs/methods/NAME.md``, holds prose and, on lines of their own, names of SECTIONS in braces, as
+``{{ parameters }}``; a method without a page gets one with all sections. ``docs/draw.py`` writes the numbers and the
+picture of ``{{ failures }}``. Any page may hold ``{{ PATH }}``, and gets the text of that file of the repository.
 """
 
 from __future__ import annotations
@@ -160,7 +160,8 @@ def parameters(kind: Any) -> str:
     )
     return (
         table(("parameter", "default", "type", "meaning"), rows)
-        + f"\n\nSet them with `--set KEY=VALUE`, a preset or a file; `dynaviz config {kind.info.name}` shows which counts."
+        + "\n\nSet them with `--set KEY=VALUE`, a preset or a file; "
+        + f"`dynaviz config {kind.info.name}` shows which counts."
     )
 
 
