@@ -55,8 +55,7 @@ def shot(
         start = time.monotonic()
         push(source.path, client)
         view_id = None if view is None else _alone(view, client)
-        if view is None:
-            time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
+        time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
         for frame, picture in zip(frames, pictures, strict=True):
             client.set_time(paths.FRAME, sequence=frame, play_state="paused")
             client.take_screenshot()  # the first picture after a jump may lack what is still on its way
