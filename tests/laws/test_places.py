@@ -289,7 +289,7 @@ def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
 
 
 def rays(view: Any, ranges: Any) -> Any:
-    """(rows * columns, 3): a point in the middle of every pixel; the first column's lie where azimuths begin and end."""
+    """(rows * columns, 3): a point in the middle of every pixel, those of the first column where azimuths begin."""
     row, column = np.divmod(np.arange(int(view[0] * view[1])), int(view[1]))
     elevation, azimuth = (view[2] - row) / view[3], (column - view[4]) / view[5]
     flat = np.cos(elevation)
