@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import os
 
+_LONGEST = 2000  # characters
+
 
 class DynavizError(Exception):
-    """Base of all errors that a user can cause; the command line answers with its text and exit code 2."""
+    """Base of all errors that a user can cause; the command line answers with its text and exit code 2.
+
+    The text is one line that fits on a screen, whatever a file in question holds: control characters are escaped.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
+        super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message))
 
 
 class UsageError(DynavizError):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import opened
+from dynaviz.io.npy import loaded
 from dynaviz.io.points import read_points
 from dynaviz.loop import Listener, Run
 from dynaviz.method import Context, MethodInfo, Reason
@@ -200,14 +200,10 @@ class GivenLabels(Given):
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.params, self.facts = path, NoParams(), dict[str, Any]()
-        try:
-            with opened(path, "Give the labels.npz of a run") as file, np.load(file, allow_pickle=False) as z:
-                points, frames = z["points"].astype(np.int64), z["frames"].tolist()
-                self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
-                legend = [str(reason) for reason in z["reason_names"]]
-        except (KeyError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-            problem = f"is not the labels.npz of a run ({str(error)[:80]})"
-            raise DataError(path, problem, hint="Give that file, or a cleaned map") from None
+        with loaded(path, "labels.npz of a run", "Give that file, or a cleaned map") as z:
+            points, frames = z["points"].astype(np.int64), z["frames"].tolist()
+            self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
+            legend = [str(reason) for reason in z["reason_names"]]
         ends = np.cumsum(points)
         self._rows = {
             index: (end - n, end) for index, n, end in zip(frames, points.tolist(), ends.tolist(), strict=True)

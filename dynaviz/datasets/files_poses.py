@@ -18,7 +18,7 @@ from dynaviz import geometry
 from dynaviz.datasets.posed import Matched, frame_of, match
 from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING, UNSURE
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.npy import loaded
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import find_poses, nanoseconds
@@ -213,14 +213,8 @@ def _points(path: Path) -> F32:
 def _npz(path: Path) -> F32:
     """The array ``points`` or ``xyz`` of an NPZ file, or its only one with a row a point."""
     hint = "Save points = (N, 3) float32, metres, with numpy.savez"
-    with opened(path, hint) as file:
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                fitting = {
-                    name: arrays[name] for name in arrays.files if arrays[name].ndim == 2 and arrays[name].shape[1] >= 3
-                }
-        except Exception as error:  # a damaged archive fails in many ways
-            raise DataError(path, f"is no whole NPZ file ({str(error)[:80]})", hint=hint) from None
+    with loaded(path, "NPZ file", hint) as arrays:
+        fitting = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
     named = [fitting[name] for name in ("points", "xyz") if name in fitting] or list(fitting.values())
     if not named or (len(named) > 1 and not {"points", "xyz"} & set(fitting)) or named[0].dtype.kind not in "fiu":
         raise DataError(path, f"holds {len(named) or 'no'} arrays (N, 3 or more) and none called points", hint=hint)
@@ -232,11 +226,8 @@ def _npz(path: Path) -> F32:
 def _label_array(path: Path, points: int) -> U8:
     """Labels from an NPY file."""
     hint = f"Save ({points},) integers: 0 static, 1 dynamic, 255 unlabelled"
-    with opened(path, hint) as file:
-        try:
-            labels = np.load(file, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise DataError(path, f"is no whole NPY file ({str(error)[:80]})", hint=hint) from None
+    with loaded(path, "NPY file", hint) as labels:
+        pass
     if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
         raise DataError(path, f"holds {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
     if not np.isin(labels, [*Label]).all():

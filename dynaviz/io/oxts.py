@@ -12,6 +12,7 @@ from dynaviz.scan import F64
 
 _EARTH_RADIUS = 6378137.0  # metres
 _HINT = "A line of oxts has 30 numbers, from latitude on"
+_LARGEST = (89.0, 360.0, 1e5, 10.0, 10.0, 10.0)  # of latitude to yaw; beyond, Mercator and numbers end
 _COLUMNS = 30  # lat lon alt roll pitch yaw, then speeds, accelerations and qualities
 
 
@@ -36,6 +37,10 @@ def read_oxts(*paths: str | os.PathLike[str]) -> F64:
         if len(paths) > 1 and len(rows) != 1:
             raise DataError(path, f"has {len(rows)} lines, where a frame has one", hint=_HINT)
     table = np.concatenate(tables)
+    for path, rows in zip(paths, tables, strict=True):
+        if (np.abs(rows[:, :6]) > _LARGEST).any():
+            problem = "has a place that is none on the earth, or an angle beyond a turn"
+            raise DataError(path, problem, hint="Latitude and longitude are degrees, roll, pitch and yaw radians")
     latitude, longitude = np.radians(table[:, 0]), np.radians(table[:, 1])
     scale = np.cos(latitude[:1]) * _EARTH_RADIUS
     poses = np.tile(np.eye(4), (len(table), 1, 1))

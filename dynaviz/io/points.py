@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.errors import DataError, MissingDependency
-from dynaviz.io.atomic import opened
+from dynaviz.errors import DataError
+from dynaviz.io.las import read_las
+from dynaviz.io.npy import loaded
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply
 from dynaviz.scan import F32
@@ -42,11 +43,8 @@ def _pcd(path: Path) -> F32:
 
 def _npy(path: Path) -> F32:
     hint = "Save (N, 3) float32, metres, with numpy.save"
-    with opened(path, hint) as file:
-        try:
-            array = np.load(file, allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise DataError(path, f"is no whole NPY file ({str(error)[:80]})", hint=hint) from None
+    with loaded(path, "NPY file", hint) as array:
+        pass
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         what = f"an array {array.shape} of {array.dtype}" if isinstance(array, np.ndarray) else "several arrays"
         raise DataError(path, f"holds {what}, not (N, 3 or more) numbers", hint=hint)
@@ -54,31 +52,10 @@ def _npy(path: Path) -> F32:
         return array[:, :3].astype(np.float32)
 
 
-def _las(path: Path) -> F32:
-    try:
-        import laspy
-    except ModuleNotFoundError:
-        raise MissingDependency(
-            f"{path}: LAS and LAZ files need laspy. Install it with: pip install 'dynaviz[las]'"
-        ) from None
-    hint = "Write or copy the file again"
-    with opened(path, hint) as file:
-        try:
-            las = laspy.read(file, closefd=False)
-            points, promised = np.asarray(las.xyz), las.header.point_count
-        # Damaged files make laspy and its decompressor fail in many ways.
-        except Exception as error:
-            raise DataError(path, f"is no whole LAS file ({str(error)[:80]})", hint=hint) from None
-    if len(points) < promised:
-        problem = f"is too short: it has {len(points)} points, where its header says {promised}"
-        raise DataError(path, problem, hint=hint)
-    return points.astype(np.float32)
-
-
 _READERS: dict[str, Callable[[Path], F32]] = {
     ".pcd": _pcd,
     ".ply": read_ply,
     ".npy": _npy,
-    ".las": _las,
-    ".laz": _las,
+    ".las": read_las,
+    ".laz": read_las,
 }

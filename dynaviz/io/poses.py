@@ -186,13 +186,18 @@ def _matrices(path: Path, rows: Rows, columns: range | list[int]) -> F64:
     """Poses of the columns of three rows of a matrix."""
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = _floats(path, rows, columns).reshape(-1, 3, 4)
-    R = poses[:, :3, :3]
-    off = np.abs(geometry.compose(R, np.swapaxes(R, 1, 2)) - np.eye(3)).max((1, 2))
-    wrong = (off > 0.02) | (np.linalg.det(R) < 0)
-    if wrong.any():
-        n = rows[int(np.argmax(wrong))][0]
-        raise DataError(path, "has a matrix that is no rotation", at=f"line {n}", hint=_FORMATS)
+    if (wrong := _no_rotation(poses)) is not None:
+        raise DataError(path, "has a matrix that is no rotation", at=f"line {rows[wrong][0]}", hint=_FORMATS)
     return poses
+
+
+def _no_rotation(poses: F64) -> int | None:
+    """The first of (N, 4, 4) poses that does not turn, but stretches or mirrors; None where all turn."""
+    R = poses[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(geometry.compose(R, np.swapaxes(R, 1, 2)) - np.eye(3)).max((1, 2))
+        wrong = ~(off <= 0.02) | ~(np.linalg.det(R) > 0)
+    return int(np.argmax(wrong)) if wrong.any() else None
 
 
 def read_kitti_poses(path: str | os.PathLike[str]) -> F64:
@@ -202,8 +207,11 @@ def read_kitti_poses(path: str | os.PathLike[str]) -> F64:
         (lines, 4, 4) float64, metres; T_world_camera for KITTI's own files.
 
     Raises:
-        DataError: for a file that cannot be read, or a line without 12 numbers.
+        DataError: for a file that cannot be read, a line without 12 numbers, or with a matrix that is no rotation.
     """
-    poses = np.tile(np.eye(4), (len(table := read_table(path, 12, "A line of poses has 12 numbers")), 1, 1))
+    hint = "A line of poses has 12 numbers: three rows of a matrix, a rotation and a position"
+    poses = np.tile(np.eye(4), (len(table := read_table(path, 12, hint)), 1, 1))
     poses[:, :3] = table.reshape(-1, 3, 4)
+    if (wrong := _no_rotation(poses)) is not None:
+        raise DataError(path, "has a matrix that is no rotation", at=f"row {wrong}, counted from 0", hint=hint)
     return poses
