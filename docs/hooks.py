@@ -29,6 +29,7 @@ from dynaviz import registry
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 BROUGHT = {  # files outside docs/, and the pages they become
+    "README.md": "readme.md",
     "recordings/README.md": "recordings.md",
     "methods/README.md": "methods/notes.md",
     "eval/README.md": "evaluation.md",
@@ -85,8 +86,6 @@ def relinked(markdown: str, home: str, uri: str, files: Files) -> str:
     def moved(found: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(home), found[1]))
         page = BROUGHT.get(target) or target.removeprefix("docs/")
-        if target == "README.md":
-            page = "index.md"
         known = files.get_file_from_path(page) if target in BROUGHT or page != target else None
         return posixpath.relpath(page, posixpath.dirname(uri) or ".") + (found[2] or "") if known else ABSENT
 
