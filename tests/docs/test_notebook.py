@@ -25,6 +25,6 @@ def test_it_runs_and_shows_a_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         raise
     texts = "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", ()))
     kinds = {kind for cell in notebook.cells for output in cell.get("outputs", ()) for kind in output.get("data", {})}
-    assert "8 frames" in texts
-    assert "Removed: road" in texts
+    assert "4 frames" in texts
+    assert "%  frame" in texts
     assert kinds & {"image/png", "application/vnd.jupyter.widget-view+json"}
