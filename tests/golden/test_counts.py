@@ -1,0 +1,88 @@
+"""Each method's counts on simulated scenes are those that were written down, on one thread and (the first) on two.
+
+``DYNAVIZ_REWRITE=1 pytest tests/golden`` writes them anew, after a change that is meant to change labels; the diff of
+``counts.json`` then shows what it changed.
+
+The scenes are simulated here, so their points depend on the machine's mathematical library and vector units by a last
+digit. Where the digest of a scene is the one that was written down, counts must be equal. Where it is not, each may
+differ by a few in a thousand of all points: a last digit moves those that lie on the border of a voxel or a bin.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dynaviz import kernels, registry
+from dynaviz.datasets import open_sequence
+from dynaviz.loop import Run, execute
+from dynaviz.scan import Sequence, part
+from dynaviz.simulate.recording import simulate
+
+FILE = Path(__file__).with_name("counts.json")
+REWRITE = "DYNAVIZ_REWRITE" in os.environ
+SCENES = {"demo": (12, 1), "hall_vlp16": (15, 3), "square_mid360": (18, 3)}  # frames, and every how manieth is taken
+KINDS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
+ELSEWHERE = 0.003  # share of all points, where the scene itself differs in last digits
+METHODS = [handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"]
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sequence:
+    folder = tmp_path_factory.mktemp("scenes") / request.param
+    frames, stride = SCENES[request.param]
+    return part(open_sequence(str(simulate(request.param, folder, frames))), stride=stride)
+
+
+def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]:
+    """The digest of the scene, and how many points of each kind."""
+    kind = registry.load("methods", name)
+    params = kind.Params()
+    metric = registry.load("metrics", "confusion")(kind.info)
+    try:
+        result = execute(Run(kind(params), sequence, params, (metric,), threads=threads))
+    finally:
+        kernels.set_threads(None)
+    return result.sequence["digest"], [result.counts[kind] for kind in KINDS]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_counts_are_those_written_down(name: str, scene: Sequence) -> None:
+    digest, found = counts(name, scene, 1)
+    if scene.name == next(iter(SCENES)):
+        assert counts(name, scene, 2) == (digest, found), "the number of threads changed counts"
+    known: dict[str, Any] = json.loads(FILE.read_text()) if FILE.exists() else {}
+    if REWRITE:
+        entry = known.setdefault(scene.name, {})
+        if entry.get("digest") != digest:
+            entry.clear()
+            entry["digest"] = digest
+        entry[name] = found
+        written = {place: dict(sorted(known[place].items())) for place in sorted(known)}
+        FILE.write_text(_a_line_each(written))
+        pytest.skip("written anew")
+    expected = known.get(scene.name, {}).get(name)
+    assert expected, f"no counts of {name} are written down yet: DYNAVIZ_REWRITE=1 pytest tests/golden"
+    same_scene = known[scene.name]["digest"] == digest
+    slack = 0 if same_scene else ELSEWHERE * sum(expected)
+    assert found == pytest.approx(expected, abs=slack), f"{KINDS} were {expected}"
+
+
+def _a_line_each(table: dict[str, dict[str, Any]]) -> str:
+    """JSON with a line for each method, so that a diff shows which changed."""
+    scenes = [
+        f' "{name}": {{\n' + ",\n".join(f'  "{key}": {json.dumps(value)}' for key, value in row.items()) + "\n }"
+        for name, row in table.items()
+    ]
+    return "{\n" + ",\n".join(scenes) + "\n}\n"
+
+
+def test_counts_of_no_other_methods_and_scenes() -> None:
+    known = json.loads(FILE.read_text())
+    assert set(known) == set(SCENES)
+    for row in known.values():
+        assert set(row) == {"digest", *METHODS}
