@@ -14,12 +14,15 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.bits import PackedBits
+from dynaviz.errors import UsageError
 from dynaviz.method import Context, Method
 from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.result import Result, environment
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.survey import Extent, Survey, survey
+
+MOST_IN_MAP = (1 << 31) - 1  # points that methods which need the raw map can number
 
 
 @dataclass(frozen=True)
@@ -194,6 +197,11 @@ def peak_rss_mb() -> float:
 def _context(run: Run, seen: Survey, probe: Probe) -> Context:
     raw_map = None
     if run.method.info.needs_map:
+        if seen.points > MOST_IN_MAP:
+            raise UsageError(
+                f"{run.method.info.name} needs the map of all scans: {seen.points:,} points in {seen.frames:,} frames, "
+                f"and {MOST_IN_MAP:,} is the most. Take fewer with --frames A:B or --stride K"
+            )
         raw_map = np.empty((seen.points, 3), np.float32)
         end = 0
         for scan in stream(run.sequence):

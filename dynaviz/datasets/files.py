@@ -24,7 +24,7 @@ def numbered(folder: Path, suffix: str) -> dict[int, Path]:
     """
     files: dict[int, Path] = {}
     for path in folder.glob(f"*{suffix}"):
-        if not (path.stem.isascii() and path.stem.isdigit()):
+        if not (path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 20 and int(path.stem) < 1 << 63):
             hint = f"Name the scans 000000{suffix} and so on, and keep other {suffix} files elsewhere"
             raise DataError(path, "has a name that is no frame number", hint=hint)
         if int(path.stem) in files:
