@@ -15,7 +15,7 @@ from dynaviz.io.atomic import opened
 
 @contextlib.contextmanager
 def loaded(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any]:
-    """What ``numpy.load`` makes of a file: an array, or arrays by name that are read when asked for.
+    """What ``numpy.load`` makes of a file: a mapped array, or arrays by name that are read when asked for.
 
     Args:
         path: the file.
@@ -27,6 +27,9 @@ def loaded(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any]:
     """
     with opened(path, hint) as file:
         try:
-            yield np.load(file, allow_pickle=False)
+            # An array is mapped, for else room is made for whatever its header says, however short the file.
+            plain = file.read(6) == b"\x93NUMPY"
+            file.seek(0)
+            yield np.load(path, "r") if plain else np.load(file)
         except Exception as error:  # damaged headers and archives make numpy fail in many ways
             raise DataError(path, f"is no whole {kind} ({str(error)[:80]})", hint=hint) from None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from rlimits import files_end_at
 
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import ENCODINGS, PcdWriter, read_header, read_pcd, write_pcd
@@ -153,19 +152,6 @@ def test_nothing_appears_when_the_writer_fails(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="in between"):
         write()
     assert not list(tmp_path.iterdir())
-
-
-@contextlib.contextmanager
-def files_end_at(size: int) -> Iterator[None]:
-    """The disk is full, for this process, after so many bytes of a file."""
-    import resource
-
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("piecewise", [False, True])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +18,12 @@ import pytest
 import rerun as rr
 from guess import guess_run, record
 from nursery import FRAMES
+from rlimits import files_end_at
 from worlds import InMemory, room
 
 from dynaviz.api import _run_into
 from dynaviz.errors import DataError
+from dynaviz.io.atomic import sha256
 from dynaviz.loop import execute
 from dynaviz.result import Result
 from dynaviz.scan import outcomes
@@ -31,7 +31,6 @@ from dynaviz.viz import paths
 from dynaviz.viz.reader import Recording
 from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.repair import repair
-from dynaviz.viz.sink import sha256
 
 Command = Callable[..., tuple[int, str, str]]
 HERE = Path(__file__).parent
@@ -126,17 +125,6 @@ def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: in
     assert (found.path, found.answered, found.frames, found.whole) == (part.with_name("run.rrd"), 4, 6, False)
 
 
-@contextmanager
-def full(size: int) -> Iterator[None]:
-    """A disk on which no file grows beyond a size."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 @pytest.mark.parametrize("missing", [2_000, 110_000, 150_000, 190_000])
 def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing: int) -> None:
     sequence = room(6, 500)
@@ -144,7 +132,7 @@ def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing:
     (tmp_path / "run.rrd").write_bytes(b"of an earlier run")
     with (
         pytest.raises(DataError, match=r"run\.rrd: cannot be written \(File too large\)") as caught,
-        full(size - missing),
+        files_end_at(size - missing),
     ):
         record(sequence, tmp_path / "run.rrd", "scores")
     assert caught.value.__notes__ == [f"Salvage what was recorded with: dynaviz repair {tmp_path / '.run.rrd.part'}"]
@@ -157,7 +145,7 @@ def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing:
 
 @pytest.mark.parametrize("limit", [0, 2_000, 40_000])
 def test_a_full_disk_leaves_nothing_under_a_final_name(tmp_path: Path, limit: int) -> None:
-    with pytest.raises(DataError, match="cannot be written"), full(limit):
+    with pytest.raises(DataError, match="cannot be written"), files_end_at(limit):
         _run_into(tmp_path / "out", tmp_path / "out/run.rrd", "errors", guess_run(room(6, 500)), False, lambda *_: None)
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 

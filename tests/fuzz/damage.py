@@ -1,0 +1,93 @@
+"""What may befall a file: bytes flipped, cut, doubled or replaced, numbers and words become others, or all is new."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[^\s"<>=,:;\[\]{}/]+')
+_WORDS = [
+    *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"1", b"0.5", b"1e19", b"1e-999", b"99999999999999999999", b"9" * 5000),
+    *(b"9223372036854775807", b"-9223372036854775809", b"4294967296", b"281474976710655", b"1000000000000"),
+    *(b'""', b"null", b"[]", b"{}", b"true", b"[1]", b'{"a": 1}', b'"x"', b"x", b"a b", b"\xff\xfe", b"\x00", b"\x1b["),
+    *(b"[" * 100_000, b'{"a":' * 50_000, b"\n", b"#", b'"' + b"x" * 300 + b'"', b"../x", b"\xe2\x80\xae"),
+]
+_NUMBERS = [
+    *(struct.pack("<I", n) for n in (0, 1, 2**24, 2**31 - 1, 2**31, 2**32 - 1)),
+    *(struct.pack("<Q", n) for n in (0, 2**32, 2**40, 2**60, 2**63 - 1, 2**63, 2**64 - 1)),
+    *(struct.pack(">I", n) for n in (2**24, 2**32 - 1)),
+    *(struct.pack("<f", x) for x in (float("nan"), float("inf"), -3e38, 1e-40)),
+    *(struct.pack("<d", x) for x in (float("nan"), float("inf"), -1e308)),
+]
+
+
+@st.composite
+def damaged(draw: st.DrawFn, whole: bytes) -> bytes:
+    """The content of a file after a few accidents; sometimes bytes that have nothing to do with it."""
+    if draw(st.integers(0, 15)) == 15:
+        return draw(st.binary(max_size=300))
+    for accident in draw(st.lists(st.sampled_from(_ACCIDENTS), min_size=1, max_size=3)):
+        whole = accident(draw, whole)
+    return whole
+
+
+def _place(draw: st.DrawFn, whole: bytes) -> int:
+    """Anywhere, but more often near the beginning or the end, where headers and indices are."""
+    last = max(len(whole) - 1, 0)
+    near = min(last, 200)
+    return draw(st.integers(0, last) | st.integers(0, near) | st.integers(0, near).map(lambda back: last - back))
+
+
+def _cut(draw: st.DrawFn, whole: bytes) -> bytes:
+    return whole[: _place(draw, whole)]
+
+
+def _flip(draw: st.DrawFn, whole: bytes) -> bytes:
+    content = bytearray(whole or b"\0")
+    for _ in range(draw(st.integers(1, 8))):
+        content[_place(draw, bytes(content))] ^= draw(st.integers(1, 255))
+    return bytes(content)
+
+
+def _number(draw: st.DrawFn, whole: bytes) -> bytes:
+    at, new = _place(draw, whole), draw(st.sampled_from(_NUMBERS))
+    return whole[:at] + new + whole[at + len(new) :]
+
+
+def _splice(draw: st.DrawFn, whole: bytes) -> bytes:
+    """A piece is lost, or there twice, or moved."""
+    at, size, to = _place(draw, whole), draw(st.integers(1, 64)), _place(draw, whole)
+    kept = draw(st.sampled_from([whole, whole[:at] + whole[at + size :]]))
+    return kept[:to] + draw(st.sampled_from([b"", whole[at : at + size]])) + kept[to:]
+
+
+def _word(draw: st.DrawFn, whole: bytes) -> bytes:
+    words = [found.span() for found in _TOKEN.finditer(whole[:100_000])]
+    if not words:
+        return whole
+    first, last = draw(st.sampled_from(words))
+    other = draw(st.sampled_from(words))
+    return whole[:first] + draw(st.sampled_from([*_WORDS, whole[slice(*other)]])) + whole[last:]
+
+
+def _line(draw: st.DrawFn, whole: bytes) -> bytes:
+    """A line is lost, or there twice."""
+    lines = whole.splitlines(keepends=True) or [b""]
+    k = draw(st.integers(0, len(lines) - 1))
+    return b"".join(lines[:k] + draw(st.sampled_from([[], [lines[k]] * 2])) + lines[k + 1 :])
+
+
+_ACCIDENTS: list[Callable[[st.DrawFn, bytes], bytes]] = [_cut, _flip, _number, _splice, _word, _word, _line]
+
+
+def remove(path: Path) -> None:
+    """Take away whatever is at a path."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,146 @@
+"""Headers that promise more than their file holds are refused in little memory, by a process of its own."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rlimits import memory_ends_after
+from subjects import bag, every_scan
+from test_argoverse2 import table
+from test_files_poses import WRITERS, XYZ
+
+from dynaviz.errors import DataError
+from dynaviz.io.feather import read_feather
+from dynaviz.io.points import read_points
+from dynaviz.io.tracklets import read_tracklets
+
+MORE = 200 << 20  # bytes; every promise here is of more, every file much smaller
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "points": read_points,
+    "feather": lambda path: read_feather(path, ("x",)),
+    "xml": read_tracklets,
+    "bag": every_scan("rosbag"),
+}
+
+
+def pcd(data: str, body: bytes = b"1 2 3\n") -> bytes:
+    fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    return f"{fields}WIDTH 300000000000\nHEIGHT 1\nPOINTS 300000000000\nDATA {data}\n".encode() + body
+
+
+def ply(order: str) -> bytes:
+    properties = "".join(f"property float {axis}\n" for axis in "xyz")
+    return f"ply\nformat {order} 1.0\nelement vertex 99999999999999\n{properties}end_header\n1 2 3\n".encode()
+
+
+def npy() -> bytes:
+    head = "{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999, 3)}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head.encode() + bytes(12)
+
+
+def las(version: int, counts: bytes, at: int) -> bytes:
+    content = bytearray(500)
+    content[:4], content[24:26] = b"LASF", bytes([1, version])
+    size = 375 if version == 4 else 227
+    struct.pack_into("<HIIBH", content, 94, size, size, 0, 1 if version < 4 else 6, 28 if version < 4 else 30)
+    struct.pack_into("<3d", content, 131, 0.001, 0.001, 0.001)
+    content[at : at + len(counts)] = counts
+    return bytes(content)
+
+
+LAUGHS = (
+    '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a0 "ha">'
+    + "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(12))
+    + "]><x><tracklets><item>&a12;</item></tracklets></x>"
+).encode()
+
+# By what promises: the suffix, the file's content, and what reads it.
+WRITTEN: dict[str, tuple[str, bytes, str]] = {
+    "pcd, ascii": (".pcd", pcd("ascii"), "points"),
+    "pcd, binary": (".pcd", pcd("binary"), "points"),
+    "pcd, packed": (".pcd", pcd("binary_compressed", struct.pack("<II", 20, 2**32 - 1) + bytes(20)), "points"),
+    "ply, ascii": (".ply", ply("ascii"), "points"),
+    "ply, binary": (".ply", ply("binary_little_endian"), "points"),
+    "npy": (".npy", npy(), "points"),
+    "las 1.2, points": (".las", las(2, struct.pack("<I", 2**32 - 1), 107), "points"),
+    "las 1.4, points": (".las", las(4, struct.pack("<Q", 2**60), 247), "points"),
+    "las, records": (".las", las(2, struct.pack("<I", 2**32 - 1), 100), "points"),
+    "xml": (".xml", LAUGHS, "xml"),
+}
+
+
+def announced(content: bytes, kind: str) -> Iterator[tuple[str, int, bytes]]:
+    """Where a good file announces a size, and a size that it cannot have."""
+    if kind == "laz":
+        (points_at,) = struct.unpack_from("<I", content, 96)
+        (chunks,) = struct.unpack_from("<q", content, points_at)
+        yield "chunks", chunks + 4, struct.pack("<I", 2**32 - 1)
+    elif kind == "feather":
+        yield "footer", len(content) - 10, struct.pack("<I", 2**31 - 10)
+    elif kind == "ros1":
+        yield "header", 13, struct.pack("<I", 2**32 - 1)
+    elif kind == "mcap":
+        yield "record", 9, struct.pack("<Q", 2**62)
+
+
+def jobs(folder: Path) -> Iterator[tuple[str, str, Path]]:
+    """Good files first, so that all that reads them is loaded: what to read, by what, and where it is."""
+    table(folder / "a.feather", {"x": XYZ[0, :, 0]})
+    good = {"feather": ("feather", folder / "a.feather")}
+    for suffix in (".las", ".laz", ".npy", ".pcd", ".ply"):
+        WRITERS[suffix](folder / f"a{suffix}", XYZ[0])
+        good[suffix[1:]] = "points", folder / f"a{suffix}"
+    for kind in ("ros1", "mcap"):
+        (folder / kind).mkdir()
+        good[kind] = "bag", bag(kind).make(folder / kind)
+    for kind, (reader, path) in good.items():
+        yield f"good {kind}", reader, path
+    for name, (suffix, content, reader) in WRITTEN.items():
+        path = folder / f"{name}{suffix}"
+        path.write_bytes(content)
+        yield name, reader, path
+    for kind, (reader, path) in good.items():
+        file = path if path.is_file() else next(path.glob("*.mcap"))
+        for what, at, size in announced(content := file.read_bytes(), kind):
+            spoilt = folder / f"{kind} {what}{file.suffix}"
+            spoilt.write_bytes(content[:at] + size + content[at + len(size) :])
+            yield f"{kind}, {what}", reader, spoilt
+
+
+def in_little_memory(work: list[tuple[str, str, str]]) -> None:
+    """What the child does: read one after the other, and say what came of each."""
+    for name, reader, path in work:
+        with memory_ends_after(MORE if not name.startswith("good") else 8 << 30):
+            try:
+                READERS[reader](Path(path))
+                said = "read"
+            except DataError as error:
+                said = f"refused: {error}"
+            except Exception as error:
+                said = f"{type(error).__name__}: {error}"
+        print(json.dumps([name, said]), flush=True)
+
+
+def test_what_cannot_be_is_refused_in_little_memory(tmp_path: Path) -> None:
+    work = [(name, reader, str(path)) for name, reader, path in jobs(tmp_path)]
+    tests = Path(__file__).parents[1]
+    folders = [str(folder) for folder in (tests, *(tests / name for name in ("datasets", "viz", "fuzz")))]
+    script = (
+        f"import json, sys; sys.path[:0] = {folders!r}\n"
+        "from test_promises import in_little_memory\nin_little_memory(json.load(sys.stdin))"
+    )
+    child = subprocess.run(
+        [sys.executable, "-c", script], input=json.dumps(work), capture_output=True, text=True, check=False, timeout=300
+    )
+    told = dict(json.loads(line) for line in child.stdout.splitlines())
+    assert list(told) == [name for name, _, _ in work], f"the reader ended with {child.returncode}: {child.stderr}"
+    for name, said in told.items():
+        assert said.startswith("read" if name.startswith("good") else "refused"), f"{name}: {said}"
+        assert "llocate" not in said, f"{name} was asked of the memory: {said}"
