@@ -1,0 +1,93 @@
+"""How often the voxels of a block grid were crossed, and how often with nothing near that the same scan hit.
+
+Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after the last is empty.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+MOST = np.uint16(65535)
+LOW, HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
+ONE, SEVEN, EIGHT, TOP = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def beside(blocks, rows, keys, base, shape, top, children):
+    """For each block (B,) the rows of the six beside it, -x, +x, -y, ... +z; B for those without one.
+
+    Args:
+        blocks: (B,) int32, numbers of blocks.
+        rows: (all blocks + 1,) int32 scratch, zero before and after.
+        keys: (all blocks, 3) int32, and the grid's directory.
+    """
+    n = len(blocks)
+    for r in prange(n):
+        rows[blocks[r]] = r + 1
+    found = np.full((n, 6), np.int32(n))
+    for r in prange(n):
+        for side in range(6):
+            step = 1 if side & 1 else -1
+            x = np.int64(keys[blocks[r], 0]) - (base[0] << 4) + (step if side >> 1 == 0 else 0)
+            y = np.int64(keys[blocks[r], 1]) - (base[1] << 4) + (step if side >> 1 == 1 else 0)
+            z = np.int64(keys[blocks[r], 2]) - (base[2] << 4) + (step if side >> 1 == 2 else 0)
+            if 0 <= x >> 4 < shape[0] and 0 <= y >> 4 < shape[1] and 0 <= z >> 4 < shape[2]:
+                row = top[((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)]
+                block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
+                if block and rows[block - 1]:
+                    found[r, side] = rows[block - 1] - 1
+    for r in prange(n):
+        rows[blocks[r]] = 0
+    return found
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def grown(bits, sides, times):
+    """Voxels (B + 1, 8) uint64 and all in the cube of 2 times + 1 voxels a side around each, one axis after another."""
+    n = len(sides)
+    here, there = bits.copy(), np.zeros_like(bits)
+    for _ in range(times):
+        for r in prange(n):
+            for w in range(8):  # z: bits of a byte
+                word = here[r, w]
+                below = (word << ONE) & ~LOW | (here[sides[r, 4], w] >> SEVEN) & LOW
+                above = (word >> ONE) & ~HIGH | (here[sides[r, 5], w] << SEVEN) & HIGH
+                there[r, w] = word | below | above
+        for r in prange(n):
+            for w in range(8):  # y: bytes of a word
+                word = there[r, w]
+                below = word << EIGHT | there[sides[r, 2], w] >> TOP
+                above = word >> EIGHT | there[sides[r, 3], w] << TOP
+                here[r, w] = word | below | above
+        for r in prange(n):
+            for w in range(8):  # x: words of a block
+                below = here[r, w - 1] if w > 0 else here[sides[r, 0], 7]
+                above = here[r, w + 1] if w < 7 else here[sides[r, 1], 0]
+                there[r, w] = here[r, w] | below | above
+        here, there = there, here
+    return here
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def count(blocks, crossed, hit, near, hits, passed, clear):
+    """Add one scan to the counts (all blocks + 1, 512) uint16 of its blocks (B,); they stop at 65535.
+
+    A voxel that is hit counts a hit; one that is crossed and not hit counts a pass, and a clear one where no hit is
+    near.
+    """
+    for r in prange(len(blocks)):
+        block = blocks[r]
+        for w in range(8):
+            struck = hit[r, w]
+            through = crossed[r, w] & ~struck
+            if not struck | through:
+                continue
+            free = through & ~near[r, w]
+            for v in range(64):
+                bit, i = np.uint64(v), w << 6 | v
+                if struck >> bit & ONE:
+                    if hits[block, i] < MOST:
+                        hits[block, i] += 1
+                elif through >> bit & ONE and passed[block, i] < MOST:
+                    passed[block, i] += 1
+                    if free >> bit & ONE:
+                        clear[block, i] += 1

@@ -1,0 +1,71 @@
+"""The ground under a map that grows scan by scan, column by column."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.scan import F32
+
+I64 = NDArray[np.int64]
+
+SLOPE = 0.3  # metres a metre: steeper is no ground but a thing that stands on it
+PIT = 0.3  # metres: what lies so far below most around it is no ground but a reflection
+
+
+class Relief:
+    """Heights above the ground, which is what is densest near the lowest points, and nowhere steeper than ``SLOPE``.
+
+    A column is 8 voxels a side and as high as the map; where all of it stands on no ground that was seen, as inside a
+    car, the ground beside it counts. Few points far below do no harm: ground holds a share of
+    a column's points, and is no pit among the columns around.
+
+    Args:
+        blocks: (B, 3) int32, keys of a grid's blocks of 8^3 voxels, sorted.
+        resolution: edge of a voxel, metres.
+    """
+
+    def __init__(self, blocks: NDArray[np.int32], resolution: float) -> None:
+        self._blocks, self._step = blocks, SLOPE * 8 * resolution
+        turns = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
+        self._starts = np.append(turns, len(blocks))
+        self._columns = blocks[turns, :2].astype(np.int64)
+        self._column = np.append(np.repeat(np.arange(len(turns)), np.diff(self._starts)), len(turns))  # the last: none
+        self._number, self._height = np.zeros((len(blocks), 8), np.int32), np.zeros((len(blocks), 8), np.int64)
+        self._floor, self._stale = np.full(len(turns), np.inf), np.zeros(len(turns) + 1, np.bool_)
+
+    def __len__(self) -> int:
+        """Number of columns."""
+        return len(self._columns)
+
+    def add(self, points: F32, voxels: I64) -> None:
+        """Learn from the points of a scan, (N, 3) float32, metres, in their voxels, (N,) int64, -1 for none."""
+        kernels.relief.add(voxels, kernels.frozen(points, np.float32), self._number, self._height)
+        self._stale[self._column[voxels >> 9]] = True
+
+    def height(self, points: F32, voxels: I64) -> F32:
+        """(N,) float32: metres above the ground; infinite where there is none near, or no voxel."""
+        stale = np.flatnonzero(self._stale[:-1])
+        kernels.relief.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
+        self._stale[:] = False
+        height = np.full(len(points), np.inf, np.float32)
+        column, within = self._column[voxels >> 9], voxels >= 0
+        if not within.any():
+            return height
+        mine = self._columns[column[within]]
+        low, high = mine.min(0), mine.max(0)
+        near = slice(*np.searchsorted(self._columns[:, 0], (low[0], high[0] + 1)))
+        xy, floor = self._columns[near], self._floor[near]
+        inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
+        surface = np.full(high - low + 1, np.inf)
+        surface[tuple((xy[inside] - low).T)] = floor[inside]
+        surface[kernels.relief.pits(surface, PIT)] = np.inf
+        kernels.relief.lower(surface, self._step)
+        height[within] = points[within, 2] - surface[tuple((mine - low).T)]
+        return height
+
+    def quarters(self, voxels: I64) -> I64:
+        """(N,) int64: which of four quarters of which column each voxel is in; those of -1 are after all others."""
+        quarters: I64 = self._column[voxels >> 9] * 4 + (voxels >> 8 & 1) * 2 + (voxels >> 5 & 1)
+        return quarters

@@ -1,0 +1,228 @@
+"""SeeThrough: what scans saw clear through has moved, as a whole and for as long as it can be followed.
+
+    for each scan
+        hit:      voxels of its points
+        clear:    voxels that its rays cross with no hit of this very scan within ``guard``; others that they cross are
+                  passed: a grazed surface, seen from elsewhere or with a pose that is off, keeps its hits near
+    ground:       in each column of 8 voxels a side the densest of its lowest layers, pressed down to a slope of 0.3
+    a point is low if it is at most ground_height above that ground
+    for each scan again, in its order
+        objects:  points that are not low, joined over gaps of about ``gap``
+        dynamic:  a voxel votes with min(clear / votes, 1), or 0 where it was hit twice as often as seen clear through;
+                  an object whose points' mean vote exceeds ``share`` is dynamic, all of it
+        followed: so is an object of which most lies where one was in the last scans, if 1 in 20 of its points was
+                  ever seen clear through: a car that came and parked
+        feet:     low points under or beside a dynamic object that stand out of the ground, or were passed more often
+                  than hit
+        alone:    other points in a voxel that was seen clear through by ``votes`` scans and more often than hit
+
+Nothing is judged by one plan of the world: each part of an object is weak evidence, its mean is strong. A ray crosses
+the voxels from the sensor's to the last before its point's. Points that are not finite and points more than 32768
+voxels from the world's origin are kept unjudged.
+
+Labels are decided in the order of the scans, once each, and kept as three bits a point; all else is state of voxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.probe import Mask, PointClasses, State, Voxels
+from dynaviz.scan import U8, Bool, Scan
+from dynaviz_methods.relief import Relief
+
+I64 = NDArray[np.int64]
+
+TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
+FOLLOWED = 0.05  # share of an object's points that must have been seen through for it to be followed
+LATELY = 3  # scans for which a mover's place is remembered
+STANDS_OUT = 0.08  # metres above the ground
+FEW = 3  # points; fewer are no object
+
+
+@dataclass(frozen=True)
+class SeeThroughParams:
+    """Parameters of SeeThrough.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        guard: a crossed voxel is not clear with a hit of the same scan this near, metres; at most 7 voxels.
+        votes: clear scans from which on a voxel's vote is whole.
+        share: mean vote above which an object is dynamic.
+        ground_height: points up to this above the ground are low, metres.
+        gap: edge of the cells that join points to objects, metres; three times this in height.
+    """
+
+    resolution: float = 0.1
+    guard: float = 0.3
+    votes: int = 3
+    share: float = 0.35
+    ground_height: float = 0.2
+    gap: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("resolution", "gap"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
+        if not 0 <= self.guard <= 7 * self.resolution * 1.001:
+            raise ValueError(f"guard = {self.guard}: give metres from 0 to 7 voxels of {self.resolution} m")
+        if not 1 <= self.votes <= 65535:
+            raise ValueError(f"votes = {self.votes}: give a number of scans from 1 to 65535")
+        if not 0 <= self.share < 1:
+            raise ValueError(f"share = {self.share}: give a share from 0 to less than 1")
+        if not np.isfinite(self.ground_height):
+            raise ValueError(f"ground_height = {self.ground_height}: give metres")
+
+
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE = range(8)
+REASONS = (
+    Reason("never_clear", "kept: no scan saw clear through its voxel", Cause.NOTHING_BEHIND),
+    Reason("too_little_clear", "kept: too little of its object was seen clear through", Cause.STANDING),
+    Reason("low", "kept: near the ground, and under no dynamic object", Cause.TAKEN_FOR_GROUND),
+    Reason(
+        "out_of_reach",
+        "kept unjudged: not finite, or more than 32768 voxels from the world's origin",
+        Cause.OUT_OF_RANGE,
+    ),
+    Reason("seen_through", "removed: much of its object was seen clear through", Cause.SHARED_CELL),
+    Reason("followed", "removed: its object is where a dynamic one was in the last scans", Cause.SHARED_CELL),
+    Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
+    Reason("alone", "removed: its voxel was seen clear through, though its object was not", Cause.SPARSE_RINGS),
+)
+REMOVED = np.array([reason.meaning.startswith("removed") for reason in REASONS])
+STATES = (
+    State("clear", Voxels, "Voxels with points that this scan saw clear through; scans that did", value_range=(1, 6)),
+    State("passed", Voxels, "Voxels with points that its rays crossed near something it hit: no evidence"),
+    State(
+        "objects",
+        PointClasses,
+        "Points by what is known so far: low, of an object that stands, of a dynamic or a followed one, alone",
+        legend=("stands", "low", "dynamic", "followed", "foot", "alone"),
+    ),
+    State("low", Mask, "Points near the ground: they fall only under a dynamic object"),
+)
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5], np.uint8)  # of a reason, in the legend
+
+
+class ClearGrid(BlockGrid):
+    """A block grid that knows what lies near the hits of a scan."""
+
+    @property
+    def blocks(self) -> NDArray[np.int32]:
+        """(B, 3) keys of its blocks, sorted."""
+        return self._blocks
+
+    def near(self, marks: Marks, hit: NDArray[np.uint64], times: int) -> NDArray[np.uint64]:
+        """(B, 8) uint64: voxels of the marked blocks in the cubes of 2 times + 1 voxels a side around those hit."""
+        if not hasattr(self, "_rows"):
+            self._rows = np.zeros(len(self) + 1, np.int32)
+        sides = kernels.clearance.beside(marks.blocks, self._rows, self._blocks, *self._place)
+        padded = np.zeros((len(hit) + 1, 8), np.uint64)
+        padded[:-1] = hit
+        grown: NDArray[np.uint64] = kernels.clearance.grown(padded, sides, times)[:-1]
+        return grown
+
+
+class SeeThrough:
+    """SeeThrough; online it labels each scan by the scans so far."""
+
+    info: ClassVar[MethodInfo] = MethodInfo("seethrough", "SeeThrough", "dynaviz, 2026", REASONS, STATES)
+    Params: ClassVar[type[Any]] = SeeThroughParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Lay out the map where points will lie."""
+        self._probe = context.probe
+        self._grid = ClearGrid(context.extent, self.params.resolution)
+        self._relief = Relief(self._grid.blocks, self.params.resolution)
+        rows = len(self._grid) + 1  # points without a voxel, -1, read the last
+        self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
+        # The last scan that had a mover in each quarter of a column, by what is known at the end, and so far.
+        self._movers, self._shown = (np.full(4 * len(self._relief) + 4, -LATELY - 1, np.int32) for _ in range(2))
+        self._observed = self._labelled = 0
+        self._reasons: dict[int, U8] = {}  # three bits a point, packed
+
+    def observe(self, scan: Scan) -> None:
+        """Count what the scan's rays hit, pass and see clear through."""
+        every = np.ones(len(scan), np.bool_)
+        marks = self._grid.mark(scan, casts=every, hits=every)
+        crossed, hit = (np.ascontiguousarray(half).view(np.uint64) for half in np.split(marks.bits, 2, axis=1))
+        near = self._grid.near(marks, hit, round(self.params.guard / self.params.resolution))
+        counts = (self._hits, self._passed, self._clear)
+        kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
+        self._relief.add(scan.points, self._grid.locate(scan.points))
+        if any(self._probe.wants(state.name) for state in STATES):
+            self._show(scan, marks.blocks, crossed & ~hit, near)
+        self._observed += 1
+
+    def label(self, scan: Scan) -> Bool:
+        """(N,) bool: True where the point is of something dynamic. The first time, scans come in their order."""
+        dynamic: Bool = REMOVED[self.explain(scan)]
+        return dynamic
+
+    def explain(self, scan: Scan) -> U8:
+        """(N,) uint8, codes of ``REASONS``; decided when a scan is first asked for."""
+        if scan.index not in self._reasons:
+            why = self._judge(scan, self._labelled, self._movers)
+            self._reasons[scan.index] = np.packbits(why[:, None] >> np.arange(3, dtype=np.uint8) & 1)
+            self._labelled += 1
+        bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
+        reasons: U8 = bits @ np.array([1, 2, 4], np.uint8)
+        return reasons
+
+    def _judge(self, scan: Scan, now: int, movers: NDArray[np.int32]) -> U8:
+        """(N,) uint8, codes of ``REASONS``, for scan number ``now``; movers: where any were, and then are."""
+        params, points = self.params, kernels.frozen(scan.points, np.float32)
+        voxels = self._grid.locate(points)
+        height = self._relief.height(points, voxels)
+        within, low = voxels >= 0, height <= params.ground_height
+        objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
+        dynamic, followed = self._movement(objects, n, voxels, now, movers)
+
+        hits, passed, clear = (of.ravel()[voxels].astype(np.int32) for of in (self._hits, self._passed, self._clear))
+        why = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
+        why[(clear >= params.votes) & (clear > hits)] = ALONE
+        why[followed], why[dynamic] = FOLLOWED_ON, SEEN_THROUGH
+        why[low] = LOW
+        under = low & kernels.objects.beside(points, dynamic | followed, 4 * params.resolution)
+        why[under & ((height > STANDS_OUT) | ((passed >= 2) & (passed > hits)))] = FOOT
+        why[~within] = OUT_OF_REACH
+        return why
+
+    def _movement(
+        self, objects: NDArray[np.int32], n: int, voxels: I64, now: int, movers: NDArray[np.int32]
+    ) -> tuple[Bool, Bool]:
+        """Which points (N,) are of a dynamic object, and which of a followed one."""
+        evidence = (voxels, self._hits, self._clear, self.params.votes)
+        size, votes, touched = kernels.objects.evidence(objects, n, *evidence)
+        places = self._relief.quarters(voxels)
+        lately = kernels.objects.among(objects, n, places, movers, now - LATELY)
+        dynamic = (votes > self.params.share * self.params.votes * size) & (size >= FEW)
+        followed = ~dynamic & (2 * lately > size) & (touched > FOLLOWED * size)
+        of_dynamic, of_followed = (np.append(which, False)[objects] for which in (dynamic, followed))
+        movers[places[of_dynamic | of_followed]] = now
+        return of_dynamic, of_followed
+
+    def _show(
+        self, scan: Scan, blocks: NDArray[np.int32], through: NDArray[np.uint64], near: NDArray[np.uint64]
+    ) -> None:
+        wants, emit = self._probe.wants, self._probe.emit
+        for name, bits in (("clear", through & ~near), ("passed", through & near)):
+            if wants(name):
+                voxels = voxels_of(blocks, bits.view(np.int64))
+                voxels = voxels[self._hits.ravel()[voxels] > 0]
+                count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
+                emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))
+        if wants("objects") or wants("low"):
+            why = self._judge(scan, self._observed, self._shown)
+            emit("objects", PointClasses(CLASS[why]))
+            emit("low", Mask((why == LOW) | (why == FOOT)))
