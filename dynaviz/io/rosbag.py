@@ -43,11 +43,15 @@ class Bag:
 
     @property
     def topics(self) -> dict[str, str]:
-        """The type of each topic that has messages, as ``sensor_msgs/msg/PointCloud2``."""
-        counts = {name: info.msgcount for name, info in self._reader.topics.items()}
-        return {
-            connection.topic: connection.msgtype for connection in self._reader.connections if counts[connection.topic]
-        }
+        """The type of each topic that has messages, as ``sensor_msgs/msg/PointCloud2``.
+
+        Raises:
+            DataError: where the bag is damaged.
+        """
+        with self._told():
+            counts = {name: info.msgcount for name, info in self._reader.topics.items()}
+            found = self._reader.connections
+            return {connection.topic: connection.msgtype for connection in found if counts[connection.topic]}
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Messages in the order in which they were recorded: topic, time of recording in ns, and the message.
