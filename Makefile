@@ -35,9 +35,9 @@ check: lint types test boundscheck docs
 	@$(PYTHON) -m venv .venv
 	@touch $@
 
-.venv/.user: .venv/.venv pyproject.toml
+.venv/.user: .venv/.venv pyproject.toml  # bytecode of what is used comes with its first use, in half the time
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
-	@$(PIP) --editable .
+	@$(PIP) --no-compile --editable .
 	@$(BIN)/python -m dynaviz.precompile
 	@touch $@
 

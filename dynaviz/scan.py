@@ -185,17 +185,15 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
     """
     if frames is None and stride == 1 and sensor is None:
         return sequence
+    if stride < 1:
+        raise UsageError(f"--stride {stride}: give 1 for every frame, 2 for every other ...")
     try:
         first, last = (int(x) if x.strip() else None for x in (frames or ":").split(":"))
-        positions = range(len(sequence))[slice(first, last, stride)]
     except ValueError:
-        raise UsageError(
-            f"--frames {frames} --stride {stride}: give frames as A:B and a stride of at least 1"
-        ) from None
-    if not positions or stride < 1:
-        raise UsageError(
-            f"--frames {frames} --stride {stride}: no frame left of the {len(sequence)} in {sequence.name}"
-        )
+        raise UsageError(f"--frames {frames}: give A:B, as 0:100 for the first hundred frames") from None
+    positions = range(len(sequence))[slice(first, last, stride)]
+    if not positions:
+        raise UsageError(f"--frames {frames}: chooses none of the {len(sequence)} frames in {sequence.name}")
     return Part(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 

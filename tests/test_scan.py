@@ -101,7 +101,7 @@ def test_a_part_is_a_slice(first: int | None, last: int | None, stride: int) -> 
     expected = list(range(10))[first:last:stride]
     frames = f"{'' if first is None else first}:{'' if last is None else last}"
     if not expected:
-        with pytest.raises(UsageError, match="no frame left of the 10"):
+        with pytest.raises(UsageError, match="chooses none of the"):
             part(sequence, frames, stride)
         return
     chosen = part(sequence, frames, stride)
@@ -124,7 +124,7 @@ def test_another_sensor() -> None:
 
 @pytest.mark.parametrize(("frames", "stride"), [("5", 1), ("a:b", 1), ("1:2:3", 1), (None, 0), (None, -1), (":", 0)])
 def test_what_is_no_range_is_told(frames: str | None, stride: int) -> None:
-    with pytest.raises(UsageError, match="--frames"):
+    with pytest.raises(UsageError, match="--frames" if stride == 1 else "--stride"):
         part(Counting(10), frames, stride)
 
 

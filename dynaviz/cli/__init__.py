@@ -7,8 +7,10 @@ import signal
 import sys
 from collections.abc import Iterator
 from types import FrameType
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from dynaviz.cli import (
     bench,
@@ -31,10 +33,28 @@ from dynaviz.cli import (
     simulate,
     view,
 )
-from dynaviz.errors import DynavizError
+from dynaviz.errors import DynavizError, UsageError
+
+WRONG_USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the copy of it that typer has
+
+
+class Verbs(TyperGroup):
+    """The verbs; wrong words after one are told in a line, as all else that a user can cause."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the verb that was typed."""
+        try:
+            return super().invoke(ctx)
+        except WRONG_USAGE as error:
+            problem = error.format_message().replace("Value error, ", "")
+            help = f"{(error.ctx or ctx).command_path} --help"
+            end = "" if problem.endswith((".", "?")) else "."
+            raise UsageError(f"{problem[0].lower()}{problem[1:]}{end} Examples: {help}") from error
+
 
 app = typer.Typer(
     name="dynaviz",
+    cls=Verbs,
     help="Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.",
     epilog="Start with: dynaviz demo",
     no_args_is_help=True,

@@ -80,4 +80,7 @@ def _remark(preset: Path) -> str:
 
 def _title(plugin: object) -> str:
     info = getattr(plugin, "info", None)
-    return f"{info.title} ({info.paper})" if info else (plugin.__doc__ or "").strip().splitlines()[0]
+    if info:
+        return f"{info.title} ({info.paper})"
+    first, layout = (plugin.__doc__ or "").strip().splitlines()[0], getattr(plugin, "layout", None)
+    return f"{first}\n  {layout}" if layout else first

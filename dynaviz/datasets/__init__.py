@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
 from collections import Counter
@@ -84,14 +85,13 @@ def _fitting(kind: type[Dataset], options: Mapping[str, Any]) -> Mapping[str, An
 
 def _guess(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
     """The first format that matches; with options, of those that take them."""
-    layouts, kinds = [], []
+    kinds = []
     for handle in registry.handles("datasets"):
         try:
             kind: type[Dataset] = handle.load()
         except PluginError:  # it breaks nobody else; asking for it by name tells what is wrong
             continue
         kinds.append(kind)
-        layouts.append(f"{handle.name} ({kind.layout})")
     kinds.sort(key=lambda kind: getattr(kind, "fallback", False))
     for kind in kinds:
         if _takes(kind, options) and kind.matches(path):
@@ -100,8 +100,20 @@ def _guess(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
         _fitting(other, options)
     if not path.exists():  # asked last: KITTI tracking knows a sequence by training/0012, which is no folder
         raise DataError(path, "does not exist", hint="Give the folder of a sequence")
-    hint = f"Known layouts: {'; '.join(layouts)}. Give such a folder, or force a format as in benchmark:PATH"
+    sure = [kind for kind in kinds if not getattr(kind, "fallback", False)]
+    near = next((place for place in _around(path) if any(kind.matches(place) for kind in sure)), None)
+    known = "see the known layouts with 'dynaviz list datasets', or force one as in benchmark:PATH"
+    hint = f"Did you mean {near}? Or {known}" if near else f"S{known[1:]}"
     raise DataError(path, f"is no sequence that is known, but {_description(path)}", hint=hint)
+
+
+def _around(path: Path) -> list[Path]:
+    """Where the sequence may be that somebody meant: the folders of a file, those in a folder."""
+    if path.is_file():
+        return list(path.parents)[:2]
+    with contextlib.suppress(OSError):
+        return sorted(entry for entry in path.iterdir() if entry.is_dir())
+    return []
 
 
 def _description(path: Path) -> str:

@@ -50,8 +50,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno not in _DISK and error.filename not in _places(path, beside):
             raise
-        problem = f"cannot be written ({error.strerror})"
-        raise DataError(path, problem, hint="Free space or choose another folder with -o") from error
+        raise _unwritable(path, error, "another folder with -o") from error
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()
@@ -77,8 +76,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         inside = os.fspath(error.filename or "").startswith(os.fspath(beside))
         if error.errno not in _DISK and not inside and error.filename not in _places(path, beside):
             raise
-        problem = f"cannot be written ({error.strerror})"
-        raise DataError(path, problem, hint="Free space or choose another folder") from error
+        raise _unwritable(path, error, "another folder") from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
 
@@ -111,6 +109,13 @@ def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes, whole or not at all."""
     with whole_file(path) as beside:
         beside.write_bytes(content)
+
+
+def _unwritable(path: Path, error: OSError, elsewhere: str) -> DataError:
+    """What to say and to do where a file or folder cannot be written."""
+    file = next((parent for parent in path.parents if parent.is_file()), None)
+    hint = f"Free space or choose {elsewhere}" if file is None else f"{file} is a file: choose {elsewhere}"
+    return DataError(path, f"cannot be written ({error.strerror})", hint=hint)
 
 
 def _places(path: Path, beside: Path) -> set[str]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -89,12 +91,37 @@ def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path
         "info absent.json",
         "shot absent.rrd -o x.png",
         "view absent.rrd",
+        "run",
+        "run octomap",
+        "rum octomap {}",
+        "run octomap {} --fraems 0:3",
+        "run octomap {} --record all",
+        "run octomap {} --threads none",
+        "list everything",
+        "bench",
     ],
 )
 def test_a_mistake_is_answered_in_one_line(dynaviz: Command, folder: Path, typed: str) -> None:
     code, _, err = dynaviz(*(word.format(folder) for word in typed.split()))
     assert code == 2, err
-    assert len(one_line(err)) > 30
+    assert 30 < len(one_line(err)) < 300
+    assert err.startswith("dynaviz: ")
+
+
+def test_a_file_in_place_of_the_folder_is_told(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for out in ("file", "file/sub"):
+        code, _, err = dynaviz("run", "octomap", folder, "-o", tmp_path / out)
+        assert code == 2
+        assert f"{tmp_path / 'file'} is a file: choose another folder with -o." in err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_nothing_typed_shows_what_there_is_and_where_to_start() -> None:
+    for words in ((), ("--help",)):
+        told = subprocess.run([sys.executable, "-m", "dynaviz", *words], capture_output=True, text=True, check=False)
+        assert "Start with: dynaviz demo" in told.stdout + told.stderr
+        assert all(f"\n  {command.name} " in told.stdout + told.stderr for command in app.registered_commands)
 
 
 def test_unusable_data_is_answered_in_one_line(dynaviz: Command, folder: Path, tmp_path: Path) -> None:

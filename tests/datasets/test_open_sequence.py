@@ -23,9 +23,17 @@ def test_a_missing_path_is_told(tmp_path: Path) -> None:
         open_sequence(str(tmp_path / "none"))
 
 
-def test_an_empty_folder_is_told_with_the_layouts(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"but an empty folder\. Known layouts: .*benchmark \(pcd/.*semantickitti"):
+def test_an_empty_folder_is_told_with_where_layouts_are(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"but an empty folder\. See the known layouts with 'dynaviz list datasets'"):
         open_sequence(str(tmp_path))
+
+
+@pytest.mark.parametrize("typed", [".", "street/gt_cloud.pcd"])
+def test_a_sequence_nearby_is_suggested(tmp_path: Path, typed: str) -> None:
+    street = drive(tmp_path / "street")
+    (street / "gt_cloud.pcd").write_text("")
+    with pytest.raises(DataError, match=rf"\. Did you mean {street}\? Or see"):
+        open_sequence(str(tmp_path / typed))
 
 
 def test_what_is_there_instead_is_told(tmp_path: Path) -> None:
