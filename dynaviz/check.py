@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import opened, write_whole
+from dynaviz.io.atomic import write_whole
+from dynaviz.io.plain_json import read_json
 from dynaviz.result import Result
 
 if TYPE_CHECKING:
@@ -254,17 +255,13 @@ def read_baseline(path: str | os.PathLike[str]) -> list[Entry]:
     Raises:
         DataError: where the file is neither, or was written by a newer dynaviz.
     """
-    with opened(path, _HINT) as file:
-        try:
-            plain = json.load(file)
-        except ValueError as error:
-            raise DataError(path, f"is not JSON ({error})", hint=_HINT) from None
+    plain = read_json(path, _HINT)
     if not isinstance(plain, dict) or "baseline" not in plain:
         return [Entry.of(Result.from_dict(plain, path))]
-    if plain["baseline"] > SCHEMA:
+    if isinstance(plain["baseline"], int) and plain["baseline"] > SCHEMA:
         raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
-    try:
-        return [Entry(**row) for row in plain["results"]]
+    try:  # an entry has nothing but what a result has, too
+        return [Entry.of(Result.from_dict(row, path)) for row in plain["results"]]
     except (KeyError, TypeError) as error:
         raise DataError(path, f"is not a baseline ({error})", hint=_HINT) from None
 

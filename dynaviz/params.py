@@ -89,7 +89,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.load(file)
     except OSError as error:
         raise DataError(path, error.strerror or "cannot be read", hint="Give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise DataError(path, f"is not TOML: {error}", hint="See 'dynaviz config METHOD' for the names") from None
 
 

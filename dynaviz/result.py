@@ -10,16 +10,17 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_whole
+from dynaviz.io.plain_json import read_json
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 SCHEMA = 1
+_HINT = "Give the result.json of a run"
 
 
 @dataclass(frozen=True)
@@ -97,13 +98,7 @@ class Result:
         Raises:
             DataError: where the file is none, or was written by a newer dynaviz.
         """
-        try:
-            plain = json.loads(Path(path).read_bytes())
-        except OSError as error:
-            raise DataError(path, error.strerror or "cannot be read", hint="Give the result.json of a run") from None
-        except ValueError as error:
-            raise DataError(path, f"is not JSON ({error})", hint="Give the result.json of a run") from None
-        return cls.from_dict(plain, path)
+        return cls.from_dict(read_json(path, _HINT), path)
 
     @classmethod
     def from_dict(cls, plain: Any, path: str | os.PathLike[str]) -> Result:
@@ -112,12 +107,15 @@ class Result:
         Raises:
             DataError: as ``load``.
         """
-        if not isinstance(plain, dict) or "method" not in plain or "sequence" not in plain:
-            raise DataError(path, "is not the result of a run", hint="Give the result.json of a run")
+        if not isinstance(plain, dict) or not plain.keys() >= {"method", "parameters", "sequence"}:
+            raise DataError(path, "is not the result of a run", hint=_HINT)
         plain = dict(plain)
-        if plain.pop("schema", 0) > SCHEMA:
+        schema = plain.pop("schema", 0)
+        if isinstance(schema, int) and schema > SCHEMA:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
         plain.pop("n_parameters", None)
+        if wrong := next((name for name, kind in _OUTLINE.items() if not fits(plain.get(name, kind), kind)), None):
+            raise DataError(path, f"has something else in '{wrong}' than a result has", hint="Run the method again")
         known = {f.name for f in dataclasses.fields(cls)} - {"sections"}
         return cls(
             **{k: v for k, v in plain.items() if k in known},
@@ -141,6 +139,35 @@ class Result:
         console = Console(file=io.StringIO(), record=True, width=160)
         console.print(self)
         return console
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a value from a file is as a pattern says.
+
+    A pattern is one of several types, or a dict with one pattern for all values, or a list with one for all items; an
+    empty dict or list takes any values. A pattern fits itself.
+    """
+    if value is kind:
+        return True
+    if isinstance(kind, dict):
+        return isinstance(value, dict) and all(fits(v, k) for k in kind.values() for v in value.values())
+    if isinstance(kind, list):
+        return isinstance(value, list) and all(fits(v, k) for k in kind for v in value)
+    return isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool)
+
+
+_NUMBER, _TEXT = (int, float, type(None)), (str, type(None))
+_OUTLINE: dict[str, Any] = {  # of what every reader of a result relies on; the rest is the metrics' own
+    **dict.fromkeys(("method", "variant", "scoring", "command"), str),
+    **dict.fromkeys(("labels_sha256", "recording_sha256", "record"), _TEXT),
+    **{name: {} for name in ("parameters", "sequence", "environment", "failures")},
+    **dict.fromkeys(("online", "instrumented"), bool),
+    "seed": int,
+    "runtime": {"": _NUMBER},
+    "counts": {"": int},
+    "metrics": {"": _NUMBER},
+    "reasons": {"": {}},
+}
 
 
 def environment() -> dict[str, Any]:

@@ -251,6 +251,6 @@ def _failed(file: Path, given: Path) -> Cell:
             facts = json.load(content)
             method, sequence, error = (str(facts[key]) for key in ("method", "sequence", "error"))
             variant = str(facts.get("variant") or "")
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             raise DataError(file, "does not tell which run failed, and why", hint=hint) from None
     return Cell(file, None, error, method, sequence, variant, given)

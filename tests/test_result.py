@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,3 +59,31 @@ def test_nothing_appears_where_writing_fails(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         Result("m", {"x": float("nan")}, {}).save(tmp_path / "result.json")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"schema": "x"}, None),
+        ({"method": 3}, "'method'"),
+        ({"runtime": {"mean_s": "fast"}}, "'runtime'"),
+        ({"counts": {"static_kept": True}}, "'counts'"),
+        ({"counts": [1]}, "'counts'"),
+        ({"metrics": {"SA": [1.0]}}, "'metrics'"),
+        ({"reasons": {"false_positive": 7}}, "'reasons'"),
+        ({"breakdown": [1]}, None),  # a metric's own
+    ],
+)
+def test_what_a_result_cannot_hold_is_told(change: dict[str, Any], says: str | None) -> None:
+    plain = {"method": "m", "parameters": {}, "sequence": {}, "metrics": {"SA": None}, "counts": {"static_kept": 1}}
+    if says is None:
+        Result.from_dict({**plain, **change}, "result.json")
+    else:
+        with pytest.raises(DataError, match=rf"result\.json: has something else in {says}"):
+            Result.from_dict({**plain, **change}, "result.json")
+
+
+def test_json_without_end_is_told(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("[" * 100_000)
+    with pytest.raises(DataError, match="is not JSON"):
+        Result.load(tmp_path / "result.json")

@@ -143,7 +143,7 @@ def _facts(path: Path) -> Mapping[str, Any]:
     hint = 'It may hold name = "...", sensor = "..." (dynaviz list sensors) and rate = 10.0'
     try:
         facts = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, f"cannot be read ({error})", hint=hint) from None
     kinds: dict[str, Any] = {"name": str, "sensor": str, "rate": (int, float)}
     for key, kind in kinds.items():

@@ -36,7 +36,7 @@ def read_records(path: str | os.PathLike[str]) -> Iterator[dict[str, Any]]:
                     raise ValueError("it is no record")
                 yield record
                 number += 1
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             problem = f"is no whole list of records ({str(error)[:80]})"
             raise DataError(path, problem, at=f"record {number}", hint=_HINT) from None
 

@@ -18,7 +18,7 @@ from test_kitti import sweep
 from test_kitti_raw import odometry as kitti_odometry
 from worlds import room
 
-from dynaviz.api import _run_into
+from dynaviz.api import _run_into, run
 from dynaviz.benches.file import plan_of, read
 from dynaviz.check import read_baseline, write_baseline
 from dynaviz.cli import main
@@ -200,6 +200,12 @@ def each(*reads: Callable[[Path], Any]) -> Callable[[Path], None]:
     return read
 
 
+def scored(folder: Path) -> Path:
+    """The result of a run with all metrics."""
+    run("octomap", room(4, 600), out=folder / "out", record="none")
+    return folder / "out"
+
+
 def answers(path: Path) -> None:
     """What the labels of a run say of its sequence."""
     labels = GivenLabels(path, "labels")
@@ -208,7 +214,7 @@ def answers(path: Path) -> None:
 
 
 def baseline(folder: Path) -> Path:
-    out = finished(folder)
+    out = scored(folder)
     write_baseline(out / "baseline.json", [Result.load(out / "result.json")])
     return out
 
@@ -290,7 +296,7 @@ SUBJECTS: dict[str, Subject] = {
     "config.toml": Subject(config, lambda path: resolve(load("methods", "octomap"), config=path)),
     "bench.toml": Subject(bench, lambda path: plan_of(read(path), str(path))),
     "result.json": Subject(
-        finished,
+        scored,
         each(
             lambda out: str(Result.load(out / "result.json")),
             command("info", "@/result.json"),
