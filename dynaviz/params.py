@@ -89,7 +89,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.load(file)
     except OSError as error:
         raise DataError(path, error.strerror or "cannot be read", hint="Give a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # bad TOML, bad UTF-8, numbers without end
         raise DataError(path, f"is not TOML: {error}", hint="See 'dynaviz config METHOD' for the names") from None
 
 
@@ -104,6 +104,12 @@ def _config(path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     content = read_toml(path)
     run = content.pop("run", {})
     table = content.get(name, {key: value for key, value in content.items() if not isinstance(value, dict)})
+    for title, found in (("run", run), (name, table)):
+        if not isinstance(found, dict):
+            raise DataError(path, f"has {title} = {found!r}", hint=f"Give a table: [{title}]")
+    for key, kind in (("online", bool), ("seed", int)):
+        if key in run and (type(run[key]) is not kind or run[key] < 0):
+            raise DataError(path, f"has {key} = {run[key]!r} in [run]", hint="Give online = true, or seed = 0 or more")
     return table, run
 
 
@@ -120,7 +126,7 @@ def _setting(text: str, name: str) -> tuple[str, Any]:
 
 def _coerce(value: Any, kind: Any, place: str) -> Any:
     """Accept what a field's type can hold: an int where a float is meant, a list where a tuple is."""
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 1000:
         return float(value)
     origin = getattr(kind, "__origin__", kind)
     if origin is tuple and isinstance(value, list):

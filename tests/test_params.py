@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz import params
+from dynaviz import params, registry
 from dynaviz.errors import DataError, UsageError
 
 
@@ -91,3 +91,22 @@ def test_config_file_round_trip(
     file.write_bytes(params.to_toml("toy", before, {"seed": seed, "online": True}))
     after = params.resolve(METHOD, config=file)
     assert (after.params, after.seed, after.online) == (before, seed, True)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("run = 5", r"has run = 5. Give a table: \[run\]"),
+        ("octomap = 5", r"has octomap = 5. Give a table"),
+        ("[[octomap]]\nresolution = 1.0", "Give a table"),
+        ("[run]\nseed = -1", "has seed = -1 in"),
+        ("[run]\nonline = 1", "has online = 1 in"),
+        ("[octomap]\nresolution = " + "9" * 400, "give a value of type float"),
+        ("[octomap]\nresolution = " + "9" * 5000, "is not TOML"),
+        ("a = " + "[" * 50_000, "is not TOML"),
+    ],
+)
+def test_files_that_hold_no_parameters_are_told(tmp_path: Path, content: str, says: str) -> None:
+    (tmp_path / "config.toml").write_text(content)
+    with pytest.raises((DataError, UsageError), match=says):
+        params.resolve(registry.load("methods", "octomap"), config=tmp_path / "config.toml")
