@@ -9,6 +9,7 @@ from numba import njit, prange
 MOST = np.uint16(65535)
 LOW, HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 ONE, SEVEN, EIGHT, TOP = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
+BYTE = np.uint64(255)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -82,12 +83,15 @@ def count(blocks, crossed, hit, near, hits, passed, clear):
             if not struck | through:
                 continue
             free = through & ~near[r, w]
-            for v in range(64):
-                bit, i = np.uint64(v), w << 6 | v
-                if struck >> bit & ONE:
-                    if hits[block, i] < MOST:
-                        hits[block, i] += 1
-                elif through >> bit & ONE and passed[block, i] < MOST:
-                    passed[block, i] += 1
-                    if free >> bit & ONE:
-                        clear[block, i] += 1
+            for y in range(8):
+                if not (struck | through) >> np.uint64(8 * y) & BYTE:
+                    continue
+                for v in range(8 * y, 8 * y + 8):
+                    bit, i = np.uint64(v), w << 6 | v
+                    if struck >> bit & ONE:
+                        if hits[block, i] < MOST:
+                            hits[block, i] += 1
+                    elif through >> bit & ONE and passed[block, i] < MOST:
+                        passed[block, i] += 1
+                        if free >> bit & ONE:
+                            clear[block, i] += 1

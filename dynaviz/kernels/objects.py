@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
 FAR = 1 << 20  # cells to each side of the world's origin
 
@@ -100,6 +100,15 @@ def evidence(objects, n, voxels, hits, clear, votes):
             if 2 * seen > struck:
                 sum_of_votes[k] += min(seen, votes)
     return size, sum_of_votes, touched
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def read(voxels, counts):
+    """(N,) int32: counts, (blocks, 512), of voxels (N,); of the last block where there is none, -1."""
+    found = np.empty(len(voxels), np.int32)
+    for i in prange(len(voxels)):
+        found[i] = counts[voxels[i] >> 9, voxels[i] & 511]
+    return found
 
 
 @njit(cache=True, nogil=True)

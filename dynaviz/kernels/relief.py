@@ -105,3 +105,28 @@ def lower(surface, step):
             if y < columns - 1:
                 z = min(z, surface[x, y + 1] + step)
             surface[x, y] = z
+
+
+@njit(cache=True, nogil=True)
+def spanned(voxels, column, columns):
+    """The lowest and the highest key, (2, 2) int64, of the columns that hold voxels; the first above the last: none."""
+    bounds = np.empty((2, 2), np.int64)
+    bounds[0], bounds[1] = 1 << 40, -(1 << 40)
+    for i in range(len(voxels)):
+        if voxels[i] >= 0:
+            c = column[voxels[i] >> 9]
+            for axis in range(2):
+                bounds[0, axis] = min(bounds[0, axis], columns[c, axis])
+                bounds[1, axis] = max(bounds[1, axis], columns[c, axis])
+    return bounds
+
+
+@njit(cache=True, nogil=True)
+def heights(points, voxels, column, columns, first, surface):
+    """(N,) float32: how far points (N, 3) lie above a surface whose first cell is column ``first``; infinite for -1."""
+    found = np.full(len(voxels), np.float32(np.inf))
+    for i in range(len(voxels)):
+        if voxels[i] >= 0:
+            c = column[voxels[i] >> 9]
+            found[i] = points[i, 2] - surface[columns[c, 0] - first[0], columns[c, 1] - first[1]]
+    return found

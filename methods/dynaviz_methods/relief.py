@@ -49,20 +49,18 @@ class Relief:
         stale = np.flatnonzero(self._stale[:-1])
         kernels.relief.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
         self._stale[:] = False
-        height = np.full(len(points), np.inf, np.float32)
-        column, within = self._column[voxels >> 9], voxels >= 0
-        if not within.any():
-            return height
-        mine = self._columns[column[within]]
-        low, high = mine.min(0), mine.max(0)
+        place = (voxels, self._column, self._columns)
+        low, high = kernels.relief.spanned(*place)
+        if (low > high).any():
+            return np.full(len(points), np.inf, np.float32)
         near = slice(*np.searchsorted(self._columns[:, 0], (low[0], high[0] + 1)))
         xy, floor = self._columns[near], self._floor[near]
         inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
         surface = np.full(high - low + 1, np.inf)
-        surface[tuple((xy[inside] - low).T)] = floor[inside]
+        surface[xy[inside, 0] - low[0], xy[inside, 1] - low[1]] = floor[inside]
         surface[kernels.relief.pits(surface, PIT)] = np.inf
         kernels.relief.lower(surface, self._step)
-        height[within] = points[within, 2] - surface[tuple((mine - low).T)]
+        height: F32 = kernels.relief.heights(kernels.frozen(points, np.float32), *place, low, surface)
         return height
 
     def quarters(self, voxels: I64) -> I64:

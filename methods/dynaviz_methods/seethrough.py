@@ -12,15 +12,15 @@
                   an object whose points' mean vote exceeds ``share`` is dynamic, all of it
         followed: so is an object of which most lies where one was in the last scans, if 1 in 20 of its points was
                   ever seen clear through: a car that came and parked
-        feet:     low points under or beside a dynamic object that stand out of the ground, or were passed more often
-                  than hit
+        feet:     low points under or beside a dynamic object that stand out of the ground, or were passed five times
+                  as often as hit
         alone:    other points in a voxel that was seen clear through by ``votes`` scans and more often than hit
 
 Nothing is judged by one plan of the world: each part of an object is weak evidence, its mean is strong. A ray crosses
 the voxels from the sensor's to the last before its point's. Points that are not finite and points more than 32768
 voxels from the world's origin are kept unjudged.
 
-Labels are decided in the order of the scans, once each, and kept as three bits a point; all else is state of voxels.
+Labels are decided in the order of the scans, once each, and kept as four bits a point; all else is state of voxels.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import U8, Bool, Scan
+from dynaviz.survey import Extent
 from dynaviz_methods.relief import Relief
 
 I64 = NDArray[np.int64]
@@ -43,7 +44,8 @@ I64 = NDArray[np.int64]
 TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
 FOLLOWED = 0.05  # share of an object's points that must have been seen through for it to be followed
 LATELY = 3  # scans for which a mover's place is remembered
-STANDS_OUT = 0.08  # metres above the ground
+STANDS_OUT = 0.05  # metres above the ground
+PASSED = 5  # times as often as hit
 FEW = 3  # points; fewer are no object
 
 
@@ -114,15 +116,38 @@ CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5], np.uint8)  # of a reason, in the lege
 class ClearGrid(BlockGrid):
     """A block grid that knows what lies near the hits of a scan."""
 
+    def __init__(self, extent: Extent, resolution: float) -> None:
+        super().__init__(extent, resolution)
+        # Empty between scans.
+        self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
+
     @property
     def blocks(self) -> NDArray[np.int32]:
         """(B, 3) keys of its blocks, sorted."""
         return self._blocks
 
+    def mark_once(self, scan: Scan, voxels: I64) -> Marks:
+        """What the rays of a scan cross and hit, one for each voxel with points, to its centre, from each origin.
+
+        Args:
+            scan: where rays start.
+            voxels: (N,) int64, the voxel of each point, -1 for none.
+        """
+        origins = scan.origins
+        if len(origins) == 1:
+            goals = kernels.voids.distinct(voxels, voxels >= 0, self._once)
+        else:
+            places, which = np.unique(origins, axis=0, return_inverse=True)
+            rays = np.unique((voxels * len(places) + which.ravel())[voxels >= 0])
+            goals, origins = rays // len(places), places[rays % len(places)]
+        centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
+        every = kernels.frozen(np.ones(len(goals), np.bool_), np.bool_)
+        ends = (kernels.frozen(centres, np.float32), kernels.frozen(origins, np.float64), every, every)
+        kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch))
+        return Marks(*kernels.raycast.collect(*self._scratch))
+
     def near(self, marks: Marks, hit: NDArray[np.uint64], times: int) -> NDArray[np.uint64]:
         """(B, 8) uint64: voxels of the marked blocks in the cubes of 2 times + 1 voxels a side around those hit."""
-        if not hasattr(self, "_rows"):
-            self._rows = np.zeros(len(self) + 1, np.int32)
         sides = kernels.clearance.beside(marks.blocks, self._rows, self._blocks, *self._place)
         padded = np.zeros((len(hit) + 1, 8), np.uint64)
         padded[:-1] = hit
@@ -149,17 +174,17 @@ class SeeThrough:
         # The last scan that had a mover in each quarter of a column, by what is known at the end, and so far.
         self._movers, self._shown = (np.full(4 * len(self._relief) + 4, -LATELY - 1, np.int32) for _ in range(2))
         self._observed = self._labelled = 0
-        self._reasons: dict[int, U8] = {}  # three bits a point, packed
+        self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
     def observe(self, scan: Scan) -> None:
         """Count what the scan's rays hit, pass and see clear through."""
-        every = np.ones(len(scan), np.bool_)
-        marks = self._grid.mark(scan, casts=every, hits=every)
+        voxels = self._grid.locate(scan.points)
+        marks = self._grid.mark_once(scan, voxels)
         crossed, hit = (np.ascontiguousarray(half).view(np.uint64) for half in np.split(marks.bits, 2, axis=1))
         near = self._grid.near(marks, hit, round(self.params.guard / self.params.resolution))
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
-        self._relief.add(scan.points, self._grid.locate(scan.points))
+        self._relief.add(scan.points, voxels)
         if any(self._probe.wants(state.name) for state in STATES):
             self._show(scan, marks.blocks, crossed & ~hit, near)
         self._observed += 1
@@ -173,11 +198,11 @@ class SeeThrough:
         """(N,) uint8, codes of ``REASONS``; decided when a scan is first asked for."""
         if scan.index not in self._reasons:
             why = self._judge(scan, self._labelled, self._movers)
-            self._reasons[scan.index] = np.packbits(why[:, None] >> np.arange(3, dtype=np.uint8) & 1)
+            even, odd = np.append(why, np.zeros(len(why) & 1, np.uint8)).reshape(-1, 2).T
+            self._reasons[scan.index] = even + 16 * odd
             self._labelled += 1
-        bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
-        reasons: U8 = bits @ np.array([1, 2, 4], np.uint8)
-        return reasons
+        pairs = self._reasons[scan.index]
+        return np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
 
     def _judge(self, scan: Scan, now: int, movers: NDArray[np.int32]) -> U8:
         """(N,) uint8, codes of ``REASONS``, for scan number ``now``; movers: where any were, and then are."""
@@ -188,13 +213,14 @@ class SeeThrough:
         objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
         dynamic, followed = self._movement(objects, n, voxels, now, movers)
 
-        hits, passed, clear = (of.ravel()[voxels].astype(np.int32) for of in (self._hits, self._passed, self._clear))
+        counts = (self._hits, self._passed, self._clear)
+        hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
         why = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
         why[(clear >= params.votes) & (clear > hits)] = ALONE
         why[followed], why[dynamic] = FOLLOWED_ON, SEEN_THROUGH
         why[low] = LOW
         under = low & kernels.objects.beside(points, dynamic | followed, 4 * params.resolution)
-        why[under & ((height > STANDS_OUT) | ((passed >= 2) & (passed > hits)))] = FOOT
+        why[under & ((height > STANDS_OUT) | (passed > PASSED * hits))] = FOOT
         why[~within] = OUT_OF_REACH
         return why
 
