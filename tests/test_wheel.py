@@ -1,0 +1,71 @@
+"""The wheel: built, installed into an environment of its own, and used outside the checkout."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+Command = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    subprocess.run([*pip, "--no-build-isolation", "--wheel-dir", folder, CHECKOUT], check=True, capture_output=True)
+    (built,) = folder.iterdir()
+    return built
+
+
+@pytest.fixture(scope="module")
+def command(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
+    """Call a program of the environment in an empty folder; what the wheel needs is lent by the tests' environment."""
+    home, away = tmp_path_factory.mktemp("venv"), tmp_path_factory.mktemp("away")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", home], check=True)
+    pip = [sys.executable, "-m", "pip", "--python", home / "bin/python", "install", "--quiet", "--no-deps"]
+    subprocess.run([*pip, "--disable-pip-version-check", wheel], check=True, capture_output=True)
+    site = Path(sysconfig.get_path("purelib", vars={"base": str(home), "platbase": str(home)}))
+    (site / "lent.pth").write_text(sysconfig.get_path("purelib"))
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
+
+    def call(program: str, *words: str) -> str:
+        done = subprocess.run(
+            [home / "bin" / program, *words], cwd=away, env=environment, capture_output=True, text=True, check=False
+        )
+        assert not done.returncode, done.stderr
+        return done.stdout + done.stderr
+
+    return call
+
+
+def test_it_holds_the_three_packages_and_no_other(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
+    assert tops == {"dynaviz", "dynaviz_methods", "dynaviz_eval"}
+    assert {f"{top}/py.typed" for top in tops} <= set(names)
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def test_it_runs_outside_the_checkout(command: Command) -> None:
+    where = command("python", "-c", "import dynaviz, dynaviz_eval, dynaviz_methods as m; print(dynaviz.__file__, m)")
+    assert str(CHECKOUT) not in where
+    listed = command("python", "-m", "dynaviz", "list")
+    assert "cannot be loaded" not in listed
+    assert all(name in listed for name in ("erasor", "hdl64e", "av2", "semantickitti", "street_vlp16", "confusion"))
+    command("dynaviz", "simulate", "demo", "street", "--frames", "5")
+    told = command("dynaviz", "run", "erasor", "street", "-o", "run")
+    assert "compiling kernels, first run only" in told
+    assert "Look at it: dynaviz view run/run.rrd" in told
+    assert "Warning" not in told
+    assert " DA  Kept: " in command("dynaviz", "failures", "run/run.rrd")
+    command("dynaviz", "report", "run", "-o", "report.html")
+    assert "compiling" not in command("dynaviz", "run", "erasor", "street", "-o", "again")
