@@ -25,7 +25,7 @@ from subjects import DATASETS, SUBJECTS, parts
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError
 
-FEW = 8  # accidents a reader every day
+FEW = 5  # accidents a reader every day
 EXAMPLES = int(os.environ.get("FUZZ", FEW))
 PATIENCE = 30  # seconds
 

@@ -1,4 +1,4 @@
-"""Each method's counts on simulated scenes are those that were written down, on one thread and (in the hall) on two.
+"""Each method's counts on simulated scenes are those that were written down, on one thread and (in the square) on two.
 
 ``DYNAVIZ_REWRITE=1 pytest tests/golden`` writes them anew, after a change that is meant to change labels; the diff of
 ``counts.json`` then shows what it changed.
@@ -53,7 +53,7 @@ def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]
 @pytest.mark.parametrize("name", METHODS)
 def test_counts_are_those_written_down(name: str, scene: Sequence) -> None:
     digest, found = counts(name, scene, 1)
-    if scene.name == "hall_vlp16":
+    if scene.name == "square_mid360":
         assert counts(name, scene, 2) == (digest, found), "the number of threads changed counts"
     known: dict[str, Any] = json.loads(FILE.read_text()) if FILE.exists() else {}
     if REWRITE:

@@ -18,7 +18,7 @@ from dynaviz.survey import Extent
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.range_images import image_views, slices
 
-some = settings(max_examples=40)
+some = settings(max_examples=30)
 numbers = st.floats(-100, 100, allow_subnormal=False)
 quaternions = hnp.arrays(np.float64, 4, elements=st.floats(-1, 1)).filter(lambda q: np.linalg.norm(q) > 1e-3)
 poses = st.builds(geometry.pose, hnp.arrays(np.float64, 3, elements=numbers), quaternions)
@@ -49,29 +49,34 @@ def shuffled(n: int, seed: int) -> Any:
 # Transforms
 
 
+@some
 @given(poses)
 def test_inverting_twice_changes_nothing(T: Any) -> None:
     np.testing.assert_allclose(geometry.inverse(geometry.inverse(T)), T, atol=1e-12)
 
 
+@some
 @given(poses, poses)
 def test_the_inverse_of_a_way_is_the_way_back(T_a_b: Any, T_b_c: Any) -> None:
     back = geometry.compose(geometry.inverse(T_b_c), geometry.inverse(T_a_b))
     np.testing.assert_allclose(geometry.inverse(geometry.compose(T_a_b, T_b_c)), back, atol=1e-10)
 
 
+@some
 @given(poses, poses, poses)
 def test_how_a_way_is_parted_does_not_matter(A: Any, B: Any, C: Any) -> None:
     left, right = geometry.compose(geometry.compose(A, B), C), geometry.compose(A, geometry.compose(B, C))
     np.testing.assert_allclose(left, right, atol=1e-10)
 
 
+@some
 @given(poses, clouds())
 def test_points_come_back(T: Any, points: Any) -> None:
     away = geometry.apply(T, points)
     np.testing.assert_allclose(geometry.apply(geometry.inverse(T), away), points, atol=1e-11)
 
 
+@some
 @given(poses, clouds(20))
 def test_distances_between_points_stay(T: Any, points: Any) -> None:
     def distances(xyz: Any) -> Any:
@@ -80,16 +85,19 @@ def test_distances_between_points_stay(T: Any, points: Any) -> None:
     np.testing.assert_allclose(distances(geometry.apply(T, points)), distances(points.astype(float)), atol=1e-11)
 
 
+@some
 @given(clouds())
 def test_the_identity_changes_no_bit(points: Any) -> None:
     np.testing.assert_array_equal(geometry.transform(np.eye(4), points), points)
 
 
+@some
 @given(quaternions, st.sampled_from([-3.0, -1.0, 0.01, 1000.0]))
 def test_length_and_sign_of_a_quaternion_do_not_matter(q: Any, factor: float) -> None:
     np.testing.assert_allclose(geometry.matrix(q * factor), geometry.matrix(q), atol=1e-12)
 
 
+@some
 @given(quaternions)
 def test_a_rotation_survives_its_quaternion(q: Any) -> None:
     R = geometry.matrix(q)
@@ -99,6 +107,7 @@ def test_a_rotation_survives_its_quaternion(q: Any) -> None:
 # Voxel keys
 
 
+@some
 @given(clouds(), binary_sizes)
 def test_keys_survive_a_round_trip(points: Any, size: float) -> None:
     keys = pack(points, size)
@@ -106,23 +115,27 @@ def test_keys_survive_a_round_trip(points: Any, size: float) -> None:
     np.testing.assert_array_equal(pack(middles, size), keys)
 
 
+@some
 @given(clouds(), binary_sizes, whole_steps)
 def test_a_shift_by_whole_voxels_shifts_indices(points: Any, size: float, step: Any) -> None:
     moved = points + np.multiply(step, size).astype(np.float32)
     np.testing.assert_array_equal(unpack(pack(moved, size)), unpack(pack(points, size)) + step)
 
 
+@some
 @given(clouds(), binary_sizes)
 def test_voxels_nest(points: Any, size: float) -> None:
     np.testing.assert_array_equal(unpack(pack(points, 2 * size)), unpack(pack(points, size)) >> 1)
 
 
+@some
 @given(clouds(), st.floats(0.01, 5), st.integers(0, 2))
 def test_indices_grow_with_coordinates(points: Any, size: float, axis: int) -> None:
     ordered = points[np.argsort(points[:, axis], kind="stable")]
     assert (np.diff(unpack(pack(ordered, size))[:, axis]) >= 0).all()
 
 
+@some
 @given(
     hnp.arrays(np.float32, st.tuples(st.integers(1, 4), st.just(3)), elements=st.floats(width=32)),
     st.floats(0.01, 100) | st.sampled_from([0.1, 0.3, 1 / 3]),
@@ -143,6 +156,7 @@ def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: i
             assert (np.abs(index) <= REACH).all()
 
 
+@some
 @given(clouds(), st.floats(0.05, 5), seeds)
 def test_thinning_keeps_one_of_each_voxel_and_all_weight(points: Any, size: float, seed: int) -> None:
     chosen, counts = thin(points, size)
@@ -225,6 +239,7 @@ def test_the_middle_of_each_bin_is_in_it() -> None:
     assert len(rows) == BINS.rings * BINS.sectors
 
 
+@some
 @given(clouds())
 def test_bins_part_what_is_within_range_and_heights(points: Any) -> None:
     rows, bins = BINS.locate(points, FOOT)
@@ -239,6 +254,7 @@ def test_bins_part_what_is_within_range_and_heights(points: Any) -> None:
     assert counts.sum() == (bins >= 0).sum()
 
 
+@some
 @given(clouds(), st.integers(0, 40))
 def test_spans_and_gone_rows_part_the_points(points: Any, at: int) -> None:
     at, n = min(at, len(points)), len(points)
@@ -250,6 +266,7 @@ def test_spans_and_gone_rows_part_the_points(points: Any, at: int) -> None:
     np.testing.assert_array_equal(np.stack(left), np.stack(whole)[:, whole[0] >= at])
 
 
+@some
 @given(clouds(least=1), st.integers(0, 35))
 def test_a_turn_by_whole_sectors_turns_the_bins(points: Any, turn: int) -> None:
     angle = 2 * np.pi * turn / BINS.sectors
@@ -268,6 +285,7 @@ def test_a_turn_by_whole_sectors_turns_the_bins(points: Any, turn: int) -> None:
     np.testing.assert_array_equal(other, np.where(bins < 0, -1, ring * BINS.sectors + (sector + turn) % BINS.sectors))
 
 
+@some
 @given(clouds(), st.integers(-64, 64))
 def test_heights_do_not_know_where_zero_is(points: Any, lift: int) -> None:
     up = np.array([0, 0, lift / 4], np.float32)
