@@ -1,0 +1,103 @@
+"""What each part and each parameter of SeeThrough is worth, on scenes of ``benchmarks/many.py``.
+
+python benchmarks/ablation.py OUT [SCENE ...]      after many.py OUT; writes OUT/ablation.md
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from dynaviz import api
+from dynaviz.method import Context
+from dynaviz.scan import Label, Scan
+from dynaviz.survey import Extent
+from dynaviz_methods import relief, seethrough
+from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, SeeThrough, SeeThroughParams
+
+CHOSEN = (
+    "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
+    "mid360_hall",
+)  # fmt: skip
+PARTS = {  # constants to change, and reasons to keep
+    "all of it": ({}, ()),
+    "no feet": ({}, (FOOT,)),
+    "no lone voxels": ({}, (ALONE,)),
+    "nothing followed": ({"seethrough.FOLLOWED": 2.0}, ()),
+    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30, "seethrough.FOLLOWED": 2.0}, ()),
+    "pits are ground": ({"relief.PIT": 1e9}, ()),
+}
+PARAMETERS = {
+    "guard": (0.0, 0.2, 0.4),
+    "resolution": (0.15, 0.2),
+    "votes": (2, 5),
+    "share": (0.25, 0.45),
+    "ground_height": (-100.0, 0.1, 0.3),
+    "gap": (0.2, 0.4),
+}
+MODULES = {"seethrough": seethrough, "relief": relief}
+
+
+def learned(scans: list[Scan], params: SeeThroughParams) -> SeeThrough:
+    """The method after all scans."""
+    method = SeeThrough(params)
+    method.begin(Context(Extent.of(*scans)))
+    for scan in scans:
+        method.observe(scan.without_truth())
+    return method
+
+
+def scores(method: SeeThrough, scans: list[Scan], kept: tuple[int, ...] = ()) -> tuple[float, float]:
+    """SA and DA, percent; points with the reasons ``kept`` stay."""
+    method._labelled, method._reasons = 0, {}
+    method._movers[:] = -(1 << 20)
+    removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
+    answers = np.concatenate([removed[method.explain(scan.without_truth())] for scan in scans])
+    truth = np.concatenate([scan.labels for scan in scans])
+    return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[truth == Label.DYNAMIC].mean()
+
+
+def rows(scans: list[Scan]) -> dict[str, tuple[float, float]]:
+    """Every variant on one scene."""
+    found, usual = {}, SeeThroughParams()
+    method = learned(scans, usual)
+    for name, (constants, kept) in PARTS.items():
+        with ExitStack() as stack:
+            for path, value in constants.items():
+                module, constant = path.split(".")
+                stack.enter_context(patch.object(MODULES[module], constant, value))
+            found[name] = scores(method, scans, kept)
+    for name, values in PARAMETERS.items():
+        for value in values:
+            params = replace(usual, **{name: value})
+            if name in ("guard", "resolution"):
+                found[f"{name} = {value}"] = scores(learned(scans, params), scans)
+            else:
+                method.params = params
+                found[f"{name} = {value}"] = scores(method, scans)
+    return found
+
+
+def main(out: Path, names: list[str]) -> None:
+    """Write the table."""
+    by_scene = {}
+    for name in names or CHOSEN:
+        sequence = api.open(out / "scenes" / name)
+        by_scene[name] = rows([sequence[k] for k in range(len(sequence))])
+        print(name, flush=True)
+    lines = ["| variant | AA mean | " + " | ".join(by_scene) + " |", "|---|" + "---|" * (len(by_scene) + 1)]
+    for variant in next(iter(by_scene.values())):
+        pairs = [found[variant] for found in by_scene.values()]
+        mean = np.mean([np.sqrt(sa * da) for sa, da in pairs])
+        lines.append(f"| {variant} | {mean:.1f} | " + " | ".join(f"{sa:.1f} / {da:.1f}" for sa, da in pairs) + " |")
+    (out / "ablation.md").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -1,0 +1,138 @@
+"""All methods on many simulated scenes, none of which was looked at while a method was made.
+
+    python benchmarks/many.py OUT [METHOD ...]        some twenty minutes on two cores; what is done is not done again
+
+Makes the scenes in OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
+OUT/many.md: for each method the AA on every scene, how it is spread, and on how many scenes it is first.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz import geometry, registry
+from dynaviz.benches import bench
+from dynaviz.io.benchmark import BenchmarkWriter
+from dynaviz.sensors import load_sensor
+from dynaviz.simulate.classes import CLASS_NAMES
+from dynaviz.simulate.presets import PRESETS
+from dynaviz.simulate.recording import build, shoot
+
+FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # metres and degrees by which poses are off
+
+
+@dataclass(frozen=True)
+class Variation:
+    """A preset with some of its facts changed; the slope is that of all the ground, in percent."""
+
+    name: str
+    preset: str
+    frames: int
+    seed: int
+    slope: float = 0.0
+    changed: tuple[tuple[str, Any], ...] = ()
+
+
+def _of(name: str, preset: str, frames: int, seed: int, slope: float = 0.0, **changed: Any) -> Variation:
+    return Variation(name, preset, frames, seed, slope, tuple(changed.items()))
+
+
+SCENES = (
+    _of("hdl64_town", "street_hdl64", 40, 101),
+    _of("hdl64_fast", "street_hdl64", 40, 102, speed=14.0, traffic=1.0),
+    _of("hdl64_poor_poses", "street_hdl64", 40, 103, pose_noise=POOR),
+    _of("hdl64_standing", "street_hdl64", 40, 104, speed=0.0),
+    _of("hdl64_quiet", "street_hdl64", 40, 105, traffic=0.1),
+    _of("hdl64_hill", "street_hdl64", 40, 106, slope=12.0),
+    _of("hdl64_crowd", "square_vlp32c", 30, 107, sensor="hdl64e", traffic=2.0),
+    _of("hdl32_street", "street_hdl64", 80, 108, sensor="hdl32e", pose_noise=FAIR),
+    _of("hdl32_crowd", "square_vlp32c", 60, 109, sensor="hdl32e", traffic=1.5),
+    _of("vlp32c_square", "square_vlp32c", 30, 110),
+    _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
+    _of("vlp32c_street", "street_hdl64", 30, 112, sensor="vlp32c_pair"),
+    _of("vlp16_street", "street_vlp16", 100, 113),
+    _of("vlp16_fast", "street_vlp16", 80, 114, speed=8.0, pose_noise=FAIR),
+    _of("vlp16_standing", "street_vlp16", 80, 115, speed=0.0),
+    _of("vlp16_hill", "street_vlp16", 80, 116, slope=15.0),
+    _of("vlp16_poor_poses", "street_vlp16", 80, 117, pose_noise=POOR),
+    _of("vlp16_twenty", "street_vlp16", 20, 118, traffic=2.0),
+    _of("vlp16_hall", "hall_vlp16", 120, 119),
+    _of("vlp16_hall_crowd", "hall_vlp16", 100, 120, traffic=2.5, pose_noise=GOOD),
+    _of("vlp16_square", "square_vlp32c", 80, 121, sensor="vlp16", speed=1.5),
+    _of("mid360_hall", "hall_mid360", 150, 122),
+    _of("mid360_square", "square_mid360", 150, 123),
+    _of("mid360_street", "street_vlp16", 120, 124, sensor="mid360"),
+)
+
+
+def write(variation: Variation, out: Path) -> None:
+    """Simulate a scene in the public benchmark's layout, leaning as a whole where it has a slope."""
+    preset = replace(PRESETS[variation.preset], **dict(variation.changed))
+    lean = np.eye(4)
+    angle = np.arctan(variation.slope / 100)
+    lean[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    merged = bool(load_sensor(preset.sensor).mounts)
+    with BenchmarkWriter(out) as writer:
+        scene = build(preset, variation.frames, variation.seed)
+        for shot in shoot(scene, preset, variation.frames, variation.seed):
+            points = geometry.transform(lean, shot.points)
+            pose = geometry.compose(lean, shot.T_world_sensor)
+            writer.append(shot.index, points, pose, shot.intensity, shot.lidar if merged else None)
+            writer.append_truth(points, shot.labels, shot.kinds, shot.instances)
+        facts = {"name": out.name, "title": variation.name.replace("_", " "), "preset": preset.name}
+        writer.describe({**facts, "sensor": preset.sensor, "seed": variation.seed}, CLASS_NAMES)
+
+
+def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Markdown: how AA is spread for each method over the scenes, and AA by scene."""
+    methods = sorted({m for by in results.values() for m in by})
+    methods.sort(key=lambda m: -np.mean([by[m]["AA"] for by in results.values() if m in by]))
+    first = {m: sum(max(by, key=lambda k: by[k]["AA"]) == m for by in results.values()) for m in methods}
+    lines = [
+        "| method | AA mean | worst | quartile | median | quartile | best | least SA | first on |",
+        "|---|" + "---|" * 8,
+    ]
+    for m in methods:
+        aa = np.array([by[m]["AA"] for by in results.values()])
+        spread = (aa.mean(), *np.percentile(aa, (0, 25, 50, 75, 100)), min(by[m]["SA"] for by in results.values()))
+        lines.append(f"| `{m}` | " + " | ".join(f"{x:.1f}" for x in spread) + f" | {first[m]} of {len(results)} |")
+    lines += ["", "| scene | " + " | ".join(f"`{m}`" for m in methods) + " |", "|---|" + "---|" * len(methods)]
+    for scene, by in results.items():
+        lines.append(f"| {scene} | " + " | ".join(f"{by[m]['AA']:.1f}" for m in methods) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main(out: Path, methods: list[str]) -> None:
+    """Make what is missing, run what is missing, and write the tables."""
+    for scene in SCENES:
+        if not (out / "scenes" / scene.name).exists():
+            (out / "scenes").mkdir(parents=True, exist_ok=True)
+            write(scene, out / "scenes" / scene.name)
+            print("made", scene.name, flush=True)
+    plan = {
+        "methods": methods or [handle.name for handle in registry.handles("methods")],
+        "sequences": [str(out / "scenes" / scene.name) for scene in SCENES],
+        "record": "none",
+    }
+    results: dict[str, dict[str, dict[str, float]]] = {}
+    for result in bench(plan, out / "runs").results:
+        counts = result.counts
+        static = counts["static_kept"] + counts["static_removed"]
+        sa = 100 * counts["static_kept"] / static
+        da = 100 * counts["dynamic_removed"] / max(1, counts["dynamic_removed"] + counts["dynamic_kept"])
+        seconds = result.runtime.get("mean_s")
+        figures = {"SA": sa, "DA": da, "AA": float(np.sqrt(sa * da)), "seconds": seconds}
+        results.setdefault(str(result.sequence["name"]), {})[result.method] = figures
+    (out / "many.json").write_text(json.dumps(results, indent=1))
+    (out / "many.md").write_text(table(results))
+    print(table(results))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

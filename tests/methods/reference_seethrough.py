@@ -1,0 +1,132 @@
+"""SeeThrough slowly and plainly: dicts of voxels, sets of neighbours, and a flood fill."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from itertools import product
+
+import numpy as np
+from reference_octomap import Key, key, walk
+
+from dynaviz.scan import Scan
+from dynaviz_methods.relief import PIT, SLOPE
+from dynaviz_methods.seethrough import FEW, FOLLOWED, LATELY, PASSED, STANDS_OUT, TALL, SeeThroughParams
+
+
+class Reference:
+    def __init__(self, params: SeeThroughParams):
+        self.params = params
+        self.hits: Counter[Key] = Counter()
+        self.passed: Counter[Key] = Counter()
+        self.clear: Counter[Key] = Counter()
+        self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
+        self.movers: dict[tuple[int, int], int] = {}
+        self.labelled = 0
+
+    def observe(self, scan: Scan) -> None:
+        size, reach = self.params.resolution, round(self.params.guard / self.params.resolution)
+        goals = {key(p, size) for p in scan.points if np.isfinite(p).all()}
+        crossed: set[Key] = set()
+        for goal in goals:
+            centre = ((np.array(goal, np.int32) + 0.5) * size).astype(np.float32)
+            crossed.update(walk(scan.origins[0], centre, size))
+        for k in goals:
+            self.hits[k] += 1
+        near = {near for k in goals for near in product(*(range(c - reach, c + reach + 1) for c in k))}
+        self.passed.update(crossed - goals)
+        self.clear.update(crossed - near)
+        for p in scan.points:
+            if np.isfinite(p).all():
+                x, y, z = key(p, size)
+                self.layers.setdefault((x >> 3, y >> 3), {}).setdefault(z, []).append(round(float(p[2]) * 1000))
+
+    def floor(self, column: tuple[int, int]) -> float:
+        layers = self.layers.get(column, {})
+        least = max(3, int(0.03 * sum(map(len, layers.values()))))
+        pairs = {z: layers[z] + layers.get(z - 1, []) for z in layers}
+        # A layer of its own may end a pair, too.
+        pairs |= {z + 1: layers[z] for z in layers if z + 1 not in layers}
+        enough = [z for z in sorted(pairs) if len(pairs[z]) >= least]
+        if not enough:
+            return math.inf
+        best = max(range(enough[0], enough[0] + 4), key=lambda z: (len(pairs.get(z, [])), -z))
+        return sum(pairs[best]) / len(pairs[best]) / 1000
+
+    def surface(self, columns: set[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        low, high = np.min(list(columns), 0), np.max(list(columns), 0)
+        cells = list(product(range(low[0], high[0] + 1), range(low[1], high[1] + 1)))
+        floor = {c: self.floor(c) for c in cells}
+        steady = {}
+        for x, y in cells:
+            window = [floor.get((x + i, y + j), math.inf) for i in range(-2, 3) for j in range(-2, 3)]
+            known = [f for f in window if f < math.inf]
+            pit = 4 * sum(f <= floor[x, y] + PIT for f in known) < len(known)
+            steady[x, y] = math.inf if pit else floor[x, y]
+        step, pressed = SLOPE * 8 * self.params.resolution, {}
+        for x, y in cells:  # the least of all cells plus what the way to them may rise: straight and slanting steps
+            ways = (
+                f + step * (abs(abs(i - x) - abs(j - y)) + math.sqrt(2) * min(abs(i - x), abs(j - y)))
+                for (i, j), f in steady.items()
+            )
+            pressed[x, y] = min(ways)
+        return pressed
+
+    def label(self, scan: Scan) -> np.ndarray:
+        params, size, now = self.params, self.params.resolution, self.labelled
+        self.labelled += 1
+        points = scan.points
+        inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
+        voxel = {i: key(points[i], size) for i in inside}
+        surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
+        height = {i: float(points[i, 2]) - surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
+        up = [i for i in inside if not height[i] <= params.ground_height]
+        dynamic = np.zeros(len(points), bool)
+        whole: set[int] = set()
+        for members in self.objects(points, up):
+            votes = sum(self.votes(voxel[i]) for i in members) / params.votes
+            lately = sum(self.movers.get(self.quarter(voxel[i]), -99) >= now - LATELY for i in members)
+            touched = sum(self.clear[voxel[i]] > 0 for i in members)
+            moves = votes > params.share * len(members) and len(members) >= FEW
+            if moves or (2 * lately > len(members) and touched > FOLLOWED * len(members)):
+                whole.update(members)
+        for i in whole:
+            dynamic[i] = True
+        cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
+        for i in inside:
+            k = voxel[i]
+            if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k]:
+                dynamic[i] = True
+            x, y = (math.floor(float(c) / (4 * size)) for c in points[i, :2])
+            under = any((x + a, y + b) in cells for a in (-1, 0, 1) for b in (-1, 0, 1))
+            stands_out = height[i] > STANDS_OUT or self.passed[k] > PASSED * self.hits[k]
+            if i not in up and under and stands_out:
+                dynamic[i] = True
+        for i in whole:
+            self.movers[self.quarter(voxel[i])] = now
+        return dynamic
+
+    def votes(self, k: Key) -> int:
+        return min(self.clear[k], self.params.votes) if 2 * self.clear[k] > self.hits[k] else 0
+
+    @staticmethod
+    def quarter(k: Key) -> tuple[int, int]:
+        return k[0] >> 2, k[1] >> 2
+
+    def objects(self, points: np.ndarray, chosen: list[int]) -> list[list[int]]:
+        edges = (self.params.gap, self.params.gap, TALL * self.params.gap)
+        cells: dict[Key, list[int]] = {}
+        for i in chosen:
+            cell = tuple(math.floor(float(c) / e) for c, e in zip(points[i], edges, strict=True))
+            cells.setdefault(cell, []).append(i)
+        found, left = [], set(cells)
+        while left:
+            stack, members = [left.pop()], []
+            while stack:
+                cell = stack.pop()
+                members += cells[cell]
+                around = {tuple(np.add(cell, d)) for d in product((-1, 0, 1), repeat=3)} & left
+                left -= around
+                stack += around
+            found.append(members)
+        return found

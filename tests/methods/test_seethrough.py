@@ -1,0 +1,247 @@
+"""SeeThrough against a plain reference, and what it promises: whole objects, followed while they stand, with feet."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reference_seethrough import Reference
+from worlds import pose
+
+from dynaviz import kernels
+from dynaviz.blocks import Marks
+from dynaviz.method import Context
+from dynaviz.probe import MemoryProbe
+from dynaviz.scan import Label, Scan
+from dynaviz.survey import Extent
+from dynaviz.testing import crossing
+from dynaviz_methods.relief import Relief
+from dynaviz_methods.seethrough import (
+    FOLLOWED_ON,
+    FOOT,
+    LOW,
+    OUT_OF_REACH,
+    REASONS,
+    REMOVED,
+    SEEN_THROUGH,
+    ClearGrid,
+    SeeThrough,
+    SeeThroughParams,
+)
+
+COARSE = SeeThroughParams(resolution=0.4, guard=0.8, gap=0.9, ground_height=0.4)
+
+
+def running(scans: list[Scan], params: SeeThroughParams | None = None, **context: object) -> SeeThrough:
+    method = SeeThrough(params or SeeThroughParams())
+    method.begin(Context(Extent.of(*scans), **context))  # type: ignore[arg-type]
+    for scan in scans:
+        method.observe(scan)
+    return method
+
+
+def plane(low: float, high: float, step: float, z: float = 0.0) -> np.ndarray:
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(low, high, step), np.arange(low, high, step)))
+    return np.stack([x, y, np.full(len(x), z)], 1)
+
+
+def block(x: float, y: float, low: float = 0.0, high: float = 1.5, wide: float = 1.0) -> np.ndarray:
+    """The sides of a box that look towards negative x, and its top."""
+    along, up = np.meshgrid(np.arange(-wide / 2, wide / 2, 0.08), np.arange(low, high, 0.08))
+    front = np.stack([np.full(along.size, x), y + along.ravel(), up.ravel()], 1)
+    deep, across = np.meshgrid(np.arange(0, 1.5, 0.08), np.arange(-wide / 2, wide / 2, 0.08))
+    return np.concatenate([front, np.stack([x + deep.ravel(), y + across.ravel(), np.full(deep.size, high)], 1)])
+
+
+def wall(x: float = 14.0) -> np.ndarray:
+    """Far behind, fine enough for rays through every voxel at half the way."""
+    y, z = (a.ravel() for a in np.meshgrid(np.arange(-9, 9, 0.1), np.arange(0, 6, 0.1)))
+    return np.stack([np.full(len(y), x), y, z], 1)
+
+
+def seen(frame: int, *things: np.ndarray) -> Scan:
+    """A scan from 1.8 m above the origin of things that hide nothing of each other: rays end where points are."""
+    return Scan(frame, np.concatenate(things).astype(np.float32), pose(0.0, 0.0, 1.8))
+
+
+GROUND = plane(-1, 13, 0.1)
+
+
+def test_labels_are_those_of_a_plain_reference() -> None:
+    thin = [dataclasses.replace(scan, points=scan.points[::7], labels=None, origins=None) for scan in crossing(9)]
+    reference, method = Reference(COARSE), running(thin, COARSE)
+    for scan in thin:
+        reference.observe(scan)
+    expected = [reference.label(scan) for scan in thin]
+    assert 50 < sum(map(np.sum, expected)) < 0.4 * sum(map(len, expected))
+    differing = sum(int((method.label(scan) != labels).sum()) for scan, labels in zip(thin, expected, strict=True))
+    assert differing <= 2, "rays through corners of voxels alone may be walked otherwise"
+
+
+def test_a_mover_falls_whole_and_what_stands_stays() -> None:
+    places = np.linspace(-4, 4, 12)
+    scans = [seen(k, GROUND, wall(), block(7.0, y), block(4.0, 6.0)) for k, y in enumerate(places)]
+    method = running(scans)
+    n, b = len(GROUND) + len(wall()), len(block(7.0, 0))
+    for scan in scans:
+        why = method.explain(scan)
+        moving = why[n : n + b]
+        high = scan.points[n : n + b, 2] > 0.25
+        assert np.isin(moving[high], SEEN_THROUGH).all()
+        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.14]].all(), "feet fall with the rest"
+        assert not REMOVED[why[:n]].any()
+        assert not REMOVED[why[n + b :]].any()
+
+
+def test_a_car_that_came_and_parked_is_followed_where_it_stands() -> None:
+    places = [*np.linspace(-4.0, 2.0, 12), *[2.0] * 20]
+    scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
+    method = running(scans)
+    n = len(GROUND) + len(wall())
+    reasons = [method.explain(scan)[n:] for scan in scans]
+    high = [scan.points[n:, 2] > 0.25 for scan in scans]
+    assert all(REMOVED[why[up]].all() for why, up in zip(reasons, high, strict=True))
+    assert (reasons[-1][high[-1]] == FOLLOWED_ON).all(), "it stood for longer than its place was seen empty"
+    always = running(scans[12:])
+    assert not any(always.label(scan).any() for scan in scans[12:]), "one that never moves stays"
+
+
+def test_reflections_below_the_ground_do_not_lower_it() -> None:
+    random = np.random.default_rng(0)
+    below = np.column_stack([random.uniform(-3, 13, (40, 2)), random.uniform(-4, -0.5, 40)])
+    slope = GROUND + GROUND[:, :1] * [0, 0, 0.1]
+    points = np.concatenate([slope, below, [[2.0, 2.0, 1.0]]]).astype(np.float32)
+    grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
+    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    relief.add(points, voxels)
+    height = relief.height(points, voxels)
+    assert np.abs(height[: len(slope)][(slope[:, :2] < 12).all(1)]).max() < 0.13, (
+        "half a column's width up or down the slope, and what it is pressed"
+    )
+    assert height[-1] == pytest.approx(0.8, abs=0.13)
+
+
+def test_ground_under_a_roof_is_the_ground_beside_it() -> None:
+    around = GROUND[(np.abs(GROUND[:, 0] - 5) > 2) | (np.abs(GROUND[:, 1] - 5) > 2)]
+    roof = plane(3.0, 7.0, 0.1, 1.4)
+    points = np.concatenate([around, roof]).astype(np.float32)
+    grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
+    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    relief.add(points, voxels)
+    assert (relief.height(points, voxels)[len(around) :] > 0.5).all()
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 3))
+@settings(max_examples=15)
+def test_growing_is_a_dilation(seed: int, times: int) -> None:
+    from scipy import ndimage
+
+    random = np.random.default_rng(seed)
+    world = random.random((24, 24, 24)) < 0.002  # 3^3 blocks of 8^3
+    points = ((np.argwhere(np.ones((24, 24, 24))) + 0.5) * 0.1).astype(np.float32)
+    grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 0))), 0.1)
+    voxels = grid.locate(points)
+    bits = np.zeros((len(grid), 8), np.uint64)
+    hit = voxels[world.ravel()]
+    np.bitwise_or.at(bits, (hit >> 9, hit >> 6 & 7), np.uint64(1) << (hit & 63).astype(np.uint64))
+    marks = Marks(np.arange(len(grid), dtype=np.int32), np.empty((0, 16), np.int64))
+    near = grid.near(marks, bits, times)
+    found = near[voxels >> 9, voxels >> 6 & 7] >> (voxels & 63).astype(np.uint64) & np.uint64(1)
+    expected = ndimage.maximum_filter(world, 2 * times + 1, mode="constant").ravel()
+    np.testing.assert_array_equal(found.astype(bool), expected)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
+@settings(max_examples=25)
+def test_objects_are_connected_components(seed: int, size: float) -> None:
+    from scipy import ndimage
+
+    random = np.random.default_rng(seed)
+    points = random.uniform(-2, 2, (random.integers(0, 200), 3)).astype(np.float32)
+    chosen = random.random(len(points)) < 0.8
+    mine, n = kernels.objects.connect(points, chosen, size, 3 * size)
+    cells = np.floor(points.astype(np.float64) / [size, size, 3 * size]).astype(int)
+    assert (mine[~chosen] == -1).all()
+    assert set(mine[chosen]) == set(range(n))
+    if not chosen.any():
+        return
+    low = cells[chosen].min(0)
+    picture = np.zeros(cells[chosen].max(0) - low + 1, bool)
+    picture[tuple((cells[chosen] - low).T)] = True
+    names, count = ndimage.label(picture, np.ones((3, 3, 3)))
+    assert count == n
+    pairs = set(zip(mine[chosen], names[tuple((cells[chosen] - low).T)], strict=True))
+    assert len(pairs) == n
+    firsts = [np.flatnonzero(mine == k)[0] for k in range(n)]
+    assert firsts == sorted(firsts)
+
+
+def test_a_label_is_decided_once_and_told_again() -> None:
+    scans = [scan.without_truth() for scan in crossing(10)]
+    method = running(scans)
+    first = [method.label(scan) for scan in scans]
+    for scan, labels in reversed(list(zip(scans, first, strict=True))):
+        np.testing.assert_array_equal(method.label(scan), labels)
+        np.testing.assert_array_equal(REMOVED[method.explain(scan)], labels)
+
+
+def test_states_tell_what_was_seen_and_change_nothing() -> None:
+    scans = [scan.without_truth() for scan in crossing(8)]
+    probe = MemoryProbe()
+    watched, alone = running(scans, probe=probe), running(scans)
+    for scan in scans:
+        np.testing.assert_array_equal(watched.explain(scan), alone.explain(scan))
+    clear = probe.values["clear"][-1]
+    assert clear.values.min() >= 1
+    assert clear.size == 0.1
+    assert set(np.unique(probe.values["objects"][-1].classes)) >= {0, 1, 2}
+
+
+def test_what_has_no_voxel_is_kept_and_says_so() -> None:
+    scans = [scan.without_truth() for scan in crossing(6)]
+    odd = scans[2].points.copy()
+    odd[:3] = [[np.nan, 0, 0], [4000, 0, 0], [0, np.inf, 0]]
+    scans[2] = dataclasses.replace(scans[2], points=odd)
+    method = SeeThrough(SeeThroughParams())
+    method.begin(Context(Extent.of(*[s for k, s in enumerate(scans) if k != 2])))
+    for scan in scans:
+        method.observe(scan)
+    assert (method.explain(scans[2])[:3] == OUT_OF_REACH).all()
+    assert not method.label(scans[2])[:3].any()
+
+
+def test_the_crossing_is_cleaned() -> None:
+    scans = crossing(14)
+    method = running([scan.without_truth() for scan in scans])
+    kept = removed = static = dynamic = 0
+    for scan in scans:
+        answer, truth = method.label(scan), scan.labels == Label.DYNAMIC
+        kept, static = kept + (~answer & ~truth).sum(), static + (~truth).sum()
+        removed, dynamic = removed + (answer & truth).sum(), dynamic + truth.sum()
+    assert kept > 0.98 * static
+    assert removed > 0.9 * dynamic
+
+
+@pytest.mark.parametrize(
+    ("values", "word"),
+    [
+        ({"resolution": 0.0}, "resolution"),
+        ({"gap": -1.0}, "gap"),
+        ({"guard": 0.9}, "guard"),
+        ({"votes": 0}, "votes"),
+        ({"share": 1.0}, "share"),
+        ({"ground_height": float("nan")}, "ground_height"),
+    ],
+)
+def test_senseless_parameters_are_refused(values: dict[str, float], word: str) -> None:
+    with pytest.raises(ValueError, match=word):
+        SeeThroughParams(**values)  # type: ignore[arg-type]
+
+
+def test_every_reason_is_kept_or_removed() -> None:
+    assert all(reason.meaning.startswith(("kept", "removed")) for reason in REASONS)
+    assert REMOVED[[SEEN_THROUGH, FOLLOWED_ON, FOOT]].all()
+    assert not REMOVED[[LOW, OUT_OF_REACH]].any()
