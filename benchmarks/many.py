@@ -44,18 +44,8 @@ def _of(name: str, preset: str, frames: int, seed: int, slope: float = 0.0, **ch
 
 
 SCENES = (
-    _of("hdl64_town", "street_hdl64", 40, 101),
-    _of("hdl64_fast", "street_hdl64", 40, 102, speed=14.0, traffic=1.0),
-    _of("hdl64_poor_poses", "street_hdl64", 40, 103, pose_noise=POOR),
-    _of("hdl64_standing", "street_hdl64", 40, 104, speed=0.0),
-    _of("hdl64_quiet", "street_hdl64", 40, 105, traffic=0.1),
-    _of("hdl64_hill", "street_hdl64", 40, 106, slope=12.0),
-    _of("hdl64_crowd", "square_vlp32c", 30, 107, sensor="hdl64e", traffic=2.0),
     _of("hdl32_street", "street_hdl64", 80, 108, sensor="hdl32e", pose_noise=FAIR),
     _of("hdl32_crowd", "square_vlp32c", 60, 109, sensor="hdl32e", traffic=1.5),
-    _of("vlp32c_square", "square_vlp32c", 30, 110),
-    _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
-    _of("vlp32c_street", "street_hdl64", 30, 112, sensor="vlp32c_pair"),
     _of("vlp16_street", "street_vlp16", 100, 113),
     _of("vlp16_fast", "street_vlp16", 80, 114, speed=8.0, pose_noise=FAIR),
     _of("vlp16_standing", "street_vlp16", 80, 115, speed=0.0),
@@ -68,6 +58,14 @@ SCENES = (
     _of("mid360_hall", "hall_mid360", 150, 122),
     _of("mid360_square", "square_mid360", 150, 123),
     _of("mid360_street", "street_vlp16", 120, 124, sensor="mid360"),
+    _of("hdl64_town", "street_hdl64", 40, 101),
+    _of("hdl64_fast", "street_hdl64", 40, 102, speed=14.0, traffic=1.0),
+    _of("hdl64_poor_poses", "street_hdl64", 40, 103, pose_noise=POOR),
+    _of("hdl64_standing", "street_hdl64", 40, 104, speed=0.0),
+    _of("hdl64_hill", "street_hdl64", 40, 106, slope=12.0),
+    _of("hdl64_crowd", "square_vlp32c", 30, 107, sensor="hdl64e", traffic=2.0),
+    _of("vlp32c_square", "square_vlp32c", 30, 110),
+    _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
 )
 
 
