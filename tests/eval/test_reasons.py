@@ -41,10 +41,30 @@ def test_costs_add_up_to_what_is_missing(info, make_labelled):
     assert sum(c["DA"] for c in cost.values()) == pytest.approx(100 - total.DA)
 
 
-def test_a_code_without_a_legend_shows(info, make_labelled):
+@pytest.mark.parametrize("code", [2, 255])  # the legend holds 0 and 1
+def test_a_code_without_a_legend_shows(info, make_labelled, code):
     metric = Reasons(info)
-    metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[255]))
-    assert metric.finish()["reasons"]["false_negative"] == {"code 255": 1}
+    metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code]))
+    assert metric.finish()["reasons"]["false_negative"] == {f"code {code}": 1}
+
+
+def test_the_most_frequent_reason_is_first(info, make_labelled):
+    metric = Reasons(info)
+    metric.update(
+        make_labelled(0, points=np.zeros((6, 3)), labels=[1] * 6, dynamic=[False] * 6, reasons=[0, 1, 1, 7, 7, 7])
+    )
+    assert list(metric.finish()["reasons"]["false_negative"].items()) == [
+        ("code 7", 3),
+        ("never_seen", 2),
+        ("seen_free", 1),
+    ]
+
+
+def test_a_reason_wrong_both_ways_as_often_has_a_cost(info, make_labelled):
+    metric = Reasons(info)
+    labels, dynamic = [1, 1, 0, 0], [False, True, True, False]
+    metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=labels, dynamic=dynamic, reasons=[0] * 4))
+    assert metric.finish()["reasons"]["cost"] == {"seen_free": {"SA": 50, "DA": 50}}
 
 
 def test_without_truth_nothing_is_wrong(info, make_labelled):

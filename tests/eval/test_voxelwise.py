@@ -42,3 +42,40 @@ def test_undefined_where_there_is_nothing_to_count() -> None:
     scan = room(frames=1, rays=50, labelled=False)[0]
     nothing = section([scan], [np.zeros(len(scan), bool)])
     assert (nothing["PR"], nothing["RR"], nothing["F1"]) == (None, None, None)
+
+
+def scan_of(points: list[list[float]], labels: list[int]) -> Scan:
+    return Scan(0, np.array(points, np.float32), np.eye(4), labels=np.array(labels, np.uint8))
+
+
+def test_F1_needs_both_kinds_of_voxel() -> None:
+    static, dynamic = (scan_of([[0, 0, 0]], [label]) for label in (0, 1))
+    kept = [np.array([False])]
+    assert [section([static], kept)[name] for name in ("PR", "RR", "F1")] == [100, None, None]
+    assert [section([dynamic], kept)[name] for name in ("PR", "RR", "F1")] == [None, 0, None]
+
+
+def test_the_mean_of_equals_is_theirs() -> None:
+    scan = scan_of([[0, 0, 0], [5, 0, 0]], [0, 1])
+    found = section([scan], [np.array([False, True])])
+    assert (found["PR"], found["RR"], found["F1"]) == (100, 100, 100)
+
+
+def test_all_wrong_is_0() -> None:
+    found = section([scan_of([[0, 0, 0], [5, 0, 0]], [0, 1])], [np.array([True, False])])
+    assert (found["PR"], found["RR"], found["F1"]) == (0, 0, 0)
+
+
+def test_what_has_no_place_or_no_label_does_not_count() -> None:
+    scan = scan_of([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0], [5, 0, 0]], [0, 1, 255, 1])
+    found = section([scan], [np.zeros(4, bool)])
+    assert (found["static"], found["dynamic"], found["dynamic_kept"]) == (0, 1, 1)
+
+
+def test_of_a_cleaned_map_its_own_points_keep_voxels() -> None:
+    metric = Voxelwise(INFO)
+    metric.cleaned_map(np.array([[0.1, 0.1, 0.1]], np.float32))
+    scan = scan_of([[0.05, 0.05, 0.05], [1, 0, 0], [5, 0, 0]], [0, 0, 1])
+    metric.update(Labelled.of(0, scan, np.array([True, False, False]), np.zeros(3, np.uint8)))
+    found = metric.finish()["voxelwise"]
+    assert (found["PR"], found["RR"]) == (50, 100)  # whatever the labels say
