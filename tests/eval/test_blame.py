@@ -22,7 +22,7 @@ def cause(kind: str, said: int, size=(1, 1, 1), **looks) -> Cause | None:
     total = np.zeros(1, CASE)
     for name, value in {"points": 100, "cells": 10, **looks}.items():
         total[name] = value
-    total["high"] = np.asarray(size, np.float32)
+    total["low"], total["high"] = 5, np.asarray(size, np.float32) + 5
     total["reasons"][0, said] = 100
     return causes_of(kind, total, REASONS)[0]
 

@@ -1,5 +1,6 @@
 """Counts by range, height, frame and object."""
 
+import itertools
 import json
 
 import numpy as np
@@ -45,6 +46,21 @@ def test_ranges_use_each_points_own_origin(info, make_labelled):
     points = np.full((2, 3), [41.0, 0, 0])
     section = breakdown(info, make_labelled(0, points=points, labels=[0, 0], dynamic=[False, False], origins=origins))
     assert [row["static_kept"] for row in section["range"]] == [1, 0, 0, 1, 0]
+
+
+def test_ranges_are_those_of_space(info, make_labelled):
+    points = np.array([[0, 12, 16], [24, 0, 32], [6, 8, 0], [-3, -4, -12]])  # 20, 40, 10 and 13 m away
+    section = breakdown(info, make_labelled(0, points=points, labels=[0] * 4, dynamic=[False] * 4))
+    assert [row["static_kept"] for row in section["range"]] == [0, 2, 1, 1, 0]
+
+
+def test_heights_include_their_lower_edge(info, make_labelled):
+    z = np.array([0.0] * 30 + [-1, 0.1, 0.2, 0.5, 1, 1.9, 2, 4, 9])
+    points = np.c_[np.full((len(z), 2), 0.5), z]
+    section = breakdown(info, make_labelled(0, points=points, labels=[0] * len(z), dynamic=[False] * len(z)))
+    edges = [None, 0.2, 0.5, 1, 2, 4, None]
+    assert [(row["from"], row["to"]) for row in section["height"]] == list(itertools.pairwise(edges))
+    assert [row["static_kept"] for row in section["height"]] == [32, 1, 1, 2, 1, 2]
 
 
 def test_points_without_coordinates_count_in_the_last_bin(info, make_labelled):
@@ -117,6 +133,31 @@ def test_classes_alone_make_objects(info, make_labelled):
     labelled = make_labelled(0, points=np.zeros((3, 3)), labels=[1, 1, 0], classes=[252, 254, 40], dynamic=[1, 0, 0])
     rows = breakdown(info, labelled)["object"]
     assert [(row["class"], row["instance"], row["DA"]) for row in rows] == [(254, 0, 0), (252, 0, 100)]
+
+
+def test_an_object_that_stops_keeps_its_row_and_its_frames(info, make_labelled):
+    def scan(frame, label, instance=7):
+        return make_labelled(
+            frame, points=np.zeros((2, 3)), labels=[label] * 2, instances=[instance] * 2, dynamic=[True, False]
+        )
+
+    (row,) = breakdown(info, *(scan(frame, label) for frame, label in ((1, 1), (2, 0), (4, 0))))["object"]
+    assert (row["first_frame"], row["last_frame"], row["points"]) == (1, 4, 6)
+    assert [row[name] for name in COUNTED] == [2, 2, 1, 1, 0]
+
+
+def test_objects_missed_alike_are_in_the_order_of_their_numbers(info, make_labelled):
+    classes, instances = [5, 5, 3, 4], [2, 1, 9, 9]
+    labelled = make_labelled(
+        0, points=np.zeros((4, 3)), labels=[1] * 4, classes=classes, instances=instances, dynamic=[False] * 3 + [True]
+    )
+    rows = breakdown(info, labelled)["object"]
+    assert [(row["class"], row["instance"]) for row in rows] == [(3, 9), (5, 1), (5, 2), (4, 9)]
+
+
+def test_objects_need_truth(info, make_labelled):
+    known = make_labelled(0, labels=None, instances=np.ones(400), dynamic=np.zeros(400, bool))
+    assert breakdown(info, known)["object"] == []
 
 
 def test_no_objects_without_truth(info, make_labelled):
