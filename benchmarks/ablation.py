@@ -55,7 +55,7 @@ def learned(scans: list[Scan], params: SeeThroughParams) -> SeeThrough:
 def scores(method: SeeThrough, scans: list[Scan], kept: tuple[int, ...] = ()) -> tuple[float, float]:
     """SA and DA, percent; points with the reasons ``kept`` stay."""
     method._labelled, method._reasons = 0, {}
-    method._movers[:] = -(1 << 20)
+    method._movers[0] = -(1 << 20)  # no mover was anywhere
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
     answers = np.concatenate([removed[method.explain(scan.without_truth())] for scan in scans])
     truth = np.concatenate([scan.labels for scan in scans])

@@ -112,13 +112,32 @@ def read(voxels, counts):
 
 
 @njit(cache=True, nogil=True)
-def among(objects, n, places, last, since):
-    """How many points (n,) of each object are in places, (N,) int64, whose ``last`` is not before ``since``."""
-    count = np.zeros(n, np.int64)
+def trails(objects, n, places, since, last, proof):
+    """Of n objects: how many points lie in places (N,) whose ``last`` is not before ``since``; the most proof there.
+
+    Args:
+        objects: (N,) int32, the object of each point, or -1.
+        last: (all places,) int32, the last scan with a mover there.
+        proof: (all places,) int32, in how many scans that mover had been judged dynamic.
+    """
+    count, most = np.zeros(n, np.int64), np.zeros(n, np.int32)
     for i in range(len(objects)):
-        if objects[i] >= 0 and last[places[i]] >= since:
-            count[objects[i]] += 1
-    return count
+        k = objects[i]
+        if k >= 0 and last[places[i]] >= since:
+            count[k] += 1
+            most[k] = max(most[k], proof[places[i]])
+    return count, most
+
+
+@njit(cache=True, nogil=True)
+def leave(objects, moving, proven, places, now, last, proof):
+    """Mark the places of moving objects, (n,) bool, with this scan and with their proof, (n,); of several the most."""
+    for i in range(len(objects)):
+        k = objects[i]
+        if k >= 0 and moving[k]:
+            place = places[i]
+            proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
+            last[place] = now
 
 
 @njit(cache=True, nogil=True)

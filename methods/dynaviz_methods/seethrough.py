@@ -10,8 +10,8 @@
         objects:  points that are not low, joined over gaps of about ``gap``
         dynamic:  a voxel votes with min(clear / votes, 1), or 0 where it was hit twice as often as seen clear through;
                   an object whose points' mean vote exceeds ``share`` is dynamic, all of it
-        followed: so is an object of which most lies where one was in the last scans, if 1 in 20 of its points was
-                  ever seen clear through: a car that came and parked
+        followed: so is an object of which most lies where a mover was in the last scans, one that was judged dynamic
+                  at least twice, if 1 in 50 of its points was ever seen clear through: a car that came and parked
         feet:     low points under or beside a dynamic object that stand out of the ground, or were passed five times
                   as often as hit
         alone:    other points in a voxel that was seen clear through by ``votes`` scans and more often than hit
@@ -42,7 +42,8 @@ from dynaviz_methods.relief import Relief
 I64 = NDArray[np.int64]
 
 TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
-FOLLOWED = 0.05  # share of an object's points that must have been seen through for it to be followed
+FOLLOWED = 0.02  # share of an object's points that must have been seen through for it to be followed
+PROOF = 2  # scans in which it must have been judged dynamic before
 LATELY = 3  # scans for which a mover's place is remembered
 STANDS_OUT = 0.05  # metres above the ground
 PASSED = 5  # times as often as hit
@@ -171,8 +172,9 @@ class SeeThrough:
         self._relief = Relief(self._grid.blocks, self.params.resolution)
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
-        # The last scan that had a mover in each quarter of a column, by what is known at the end, and so far.
-        self._movers, self._shown = (np.full(4 * len(self._relief) + 4, -LATELY - 1, np.int32) for _ in range(2))
+        # Of each quarter of a column the last scan with a mover there, and in how many scans that one had been judged
+        # dynamic: by what is known at the end, and so far.
+        self._movers, self._shown = (np.full((2, 4 * len(self._relief) + 4), -LATELY - 1, np.int32) for _ in range(2))
         self._observed = self._labelled = 0
         self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
@@ -231,12 +233,12 @@ class SeeThrough:
         evidence = (voxels, self._hits, self._clear, self.params.votes)
         size, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         places = self._relief.quarters(voxels)
-        lately = kernels.objects.among(objects, n, places, movers, now - LATELY)
+        lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
         dynamic = (votes > self.params.share * self.params.votes * size) & (size >= FEW)
-        followed = ~dynamic & (2 * lately > size) & (touched > FOLLOWED * size)
-        of_dynamic, of_followed = (np.append(which, False)[objects] for which in (dynamic, followed))
-        movers[places[of_dynamic | of_followed]] = now
-        return of_dynamic, of_followed
+        followed = ~dynamic & (2 * lately > size) & (touched > FOLLOWED * size) & (proof >= PROOF)
+        proven = (proof + dynamic).astype(np.int32)
+        kernels.objects.leave(objects, dynamic | followed, proven, places, now, *movers)
+        return np.append(dynamic, False)[objects], np.append(followed, False)[objects]
 
     def _show(
         self, scan: Scan, blocks: NDArray[np.int32], through: NDArray[np.uint64], near: NDArray[np.uint64]

@@ -11,7 +11,7 @@ from reference_octomap import Key, key, walk
 
 from dynaviz.scan import Scan
 from dynaviz_methods.relief import PIT, SLOPE
-from dynaviz_methods.seethrough import FEW, FOLLOWED, LATELY, PASSED, STANDS_OUT, TALL, SeeThroughParams
+from dynaviz_methods.seethrough import FEW, FOLLOWED, LATELY, PASSED, PROOF, STANDS_OUT, TALL, SeeThroughParams
 
 
 class Reference:
@@ -21,7 +21,7 @@ class Reference:
         self.passed: Counter[Key] = Counter()
         self.clear: Counter[Key] = Counter()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
-        self.movers: dict[tuple[int, int], int] = {}
+        self.movers: dict[tuple[int, int], tuple[int, int]] = {}  # last scan, and how often judged dynamic by then
         self.labelled = 0
 
     def observe(self, scan: Scan) -> None:
@@ -83,13 +83,20 @@ class Reference:
         up = [i for i in inside if not height[i] <= params.ground_height]
         dynamic = np.zeros(len(points), bool)
         whole: set[int] = set()
+        left: dict[tuple[int, int], tuple[int, int]] = {}
         for members in self.objects(points, up):
             votes = sum(self.votes(voxel[i]) for i in members) / params.votes
-            lately = sum(self.movers.get(self.quarter(voxel[i]), -99) >= now - LATELY for i in members)
+            trail = [self.movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
+            recent = [proof for last, proof in trail if last >= now - LATELY]
+            proof = max(recent, default=0)
             touched = sum(self.clear[voxel[i]] > 0 for i in members)
             moves = votes > params.share * len(members) and len(members) >= FEW
-            if moves or (2 * lately > len(members) and touched > FOLLOWED * len(members)):
+            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > FOLLOWED * len(members)
+            if moves or follows:
                 whole.update(members)
+                for i in members:
+                    place = self.quarter(voxel[i])
+                    left[place] = (now, max(left.get(place, (now, 0))[1], proof + moves))
         for i in whole:
             dynamic[i] = True
         cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
@@ -102,8 +109,7 @@ class Reference:
             stands_out = height[i] > STANDS_OUT or self.passed[k] > PASSED * self.hits[k]
             if i not in up and under and stands_out:
                 dynamic[i] = True
-        for i in whole:
-            self.movers[self.quarter(voxel[i])] = now
+        self.movers |= left
         return dynamic
 
     def votes(self, k: Key) -> int:
