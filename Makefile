@@ -4,7 +4,7 @@ BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 
-.PHONY: demo test lint types boundscheck docs check clean
+.PHONY: demo test lint types boundscheck coverage mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -24,6 +24,19 @@ boundscheck: .venv/.dev  # kernels again, with every index checked
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q $(ALL_CORES) \
 		-k 'not golden and not report and (not conforms or survives or keeps_points)' tests/kernels tests/methods tests/eval \
 		tests/testing tests/laws/test_places.py tests/test_grid.py tests/test_nearest.py tests/io/test_pcd.py
+
+# Kernels once more as plain Python, which sees their lines, on worlds small enough. It warns where compiled integers wrap, and
+# has no integer for NaN. tests/README.md tells what is left.
+PLAIN := not finite and (odd_scans or log_odds or lines_protect or box_goes or empty or few_points or lzf or touched or \
+	of_a_pixel or key_set or lower_edge or limit_itself or all_pairs or tree_holds or outliers or steep or components or \
+	dilation or seethrough_keeps)
+coverage: .venv/.dev
+	$(BIN)/pytest -q $(ALL_CORES) --cov --cov-report=
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning \
+		-k '$(PLAIN)' tests/kernels tests/methods tests/eval tests/test_grid.py tests/test_nearest.py tests/io/test_pcd.py
+
+mutants: .venv/.dev  # the evaluation changed in one place at a time: what do its tests not notice?
+	$(BIN)/python tests/mutants.py
 
 docs: .venv/.dev  # into build/site; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

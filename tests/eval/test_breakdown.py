@@ -158,6 +158,7 @@ def test_objects_missed_alike_are_in_the_order_of_their_numbers(info, make_label
 def test_objects_need_truth(info, make_labelled):
     known = make_labelled(0, labels=None, instances=np.ones(400), dynamic=np.zeros(400, bool))
     assert breakdown(info, known)["object"] == []
+    assert breakdown(info, make_labelled(0))["object"] == []  # labels, and nothing that tells objects apart
 
 
 def test_no_objects_without_truth(info, make_labelled):

@@ -1,0 +1,23 @@
+"""A method that uses most kernels on a world so small that they also run without compilation (make coverage)."""
+
+from __future__ import annotations
+
+import numpy as np
+from worlds import room
+
+from dynaviz.method import Context
+from dynaviz.scan import Label
+from dynaviz.survey import Extent
+from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
+
+
+def test_seethrough_keeps_most_of_a_room_and_answers_for_every_point() -> None:
+    scans = room(frames=4, rays=200).scans
+    method = SeeThrough(SeeThroughParams(resolution=0.8, guard=1.6, gap=1.7, ground_height=0.8))
+    method.begin(Context(Extent.of(*scans)))
+    for scan in scans:
+        method.observe(scan)
+    for scan in scans:
+        answer = method.label(scan)
+        assert len(answer) == len(scan)
+        assert np.mean(answer[scan.labels == Label.STATIC]) < 0.2
