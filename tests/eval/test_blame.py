@@ -84,6 +84,7 @@ def test_the_cause_of_most_points_counts_whatever_their_reasons():
         ((0.1, 1.4, 1.3), "small thing"),
         ((1, 1, 1), "small thing"),
         ((1.5, 0.1, 0.5), "wall or other surface"),
+        ((1.6, 0.1, 0.6), "wall or other surface"),
         ((0.1, 1.5, 3), "wall or other surface"),
     ],
 )

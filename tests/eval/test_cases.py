@@ -75,3 +75,10 @@ def test_a_span_bounds_a_case_also_over_frames_and_settlings():
     total = summed(cases.rows)
     assert (total["high"] - total["low"]).max() < 5.0
     assert len(total) == 4
+
+
+def test_there_is_room_for_twice_the_cells_that_come_between_settlings():
+    cases = Cases(1, np.inf)
+    for frame in range(EVERY - 1):
+        add(cases, frame, np.stack([2.0 * np.arange(150), np.full(150, 2.0 * frame), np.zeros(150)], 1))
+        assert len(cases._table) >= 2 * 150 * (frame + 1)
