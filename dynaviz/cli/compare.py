@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
@@ -39,7 +39,7 @@ def compare(
 
     with progress("compare") as tell:
         comparison = api.compare(*recordings, out=out, progress=tell)
-    show(comparison, f"Written to {out}. Look at it: dynaviz view {out}")
+    show(comparison, f"Written to {out}. Look at it: {program()} view {out}")
     if json is not None:
         comparison.save(json)
         show(f"Written to {json}.")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -21,6 +23,18 @@ def console() -> Console:
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else 160)
+
+
+def program() -> str:
+    """What to type for this program: its name where the shell finds it, else as it was called."""
+    if shutil.which("dynaviz"):
+        return "dynaviz"
+    return sys.argv[0] if Path(sys.argv[0]).name == "dynaviz" else f"{sys.executable} -m dynaviz"
+
+
+def written(folder: Path, recorded: bool) -> str:
+    """Where a run is, and how to look at it."""
+    return f"Written to {folder}." + (f" Look at it: {program()} view {folder / 'run.rrd'}" if recorded else "")
 
 
 def show(*what: RenderableType) -> None:

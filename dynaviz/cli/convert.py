@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import program, progress, show
 from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
@@ -49,4 +49,4 @@ def convert(
         print(f"dynaviz: warning: {remark}.", file=sys.stderr)
     poses_ = "poses bit for bit" if done.exact else f"poses to {max(done.pose_error, 1e-16):.0e}"
     show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {poses_}.")
-    show(f"Next: dynaviz run octomap_gf {out}")
+    show(f"Next: {program()} run octomap_gf {out}")

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
@@ -52,11 +52,15 @@ def demo(
     recording, comparison = out / best.method / "run.rrd", out / "compare.rrd"
     with progress("comparing the best two") as tell:
         api.compare(out / second.method / "run.rrd", recording, out=comparison, progress=tell)
+    again = program()
     show(
         result_table(results),
-        f"A recording of each run is in {out}/METHOD/run.rrd.",
-        f"See where a method fails: dynaviz view {recording}",
-        f"See how {best.method} differs from {second.method}: dynaviz view {comparison}",
+        f"A recording of each run is in {out}/METHOD/run.rrd. What to type next:",
+        f"  {again} failures {recording}",
+        f"  {again} view {recording}",
+        f"  {again} shot {recording} -o {best.method}.png    (without a screen)",
+        f"  {again} view {comparison}    (how {best.method} differs from {second.method})",
+        f"  {again} run {best.method} PATH/TO/YOUR/SEQUENCE",
     )
     if view or (view is None and has_screen()):
         from dynaviz.viz.view import view as open_viewer

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
@@ -43,4 +43,4 @@ def download(
     with progress(name) as tell:
         folder = fetch(name, out, url or BASE, tell)
     scores = "" if SEQUENCES[name].labelled else " It has no ground truth, so runs have no scores."
-    show(f"Written to {folder}: {SEQUENCES[name].title}.{scores}", f"Next: dynaviz run octomap_gf {folder}")
+    show(f"Written to {folder}: {SEQUENCES[name].title}.{scores}", f"Next: {program()} run octomap_gf {folder}")

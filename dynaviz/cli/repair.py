@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dynaviz.cli.console import show
+from dynaviz.cli.console import program, show
 
 if TYPE_CHECKING:
     from dynaviz.viz.repair import Salvage
@@ -52,7 +52,7 @@ def _words(broken: Path, found: Salvage) -> list[str]:
     if found.path is None:
         first = f"the first of its {found.frames} frames" if found.frames else "its first frame"
         return [f"Nothing to salvage in {broken}: it ends before {first}.", "Run the method again."]
-    look = f"Look at it: dynaviz view {found.path}"
+    look = f"Look at it: {program()} view {found.path}"
     if found.path == broken:
         head = f"Nothing to do: {broken} opens as it is, with {found.answered} of {found.frames} frames."
         return [head, look] if found.finished else [head, look, again]

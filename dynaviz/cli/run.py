@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import progress, show, written
 from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
@@ -85,7 +85,4 @@ def run(
             command=" ".join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
-    show(
-        result,
-        f"Written to {folder}." + ("" if record is Record.none else f" Look at it: dynaviz view {folder / 'run.rrd'}"),
-    )
+    show(result, written(folder, record is not Record.none))

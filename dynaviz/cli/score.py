@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import progress, show, written
 from dynaviz.cli.opening import Frames, PointsIn, Poses, open_sequence
 from dynaviz.cli.run import Record
 
@@ -70,7 +70,4 @@ def score(
         )
     for remark in result.sections["source"]["remarks"]:
         print(f"dynaviz: warning: {remark}.", file=sys.stderr)
-    show(
-        result,
-        f"Written to {folder}." + ("" if record is Record.none else f" Look at it: dynaviz view {folder / 'run.rrd'}"),
-    )
+    show(result, written(folder, record is not Record.none))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
+from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
@@ -31,4 +31,4 @@ def simulate(
 
     with progress(f"simulating {preset}") as tell:
         folder = write(preset, out, frames=frames, seed=seed, progress=lambda done, total: tell("frames", done, total))
-    show(f"Written to {folder}. Next: dynaviz run octomap_gf {folder}")
+    show(f"Written to {folder}. Next: {program()} run octomap_gf {folder}")
