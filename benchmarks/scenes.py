@@ -1,30 +1,36 @@
-"""What the benchmarks run on: a street of 120 000 points a frame, made here, or the scans of a folder."""
+"""What the benchmarks run on: a street of 120 000 points a frame, made here, of any length, or scans of a folder."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dynaviz.io.pcd import read_pcd
 from dynaviz.scan import Scan
-from dynaviz.sensors import load_sensor
+from dynaviz.sensors import Sensor, load_sensor
 
 SENSOR = load_sensor("hdl64e")
 
 
-def street(frames: int) -> list[Scan]:
-    """A sensor of 64 rings drives 0.8 m a frame between house fronts; parked boxes, and three that drive."""
+KINDS = ("points", "T_world_sensor", "labels")
+BLOCK, SCANS = 18.0, 24  # metres after which the street is the same again, and scans on the way
+
+
+def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
+    """A sensor of 64 rings drives ``step`` metres a frame between house fronts; parked boxes, and three that drive."""
     random = np.random.default_rng(0)
-    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 1900), np.radians(np.linspace(-24.8, 8.0, 64)))
+    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, azimuths), np.radians(np.linspace(-24.8, 8.0, 64)))
     flat = np.cos(elevation)
     direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
     parked = [(x, y, 0.8) for x in range(-60, 160, 9) for y in (-5.0, 5.5)]
     scans = []
     for index in range(frames):
         T_world_sensor = np.eye(4)
-        T_world_sensor[:3, 3] = origin = 0.8 * index, 0.1 * math.sin(index), 1.73
+        T_world_sensor[:3, 3] = origin = step * index, 0.1 * math.sin(index), 1.73
         driving = [(15 + 1.5 * index, -2.0, 0.8), (-30 + 2.0 * index, 2.0, 0.8), (120 - index, 2.5, 0.8)]
         with np.errstate(divide="ignore"):
             inverse = 1.0 / direction
@@ -33,15 +39,54 @@ def street(frames: int) -> list[Scan]:
         reach[down] = np.minimum(reach[down], -origin[2] * inverse[down, 2])
         front = np.where(direction[:, 1] > 0, 11.0 - origin[1], -9.0 - origin[1]) * inverse[:, 1]
         reach[level] = np.minimum(reach, front)[level]
+        moving = np.zeros(len(direction), np.uint8)
         for centre in parked + driving:
             corner = np.array([2.0, 0.9, 0.8])
             near, far = np.sort([(centre + side * corner - origin) * inverse for side in (-1, 1)], 0)
             enter = near.max(1)
-            reach = np.where((enter > 0) & (enter < far.min(1)), np.minimum(reach, enter), reach)
+            first = (enter > 0) & (enter < far.min(1)) & (enter < reach)
+            reach, moving = np.where(first, enter, reach), np.where(first, centre in driving, moving)
         seen = reach < 80.0
         points = origin + direction[seen] * (reach + random.normal(0, 0.02, len(reach)))[seen, None]
-        scans.append(Scan(index, points.astype(np.float32), T_world_sensor))
+        labels = moving[seen].astype(np.uint8)
+        scans.append(Scan(index, points.astype(np.float32), T_world_sensor, labels=labels))
     return scans
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive of any length in the memory of one block: the same scans again and again, each time farther on."""
+
+    block: list[Scan]
+    frames: int
+    name: str = "drive"
+    sensor: Sensor = SENSOR
+    has_labels: bool = True
+
+    @staticmethod
+    def of(points: int, frames: int, folder: Path) -> Drive:
+        """About so many points a frame; the block is made once, and kept in a file in the folder."""
+        path = folder / f"block{points}.npz"
+        if not path.exists():
+            block = street(SCANS, round(points / 120_000 * 1915), BLOCK / SCANS)
+            arrays = {f"{kind}{scan.index}": getattr(scan, kind) for scan in block for kind in KINDS}
+            np.savez(path, **arrays)
+        with np.load(path) as stored:
+            return Drive(
+                [Scan(index, **{kind: stored[f"{kind}{index}"] for kind in KINDS}) for index in range(SCANS)], frames
+            )
+
+    def __len__(self) -> int:
+        return self.frames
+
+    def __iter__(self) -> Iterator[Scan]:
+        return map(self.__getitem__, range(self.frames))
+
+    def __getitem__(self, position: int) -> Scan:
+        scan, pose = self.block[position % SCANS], self.block[position % SCANS].T_world_sensor.copy()
+        pose[0, 3] += (shift := position // SCANS * BLOCK)
+        points = scan.points + np.float32([shift, 0, 0])
+        return replace(scan, index=position, points=points, T_world_sensor=pose, origins=None)
 
 
 def read(folder: Path, frames: int | None) -> list[Scan]:

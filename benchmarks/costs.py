@@ -1,0 +1,164 @@
+"""What each step costs at so many points a frame and so many frames: processor seconds on one thread, and memory.
+
+    python benchmarks/costs.py 30000 24 FOLDER method octomap     one of the functions here, in a process of its own
+
+A function returns figures; ``seconds`` are for the whole drive, ``memory_mb`` what is held at most beyond what was held
+before. What is compiled or loaded on first use is so beforehand, on two frames. The files of a run lie in FOLDER, for
+those that come after.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scenes import SENSOR, Drive
+
+from dynaviz import api, kernels, registry
+from dynaviz.datasets import open_sequence
+from dynaviz.loop import Run, execute, peak_rss_mb
+from dynaviz.method import Context
+from dynaviz.metric import Labelled
+from dynaviz.scan import Scan, stream
+from dynaviz.study import report as write_report
+from dynaviz.survey import survey
+
+Figures = dict[str, Any]
+QUICKEST = "octomap"  # of the methods that judge each point on its own; what is recorded and compared here
+SHORT = 100  # frames up to which a method runs twice, and the better counts
+COARSE = ("resolution=0.2",)  # for another run to compare with
+
+
+def spent(*calls: Callable[[], Any]) -> float:
+    """Processor seconds of some calls, one after the other."""
+    start = time.process_time()
+    for call in calls:
+        call()
+    return time.process_time() - start
+
+
+def reference(points: int, frames: int, folder: Path) -> Figures:
+    """The yardstick: a plain walk along the rays of each frame, the best of three rounds over six frames."""
+    from plain import dense_octomap
+
+    scans = list(Drive.of(points, 6, folder.parent))
+    dense_octomap(scans[:1], 0.1)
+    return {"seconds": frames * min(dense_octomap(scans, 0.1, time.process_time)[0] for _ in range(3))}
+
+
+def public_dufomap(points: int, frames: int, folder: Path) -> Figures:
+    """The public program of DUFOMap."""
+    from plain import public_dufomap as program
+
+    scans, before = list(Drive.of(points, frames, folder.parent)), peak_rss_mb()
+    return {"seconds": frames * program(scans, 1, time.process_time)[0], "memory_mb": peak_rss_mb() - before}
+
+
+def method(points: int, frames: int, folder: Path, name: str) -> Figures:
+    """A method alone: ``begin``, ``observe`` and ``label``; memory beyond the drive and the raw map."""
+    kernels.set_threads(1)
+    kind, drive = registry.load("methods", name), Drive.of(points, frames, folder.parent)
+    execute(Run(kind(kind.Params()), Drive(drive.block, 2), kind.Params()))
+    raw_map = np.concatenate([scan.points for scan in drive]) if kind.info.needs_map else None
+    context, before = Context(survey(drive).extent, SENSOR, raw_map=raw_map), peak_rss_mb()
+
+    def cleaned() -> float:
+        running = kind(kind.Params())
+        return spent(lambda: running.begin(context)) + sum(
+            spent(lambda: step(scan))  # noqa: B023
+            for step in (running.observe, running.label)
+            for scan in map(Scan.without_truth, drive)
+        )
+
+    seconds, held = cleaned(), peak_rss_mb() - before
+    return {"seconds": min(seconds, cleaned()) if frames <= SHORT else seconds, "memory_mb": held}
+
+
+def reading(points: int, frames: int, folder: Path) -> Figures:
+    """A folder of .bin files with poses, walked through; and the files alone by ``np.fromfile``."""
+    scans, block = folder / "scans", Drive.of(points, frames, folder.parent).block
+    scans.mkdir(parents=True)
+    for scan in block:
+        here = scan.points - scan.position.astype(np.float32)
+        np.column_stack([here, np.ones(len(here), np.float32)]).tofile(scans / f"block{scan.index}")
+    for index in range(frames):
+        os.link(scans / f"block{index % len(block)}", scans / f"{index:06d}.bin")
+    poses = np.tile(np.eye(4)[:3].ravel(), (frames, 1))
+    poses[:, 3] = 0.75 * np.arange(frames)
+    np.savetxt(folder / "poses.txt", poses)
+    files, before = sorted(scans.glob("*.bin")), peak_rss_mb()
+    plain = spent(*(lambda file=file: np.fromfile(file, np.float32) for file in files))
+    seconds = spent(lambda: [len(scan) for scan in stream(open_sequence(str(scans), poses=str(folder / "poses.txt")))])
+    shutil.rmtree(scans)
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before, "beside": plain}
+
+
+def metrics(points: int, frames: int, folder: Path) -> Figures:
+    """All metrics, on the answers of a method that removes a patch of ground and a tenth of what moves."""
+    drive, kind = Drive.of(points, frames, folder.parent), registry.load("methods", QUICKEST)
+
+    def scored(some: Drive) -> Iterator[float]:
+        run = [handle.load()(kind.info) for handle in registry.handles("metrics")]
+        for frame, scan in enumerate(some):
+            x, y = scan.points[:, :2].T
+            dynamic = (np.floor(x / 6) % 5 == 0) & (np.abs(y) < 3) | ((scan.labels > 0) & (np.arange(len(x)) % 10 > 0))
+            labelled = Labelled.of(frame, scan, dynamic, np.zeros(len(x), np.uint8))
+            yield from (spent(lambda: metric.update(labelled)) for metric in run)  # noqa: B023
+        yield from (spent(metric.finish) for metric in run)
+
+    sum(scored(Drive(drive.block, 2)))
+    before = peak_rss_mb()
+    return {"seconds": sum(scored(drive)), "memory_mb": peak_rss_mb() - before}
+
+
+def recorded(points: int, frames: int, folder: Path, way: str) -> Figures:
+    """A whole run: survey, method, metrics, files, and a recording or none."""
+    drive, mode, settings = Drive.of(points, frames, folder.parent), way, ()
+    if way == "coarse":
+        mode, settings = "errors", COARSE
+    api.run(QUICKEST, Drive(drive.block, 2), out=folder / "first", record=mode, settings=settings, threads=1)
+    before, out = peak_rss_mb(), folder / way
+    seconds = spent(lambda: api.run(QUICKEST, drive, out=out, record=mode, settings=settings, threads=1))
+    size = (out / "run.rrd").stat().st_size / 1e6 if mode != "none" else 0.0
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before, "file_mb": size}
+
+
+def compare(points: int, frames: int, folder: Path) -> Figures:
+    """Two recordings of the drive, and the merged one."""
+    recordings, before = [folder / name / "run.rrd" for name in ("errors", "coarse")], peak_rss_mb()
+    api.compare(*recordings)
+    seconds = spent(lambda: api.compare(*recordings, out=folder / "compare.rrd"))
+    size = (folder / "compare.rrd").stat().st_size / 1e6
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before, "file_mb": size}
+
+
+def report(points: int, frames: int, folder: Path) -> Figures:
+    """A page of the runs of the drive that are there, with figures and a picture of each map."""
+    write_report(folder / "first", out=folder / "first.html")
+    before = peak_rss_mb()
+    seconds = spent(lambda: write_report(folder / "errors", folder / "coarse", out=folder / "page.html"))
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before}
+
+
+def score(points: int, frames: int, folder: Path) -> Figures:
+    """A cleaned map in a file, scored on the drive, without a recording."""
+    drive = Drive.of(points, frames, folder.parent)
+    api.score(folder / "first/static_map.pcd", Drive(drive.block, 2), threads=1)
+    before = peak_rss_mb()
+    seconds = spent(lambda: api.score(folder / "errors/static_map.pcd", drive, threads=1))
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before}
+
+
+STEPS = (reference, public_dufomap, method, reading, metrics, recorded, compare, report, score)
+
+if __name__ == "__main__":
+    size, folder, step, *more = sys.argv[1:3], sys.argv[3], *sys.argv[4:]
+    found = {call.__name__: call for call in STEPS}[step](int(size[0]), int(size[1]), Path(folder), *more)
+    print(json.dumps(found))
