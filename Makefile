@@ -51,7 +51,7 @@ check: lint types test boundscheck docs
 .venv/.user: .venv/.venv pyproject.toml  # bytecode of what is used comes with its first use, in half the time
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
 	@$(PIP) --no-compile --editable .
-	@$(BIN)/python -m dynaviz.precompile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
 	@touch $@
 
 .venv/.dev: .venv/.user
