@@ -28,8 +28,8 @@ PARTS = {  # constants to change, and reasons to keep
     "all of it": ({}, ()),
     "no feet": ({}, (FOOT,)),
     "no lone voxels": ({}, (ALONE,)),
-    "nothing followed": ({"seethrough.FOLLOWED": 2.0}, ()),
-    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30, "seethrough.FOLLOWED": 2.0}, ()),
+    "nothing followed": ({"seethrough.PROOF": 1 << 30}, ()),
+    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, ()),
     "pits are ground": ({"relief.PIT": 1e9}, ()),
 }
 PARAMETERS = {

@@ -79,27 +79,37 @@ def connect(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
-def evidence(objects, n, voxels, hits, clear, votes):
-    """Of n objects: their points, the votes of these, and how many points were ever seen through; three times (n,).
+def evidence(objects, n, voxels, hits, passed, clear, votes):
+    """Of n objects: their points, those that have a say, the votes of these, and how many points were ever seen through.
+
+    A voxel that was hit once and crossed by no other scan has no say. The vote of others, in thousandths of a scan, is
+    how often it was seen clear through, ``votes`` at most, times the ratio of that to what speaks against it, 1 at most:
+    each scan that crossed it beside a hit, and a third for each that hit it, for a mover makes hits as well. Whole
+    numbers, so the order of points does not matter.
 
     Args:
         objects: (N,) int32, the object of each point, or -1.
         voxels: (N,) int64, the voxel of each point; where there is an object there is a voxel.
-        hits, clear: (blocks, 512) uint16, how often each voxel was hit, and seen clear through.
-        votes: the most that a voxel has; it has as many as it was seen clear through, or none if it was hit twice as
-            often or more.
+        hits, passed, clear: (blocks, 512) uint16, how often each voxel was hit, crossed, and seen clear through.
+        votes: the most scans that a voxel's vote has.
+
+    Returns:
+        Four times (n,) int64.
     """
-    size, sum_of_votes, touched = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    size, having = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    sum_of_votes, touched = np.zeros(n, np.int64), np.zeros(n, np.int64)
     for i in range(len(objects)):
         k = objects[i]
         if k >= 0:
             block, place = voxels[i] >> 9, voxels[i] & 511
-            seen, struck = np.int64(clear[block, place]), np.int64(hits[block, place])
             size[k] += 1
-            touched[k] += seen > 0
-            if 2 * seen > struck:
-                sum_of_votes[k] += min(seen, votes)
-    return size, sum_of_votes, touched
+            seen = np.int64(clear[block, place])
+            having[k] += hits[block, place] > 1 or passed[block, place] > 0
+            if seen:
+                touched[k] += 1
+                against = np.int64(hits[block, place]) + 3 * (np.int64(passed[block, place]) - seen)
+                sum_of_votes[k] += 1000 * min(seen, votes) * min(3 * seen, against) // against
+    return size, having, sum_of_votes, touched
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -8,13 +8,15 @@
     a point is low if it is at most ground_height above that ground
     for each scan again, in its order
         objects:  points that are not low, joined over gaps of about ``gap``
-        dynamic:  a voxel votes with min(clear / votes, 1), or 0 where it was hit twice as often as seen clear through;
-                  an object whose points' mean vote exceeds ``share`` is dynamic, all of it
+        dynamic:  a voxel votes with min(clear / votes, 1) min(clear / (near + hit / 3), 1), where near counts scans that
+                  crossed it and were not clear; an object is dynamic, all of it, where the mean vote of its points
+                  exceeds ``share``; points in voxels of one hit that no other scan crossed have no say
         followed: so is an object of which most lies where a mover was in the last scans, one that was judged dynamic
-                  at least twice, if 1 in 50 of its points was ever seen clear through: a car that came and parked
-        feet:     low points under or beside a dynamic object that stand out of the ground, or were passed five times
-                  as often as hit
-        alone:    other points in a voxel that was seen clear through by ``votes`` scans and more often than hit
+                  at least twice, if any of its points was ever seen clear through: a car that came and parked
+        feet:     low points under or beside a dynamic object that stand out of the ground, were passed five times as
+                  often as hit, or were hit twice at most and seen clear through as often
+        alone:    other points in a voxel that was seen clear through by ``votes`` scans, by more than hit it or passed
+                  it near a hit
 
 Nothing is judged by one plan of the world: each part of an object is weak evidence, its mean is strong. A ray crosses
 the voxels from the sensor's to the last before its point's. Points that are not finite and points more than 32768
@@ -42,12 +44,12 @@ from dynaviz_methods.relief import Relief
 I64 = NDArray[np.int64]
 
 TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
-FOLLOWED = 0.02  # share of an object's points that must have been seen through for it to be followed
 PROOF = 2  # scans in which it must have been judged dynamic before
 LATELY = 3  # scans for which a mover's place is remembered
 STANDS_OUT = 0.05  # metres above the ground
 PASSED = 5  # times as often as hit
-FEW = 3  # points; fewer are no object
+SELDOM = 2  # hits of a voxel up to which it is no ground where it was seen clear through as often
+FEW = 3  # points that have a say; fewer do not make an object dynamic
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class SeeThroughParams:
     Attributes:
         resolution: edge of a voxel, metres.
         guard: a crossed voxel is not clear with a hit of the same scan this near, metres; at most 7 voxels.
-        votes: clear scans from which on a voxel's vote is whole.
+        votes: clear scans that a voxel's whole vote takes.
         share: mean vote above which an object is dynamic.
         ground_height: points up to this above the ground are low, metres.
         gap: edge of the cells that join points to objects, metres; three times this in height.
@@ -218,11 +220,12 @@ class SeeThrough:
         counts = (self._hits, self._passed, self._clear)
         hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
         why = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
-        why[(clear >= params.votes) & (clear > hits)] = ALONE
+        why[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
         why[followed], why[dynamic] = FOLLOWED_ON, SEEN_THROUGH
         why[low] = LOW
         under = low & kernels.objects.beside(points, dynamic | followed, 4 * params.resolution)
-        why[under & ((height > STANDS_OUT) | (passed > PASSED * hits))] = FOOT
+        empty = (passed > PASSED * hits) | ((clear >= hits) & (hits <= SELDOM))
+        why[under & ((height > STANDS_OUT) | empty)] = FOOT
         why[~within] = OUT_OF_REACH
         return why
 
@@ -230,12 +233,12 @@ class SeeThrough:
         self, objects: NDArray[np.int32], n: int, voxels: I64, now: int, movers: NDArray[np.int32]
     ) -> tuple[Bool, Bool]:
         """Which points (N,) are of a dynamic object, and which of a followed one."""
-        evidence = (voxels, self._hits, self._clear, self.params.votes)
-        size, votes, touched = kernels.objects.evidence(objects, n, *evidence)
+        evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
+        size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         places = self._relief.quarters(voxels)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
-        dynamic = (votes > self.params.share * self.params.votes * size) & (size >= FEW)
-        followed = ~dynamic & (2 * lately > size) & (touched > FOLLOWED * size) & (proof >= PROOF)
+        dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
+        followed = ~dynamic & (2 * lately > size) & (touched > 0) & (proof >= PROOF)
         proven = (proof + dynamic).astype(np.int32)
         kernels.objects.leave(objects, dynamic | followed, proven, places, now, *movers)
         return np.append(dynamic, False)[objects], np.append(followed, False)[objects]

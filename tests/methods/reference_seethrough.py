@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -11,7 +12,7 @@ from reference_octomap import Key, key, walk
 
 from dynaviz.scan import Scan
 from dynaviz_methods.relief import PIT, SLOPE
-from dynaviz_methods.seethrough import FEW, FOLLOWED, LATELY, PASSED, PROOF, STANDS_OUT, TALL, SeeThroughParams
+from dynaviz_methods.seethrough import FEW, LATELY, PASSED, PROOF, SELDOM, STANDS_OUT, TALL, SeeThroughParams
 
 
 class Reference:
@@ -85,13 +86,14 @@ class Reference:
         whole: set[int] = set()
         left: dict[tuple[int, int], tuple[int, int]] = {}
         for members in self.objects(points, up):
-            votes = sum(self.votes(voxel[i]) for i in members) / params.votes
+            votes = sum(self.votes(voxel[i]) for i in members)
+            having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
             trail = [self.movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
             recent = [proof for last, proof in trail if last >= now - LATELY]
             proof = max(recent, default=0)
-            touched = sum(self.clear[voxel[i]] > 0 for i in members)
-            moves = votes > params.share * len(members) and len(members) >= FEW
-            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > FOLLOWED * len(members)
+            touched = any(self.clear[voxel[i]] > 0 for i in members)
+            moves = votes > 1000 * params.share * params.votes * having and having >= FEW
+            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched
             if moves or follows:
                 whole.update(members)
                 for i in members:
@@ -102,18 +104,21 @@ class Reference:
         cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
         for i in inside:
             k = voxel[i]
-            if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k]:
+            near = self.passed[k] - self.clear[k]
+            if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k] + near:
                 dynamic[i] = True
             x, y = (math.floor(float(c) / (4 * size)) for c in points[i, :2])
             under = any((x + a, y + b) in cells for a in (-1, 0, 1) for b in (-1, 0, 1))
-            stands_out = height[i] > STANDS_OUT or self.passed[k] > PASSED * self.hits[k]
-            if i not in up and under and stands_out:
+            empty = self.passed[k] > PASSED * self.hits[k] or self.clear[k] >= self.hits[k] <= SELDOM
+            if i not in up and under and (height[i] > STANDS_OUT or empty):
                 dynamic[i] = True
         self.movers |= left
         return dynamic
 
     def votes(self, k: Key) -> int:
-        return min(self.clear[k], self.params.votes) if 2 * self.clear[k] > self.hits[k] else 0
+        """Of a voxel, in thousandths of a scan."""
+        against = Fraction(self.hits[k], 3) + self.passed[k] - self.clear[k]
+        return math.floor(1000 * min(self.clear[k], self.params.votes) * min(self.clear[k] / against, 1))
 
     @staticmethod
     def quarter(k: Key) -> tuple[int, int]:

@@ -97,7 +97,7 @@ def test_a_mover_falls_whole_and_what_stands_stays() -> None:
 
 
 def test_a_car_that_came_and_parked_is_followed_where_it_stands() -> None:
-    places = [*np.linspace(-4.0, 2.0, 12), *[2.0] * 20]
+    places = [*np.linspace(-4.0, 2.0, 12), *[2.0] * 90]
     scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
     method = running(scans)
     n = len(GROUND) + len(wall())
