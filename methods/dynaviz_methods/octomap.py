@@ -101,7 +101,7 @@ def logit(probability: float) -> float:
 
 def _positive(params: OctoMapParams, *names: str) -> None:
     for name in names:
-        if not getattr(params, name) > 0:
+        if not 0 < getattr(params, name) < math.inf:
             raise ValueError(f"{name} = {getattr(params, name)}: give a number above 0")
 
 

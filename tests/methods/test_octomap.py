@@ -247,6 +247,7 @@ def test_states_are_those_announced_and_tell_the_map(method):
     [
         (OctoMap.Params, {"resolution": 0.0}),
         (OctoMap.Params, {"prob_hit": 1.0}),
+        (OctoMap.Params, {"resolution": float("inf")}),
         (OctoMap.Params, {"clamp_min": float("nan")}),
         (OctoMapG.Params, {"ground_distance": -0.1}),
         (OctoMapGF.Params, {"noise_neighbours": 0}),
