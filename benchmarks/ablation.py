@@ -18,7 +18,7 @@ from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
 from dynaviz.survey import Extent
 from dynaviz_methods import relief, seethrough
-from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, SeeThrough, SeeThroughParams
+from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
 CHOSEN = (
     "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
@@ -28,8 +28,9 @@ PARTS = {  # constants to change, and reasons to keep
     "all of it": ({}, ()),
     "no feet": ({}, (FOOT,)),
     "no lone voxels": ({}, (ALONE,)),
-    "nothing followed": ({"seethrough.PROOF": 1 << 30}, ()),
-    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, ()),
+    "nobody waited": ({}, (WAITED,)),
+    "nothing followed": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
+    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, (WAITED,)),
     "pits are ground": ({"relief.PIT": 1e9}, ()),
 }
 PARAMETERS = {

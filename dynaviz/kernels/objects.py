@@ -46,6 +46,7 @@ def connect(points, chosen, size, tall):
     slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
     cells, parent, count = np.empty(n, np.int64), np.empty(n, np.int64), 0
     mine = np.full(len(points), np.int32(-1))
+    s, last = np.int64(0), np.int64(-1)
     for i in range(len(points)):
         if not chosen[i]:
             continue
@@ -53,7 +54,8 @@ def connect(points, chosen, size, tall):
         y = np.int64(math.floor(points[i, 1] / size)) + FAR
         z = np.int64(math.floor(points[i, 2] / tall)) + FAR
         key = x << 42 | y << 21 | z
-        s = _slot(slots, key)
+        if key != last:  # points that follow each other often share a cell
+            s, last = _slot(slots, key), key
         if slots[s] < 0:
             slots[s], ranks[s], cells[count], parent[count] = key, count, key, count
             count += 1
@@ -80,12 +82,12 @@ def connect(points, chosen, size, tall):
 
 @njit(cache=True, nogil=True)
 def evidence(objects, n, voxels, hits, passed, clear, votes):
-    """Of n objects: their points, those that have a say, the votes of these, and how many points were ever seen through.
+    """Of n objects: their points, those with a say, the votes of these, and how many points were ever seen through.
 
     A voxel that was hit once and crossed by no other scan has no say. The vote of others, in thousandths of a scan, is
-    how often it was seen clear through, ``votes`` at most, times the ratio of that to what speaks against it, 1 at most:
-    each scan that crossed it beside a hit, and a third for each that hit it, for a mover makes hits as well. Whole
-    numbers, so the order of points does not matter.
+    how often it was seen clear through, ``votes`` at most, times the ratio of that to what speaks against it, at
+    most 1: each scan that crossed it beside a hit, and a third for each that hit it, for a mover makes hits as well.
+    These are whole numbers, so the order of points does not matter.
 
     Args:
         objects: (N,) int32, the object of each point, or -1.
@@ -137,6 +139,16 @@ def trails(objects, n, places, since, last, proof):
             count[k] += 1
             most[k] = max(most[k], proof[places[i]])
     return count, most
+
+
+@njit(cache=True, nogil=True)
+def within(objects, n, places, chosen):
+    """Of n objects: how many points lie in chosen places, (all places,) bool."""
+    count = np.zeros(n, np.int64)
+    for i in range(len(objects)):
+        if objects[i] >= 0:
+            count[objects[i]] += chosen[places[i]]
+    return count
 
 
 @njit(cache=True, nogil=True)

@@ -10,7 +10,7 @@ from dynaviz.scan import F32
 
 I64 = NDArray[np.int64]
 
-SLOPE = 0.3  # metres a metre: steeper is no ground but a thing that stands on it
+SLOPE = 0.2  # metres a metre: steeper is no ground but a thing that stands on it
 PIT = 0.3  # metres: what lies so far below most around it is no ground but a reflection
 
 

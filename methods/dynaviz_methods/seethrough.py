@@ -4,15 +4,18 @@
         hit:      voxels of its points
         clear:    voxels that its rays cross with no hit of this very scan within ``guard``; others that they cross are
                   passed: a grazed surface, seen from elsewhere or with a pose that is off, keeps its hits near
-    ground:       in each column of 8 voxels a side the densest of its lowest layers, pressed down to a slope of 0.3
+        movers:   it is judged as below by the scans so far: where dynamic objects are, and anything that is not low
+    ground:       in each column of 8 voxels a side the densest of its lowest layers, pressed down to a slope of 0.2
     a point is low if it is at most ground_height above that ground
     for each scan again, in its order
         objects:  points that are not low, joined over gaps of about ``gap``
-        dynamic:  a voxel votes with min(clear / votes, 1) min(clear / (near + hit / 3), 1), where near counts scans that
-                  crossed it and were not clear; an object is dynamic, all of it, where the mean vote of its points
-                  exceeds ``share``; points in voxels of one hit that no other scan crossed have no say
+        dynamic:  a voxel votes with min(clear / votes, 1) min(clear / (near + hit / 3), 1), where near counts scans
+                  that crossed it and were not clear; an object is dynamic, all of it, where the mean vote of its
+                  points exceeds ``share``; points in voxels of one hit that no other scan crossed have no say
         followed: so is an object of which most lies where a mover was in the last scans, one that was judged dynamic
                   at least twice, if any of its points was ever seen clear through: a car that came and parked
+        waited:   so is one of which most lies where the last that was ever seen is a mover, then or later, if 1 in 10
+                  of its points was seen clear through: a car that stood and drove off
         feet:     low points under or beside a dynamic object that stand out of the ground, were passed five times as
                   often as hit, or were hit twice at most and seen clear through as often
         alone:    other points in a voxel that was seen clear through by ``votes`` scans, by more than hit it or passed
@@ -46,6 +49,7 @@ I64 = NDArray[np.int64]
 TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
 PROOF = 2  # scans in which it must have been judged dynamic before
 LATELY = 3  # scans for which a mover's place is remembered
+WAITED_FOR = 0.1  # share of its points that must have been seen through where an object stood and left later
 STANDS_OUT = 0.05  # metres above the ground
 PASSED = 5  # times as often as hit
 SELDOM = 2  # hits of a voxel up to which it is no ground where it was seen clear through as often
@@ -86,7 +90,7 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE = range(8)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED = range(9)
 REASONS = (
     Reason("never_clear", "kept: no scan saw clear through its voxel", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its object was seen clear through", Cause.STANDING),
@@ -100,6 +104,7 @@ REASONS = (
     Reason("followed", "removed: its object is where a dynamic one was in the last scans", Cause.SHARED_CELL),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
     Reason("alone", "removed: its voxel was seen clear through, though its object was not", Cause.SPARSE_RINGS),
+    Reason("waited", "removed: the last that was seen where its object is moved away", Cause.SHARED_CELL),
 )
 REMOVED = np.array([reason.meaning.startswith("removed") for reason in REASONS])
 STATES = (
@@ -113,7 +118,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: they fall only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5], np.uint8)  # of a reason, in the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3], np.uint8)  # of a reason, in the legend
 
 
 class ClearGrid(BlockGrid):
@@ -175,8 +180,10 @@ class SeeThrough:
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
         # Of each quarter of a column the last scan with a mover there, and in how many scans that one had been judged
-        # dynamic: by what is known at the end, and so far.
-        self._movers, self._shown = (np.full((2, 4 * len(self._relief) + 4), -LATELY - 1, np.int32) for _ in range(2))
+        # dynamic: by what is known at the end, and so far. And the last scan that saw anything there.
+        places = 4 * len(self._relief) + 4
+        self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
+        self._seen = np.full(places, -LATELY - 1, np.int32)
         self._observed = self._labelled = 0
         self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
@@ -189,8 +196,9 @@ class SeeThrough:
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
         self._relief.add(scan.points, voxels)
-        if any(self._probe.wants(state.name) for state in STATES):
-            self._show(scan, marks.blocks, crossed & ~hit, near)
+        why = self._judge(scan, self._observed, self._so_far)
+        self._seen[self._relief.quarters(voxels[(why != LOW) & (why != FOOT)])] = self._observed
+        self._show(why, marks.blocks, crossed & ~hit, near)
         self._observed += 1
 
     def label(self, scan: Scan) -> Bool:
@@ -215,37 +223,40 @@ class SeeThrough:
         height = self._relief.height(points, voxels)
         within, low = voxels >= 0, height <= params.ground_height
         objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
-        dynamic, followed = self._movement(objects, n, voxels, now, movers)
+        verdict = self._movement(objects, n, voxels, now, movers)
+        moves = verdict > 0
 
         counts = (self._hits, self._passed, self._clear)
         hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
         why = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
         why[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
-        why[followed], why[dynamic] = FOLLOWED_ON, SEEN_THROUGH
+        why[moves] = verdict[moves]
         why[low] = LOW
-        under = low & kernels.objects.beside(points, dynamic | followed, 4 * params.resolution)
+        under = low & kernels.objects.beside(points, moves, 4 * params.resolution)
         empty = (passed > PASSED * hits) | ((clear >= hits) & (hits <= SELDOM))
         why[under & ((height > STANDS_OUT) | empty)] = FOOT
         why[~within] = OUT_OF_REACH
         return why
 
-    def _movement(
-        self, objects: NDArray[np.int32], n: int, voxels: I64, now: int, movers: NDArray[np.int32]
-    ) -> tuple[Bool, Bool]:
-        """Which points (N,) are of a dynamic object, and which of a followed one."""
+    def _movement(self, objects: NDArray[np.int32], n: int, voxels: I64, now: int, movers: NDArray[np.int32]) -> U8:
+        """(N,) uint8: why points are of an object that moves, or 0."""
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         places = self._relief.quarters(voxels)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
+        last, _ = self._so_far
+        left = (last >= now) & (self._seen <= last + LATELY)
+        verdict = np.zeros(n + 1, np.uint8)  # the last: no object
+        why = verdict[:n]
+        why[(2 * kernels.objects.within(objects, n, places, left) > size) & (touched > WAITED_FOR * size)] = WAITED
+        why[(2 * lately > size) & (touched > 0) & (proof >= PROOF)] = FOLLOWED_ON
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
-        followed = ~dynamic & (2 * lately > size) & (touched > 0) & (proof >= PROOF)
+        why[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
-        kernels.objects.leave(objects, dynamic | followed, proven, places, now, *movers)
-        return np.append(dynamic, False)[objects], np.append(followed, False)[objects]
+        kernels.objects.leave(objects, (why > 0) & (why != WAITED), proven, places, now, *movers)
+        return verdict[objects]
 
-    def _show(
-        self, scan: Scan, blocks: NDArray[np.int32], through: NDArray[np.uint64], near: NDArray[np.uint64]
-    ) -> None:
+    def _show(self, why: U8, blocks: NDArray[np.int32], through: NDArray[np.uint64], near: NDArray[np.uint64]) -> None:
         wants, emit = self._probe.wants, self._probe.emit
         for name, bits in (("clear", through & ~near), ("passed", through & near)):
             if wants(name):
@@ -253,7 +264,5 @@ class SeeThrough:
                 voxels = voxels[self._hits.ravel()[voxels] > 0]
                 count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))
-        if wants("objects") or wants("low"):
-            why = self._judge(scan, self._observed, self._shown)
-            emit("objects", PointClasses(CLASS[why]))
-            emit("low", Mask((why == LOW) | (why == FOOT)))
+        emit("objects", PointClasses(CLASS[why]))
+        emit("low", Mask((why == LOW) | (why == FOOT)))

@@ -12,7 +12,17 @@ from reference_octomap import Key, key, walk
 
 from dynaviz.scan import Scan
 from dynaviz_methods.relief import PIT, SLOPE
-from dynaviz_methods.seethrough import FEW, LATELY, PASSED, PROOF, SELDOM, STANDS_OUT, TALL, SeeThroughParams
+from dynaviz_methods.seethrough import (
+    FEW,
+    LATELY,
+    PASSED,
+    PROOF,
+    SELDOM,
+    STANDS_OUT,
+    TALL,
+    WAITED_FOR,
+    SeeThroughParams,
+)
 
 
 class Reference:
@@ -22,8 +32,12 @@ class Reference:
         self.passed: Counter[Key] = Counter()
         self.clear: Counter[Key] = Counter()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
-        self.movers: dict[tuple[int, int], tuple[int, int]] = {}  # last scan, and how often judged dynamic by then
-        self.labelled = 0
+        # By place the last scan with a mover, and how often that one was judged dynamic by then: when labels are asked
+        # for, and while scans are observed. And the last scan with anything that is not low.
+        self.movers: dict[tuple[int, int], tuple[int, int]] = {}
+        self.so_far: dict[tuple[int, int], tuple[int, int]] = {}
+        self.seen: dict[tuple[int, int], int] = {}
+        self.observed = self.labelled = 0
 
     def observe(self, scan: Scan) -> None:
         size, reach = self.params.resolution, round(self.params.guard / self.params.resolution)
@@ -41,6 +55,9 @@ class Reference:
             if np.isfinite(p).all():
                 x, y, z = key(p, size)
                 self.layers.setdefault((x >> 3, y >> 3), {}).setdefault(z, []).append(round(float(p[2]) * 1000))
+        _, places = self.judge(scan, self.observed, self.so_far)
+        self.seen |= dict.fromkeys(places, self.observed)
+        self.observed += 1
 
     def floor(self, column: tuple[int, int]) -> float:
         layers = self.layers.get(column, {})
@@ -74,9 +91,13 @@ class Reference:
         return pressed
 
     def label(self, scan: Scan) -> np.ndarray:
-        params, size, now = self.params, self.params.resolution, self.labelled
+        dynamic, _ = self.judge(scan, self.labelled, self.movers)
         self.labelled += 1
-        points = scan.points
+        return dynamic
+
+    def judge(self, scan: Scan, now: int, movers: dict) -> tuple[np.ndarray, set[tuple[int, int]]]:
+        """Answers, and the places of points that are not low."""
+        params, size, points = self.params, self.params.resolution, scan.points
         inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
         voxel = {i: key(points[i], size) for i in inside}
         surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
@@ -88,14 +109,16 @@ class Reference:
         for members in self.objects(points, up):
             votes = sum(self.votes(voxel[i]) for i in members)
             having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
-            trail = [self.movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
+            trail = [movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
             recent = [proof for last, proof in trail if last >= now - LATELY]
             proof = max(recent, default=0)
-            touched = any(self.clear[voxel[i]] > 0 for i in members)
+            touched = sum(self.clear[voxel[i]] > 0 for i in members)
             moves = votes > 1000 * params.share * params.votes * having and having >= FEW
-            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched
-            if moves or follows:
+            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0
+            waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
+            if moves or follows or (waited and touched > WAITED_FOR * len(members)):
                 whole.update(members)
+            if moves or follows:
                 for i in members:
                     place = self.quarter(voxel[i])
                     left[place] = (now, max(left.get(place, (now, 0))[1], proof + moves))
@@ -112,8 +135,13 @@ class Reference:
             empty = self.passed[k] > PASSED * self.hits[k] or self.clear[k] >= self.hits[k] <= SELDOM
             if i not in up and under and (height[i] > STANDS_OUT or empty):
                 dynamic[i] = True
-        self.movers |= left
-        return dynamic
+        movers |= left
+        return dynamic, {self.quarter(voxel[i]) for i in up}
+
+    def left(self, place: tuple[int, int], now: int) -> bool:
+        """Whether the last that was seen in a place is a mover that is there now or later."""
+        last, _ = self.so_far.get(place, (-99, 0))
+        return last >= now and self.seen.get(place, -99) <= last + LATELY
 
     def votes(self, k: Key) -> int:
         """Of a voxel, in thousandths of a scan."""

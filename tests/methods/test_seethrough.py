@@ -27,6 +27,7 @@ from dynaviz_methods.seethrough import (
     REASONS,
     REMOVED,
     SEEN_THROUGH,
+    WAITED,
     ClearGrid,
     SeeThrough,
     SeeThroughParams,
@@ -107,6 +108,18 @@ def test_a_car_that_came_and_parked_is_followed_where_it_stands() -> None:
     assert (reasons[-1][high[-1]] == FOLLOWED_ON).all(), "it stood for longer than its place was seen empty"
     always = running(scans[12:])
     assert not any(always.label(scan).any() for scan in scans[12:]), "one that never moves stays"
+
+
+def test_what_stood_for_long_and_drove_off_has_waited() -> None:
+    places = [*[-2.0] * 60, *np.linspace(-1.6, 1.6, 9)]
+    scans = [seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0)) for k, y in enumerate(places)]
+    method, alone = running(scans), running(scans[:60])
+    n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
+    for scan in scans[:60:6]:
+        why, high = method.explain(scan), scan.points[n : n + b, 2] > 0.25
+        assert (why[n : n + b][high] == WAITED).all(), "its place was seen clear through too seldom to prove anything"
+        assert not REMOVED[why[n + b :]].any()
+        assert not alone.label(scan).any(), "nobody has seen it move yet"
 
 
 def test_reflections_below_the_ground_do_not_lower_it() -> None:
@@ -243,5 +256,5 @@ def test_senseless_parameters_are_refused(values: dict[str, float], word: str) -
 
 def test_every_reason_is_kept_or_removed() -> None:
     assert all(reason.meaning.startswith(("kept", "removed")) for reason in REASONS)
-    assert REMOVED[[SEEN_THROUGH, FOLLOWED_ON, FOOT]].all()
+    assert REMOVED[[SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED]].all()
     assert not REMOVED[[LOW, OUT_OF_REACH]].any()
