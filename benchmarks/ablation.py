@@ -44,19 +44,12 @@ PARAMETERS = {
 MODULES = {"seethrough": seethrough, "relief": relief}
 
 
-def learned(scans: list[Scan], params: SeeThroughParams) -> SeeThrough:
-    """The method after all scans."""
+def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:
+    """SA and DA, percent; points with the reasons ``kept`` stay."""
     method = SeeThrough(params)
     method.begin(Context(Extent.of(*scans)))
     for scan in scans:
         method.observe(scan.without_truth())
-    return method
-
-
-def scores(method: SeeThrough, scans: list[Scan], kept: tuple[int, ...] = ()) -> tuple[float, float]:
-    """SA and DA, percent; points with the reasons ``kept`` stay."""
-    method._labelled, method._reasons = 0, {}
-    method._movers[0] = -(1 << 20)  # no mover was anywhere
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
     answers = np.concatenate([removed[method.explain(scan.without_truth())] for scan in scans])
     truth = np.concatenate([scan.labels for scan in scans])
@@ -66,21 +59,15 @@ def scores(method: SeeThrough, scans: list[Scan], kept: tuple[int, ...] = ()) ->
 def rows(scans: list[Scan]) -> dict[str, tuple[float, float]]:
     """Every variant on one scene."""
     found, usual = {}, SeeThroughParams()
-    method = learned(scans, usual)
     for name, (constants, kept) in PARTS.items():
         with ExitStack() as stack:
             for path, value in constants.items():
                 module, constant = path.split(".")
                 stack.enter_context(patch.object(MODULES[module], constant, value))
-            found[name] = scores(method, scans, kept)
+            found[name] = scores(scans, usual, kept)
     for name, values in PARAMETERS.items():
         for value in values:
-            params = replace(usual, **{name: value})
-            if name in ("guard", "resolution"):
-                found[f"{name} = {value}"] = scores(learned(scans, params), scans)
-            else:
-                method.params = params
-                found[f"{name} = {value}"] = scores(method, scans)
+            found[f"{name} = {value}"] = scores(scans, replace(usual, **{name: value}))
     return found
 
 

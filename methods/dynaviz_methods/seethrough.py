@@ -4,7 +4,7 @@
         hit:      voxels of its points
         clear:    voxels that its rays cross with no hit of this very scan within ``guard``; others that they cross are
                   passed: a grazed surface, seen from elsewhere or with a pose that is off, keeps its hits near
-        movers:   it is judged as below by the scans so far: where dynamic objects are, and anything that is not low
+        judged:   as below by the scans so far; where dynamic objects are, and where anything is that is not low
     ground:       in each column of 8 voxels a side the densest of its lowest layers, pressed down to a slope of 0.2
     a point is low if it is at most ground_height above that ground
     for each scan again, in its order
@@ -14,8 +14,8 @@
                   points exceeds ``share``; points in voxels of one hit that no other scan crossed have no say
         followed: so is an object of which most lies where a mover was in the last scans, one that was judged dynamic
                   at least twice, if any of its points was ever seen clear through: a car that came and parked
-        waited:   so is one of which most lies where the last that was ever seen is a mover, then or later, if 1 in 10
-                  of its points was seen clear through: a car that stood and drove off
+        waited:   so is one of which most lies where the last that was ever seen was judged dynamic, then or later, if
+                  1 in 10 of its points was seen clear through: a car that stood and drove off
         feet:     low points under or beside a dynamic object that stand out of the ground, were passed five times as
                   often as hit, or were hit twice at most and seen clear through as often
         alone:    other points in a voxel that was seen clear through by ``votes`` scans, by more than hit it or passed
@@ -180,10 +180,10 @@ class SeeThrough:
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
         # Of each quarter of a column the last scan with a mover there, and in how many scans that one had been judged
-        # dynamic: by what is known at the end, and so far. And the last scan that saw anything there.
+        # dynamic: by what is known at the end, and so far. And the last scans that saw anything there, or a dynamic object.
         places = 4 * len(self._relief) + 4
         self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
-        self._seen = np.full(places, -LATELY - 1, np.int32)
+        self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
         self._observed = self._labelled = 0
         self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
@@ -197,7 +197,9 @@ class SeeThrough:
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
         self._relief.add(scan.points, voxels)
         why = self._judge(scan, self._observed, self._so_far)
-        self._seen[self._relief.quarters(voxels[(why != LOW) & (why != FOOT)])] = self._observed
+        places = self._relief.quarters(voxels)
+        self._seen[places[(why != LOW) & (why != FOOT)]] = self._observed
+        self._dynamic[places[why == SEEN_THROUGH]] = self._observed
         self._show(why, marks.blocks, crossed & ~hit, near)
         self._observed += 1
 
@@ -244,8 +246,7 @@ class SeeThrough:
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         places = self._relief.quarters(voxels)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
-        last, _ = self._so_far
-        left = (last >= now) & (self._seen <= last + LATELY)
+        left = (self._dynamic >= now) & (self._seen <= self._dynamic + LATELY)
         verdict = np.zeros(n + 1, np.uint8)  # the last: no object
         why = verdict[:n]
         why[(2 * kernels.objects.within(objects, n, places, left) > size) & (touched > WAITED_FOR * size)] = WAITED

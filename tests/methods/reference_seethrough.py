@@ -33,10 +33,11 @@ class Reference:
         self.clear: Counter[Key] = Counter()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
         # By place the last scan with a mover, and how often that one was judged dynamic by then: when labels are asked
-        # for, and while scans are observed. And the last scan with anything that is not low.
+        # for, and while scans are observed. And the last scans with anything that is not low, and with what is dynamic.
         self.movers: dict[tuple[int, int], tuple[int, int]] = {}
         self.so_far: dict[tuple[int, int], tuple[int, int]] = {}
         self.seen: dict[tuple[int, int], int] = {}
+        self.dynamic: dict[tuple[int, int], int] = {}
         self.observed = self.labelled = 0
 
     def observe(self, scan: Scan) -> None:
@@ -55,8 +56,9 @@ class Reference:
             if np.isfinite(p).all():
                 x, y, z = key(p, size)
                 self.layers.setdefault((x >> 3, y >> 3), {}).setdefault(z, []).append(round(float(p[2]) * 1000))
-        _, places = self.judge(scan, self.observed, self.so_far)
+        _, places, dynamic = self.judge(scan, self.observed, self.so_far)
         self.seen |= dict.fromkeys(places, self.observed)
+        self.dynamic |= dict.fromkeys(dynamic, self.observed)
         self.observed += 1
 
     def floor(self, column: tuple[int, int]) -> float:
@@ -91,12 +93,14 @@ class Reference:
         return pressed
 
     def label(self, scan: Scan) -> np.ndarray:
-        dynamic, _ = self.judge(scan, self.labelled, self.movers)
+        dynamic, _, _ = self.judge(scan, self.labelled, self.movers)
         self.labelled += 1
         return dynamic
 
-    def judge(self, scan: Scan, now: int, movers: dict) -> tuple[np.ndarray, set[tuple[int, int]]]:
-        """Answers, and the places of points that are not low."""
+    def judge(
+        self, scan: Scan, now: int, movers: dict
+    ) -> tuple[np.ndarray, set[tuple[int, int]], set[tuple[int, int]]]:
+        """Answers, and the places of points that are not low, and of those of objects that move by themselves."""
         params, size, points = self.params, self.params.resolution, scan.points
         inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
         voxel = {i: key(points[i], size) for i in inside}
@@ -105,6 +109,7 @@ class Reference:
         up = [i for i in inside if not height[i] <= params.ground_height]
         dynamic = np.zeros(len(points), bool)
         whole: set[int] = set()
+        moving: set[tuple[int, int]] = set()
         left: dict[tuple[int, int], tuple[int, int]] = {}
         for members in self.objects(points, up):
             votes = sum(self.votes(voxel[i]) for i in members)
@@ -118,6 +123,8 @@ class Reference:
             waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
             if moves or follows or (waited and touched > WAITED_FOR * len(members)):
                 whole.update(members)
+            if moves:
+                moving.update(self.quarter(voxel[i]) for i in members)
             if moves or follows:
                 for i in members:
                     place = self.quarter(voxel[i])
@@ -136,11 +143,11 @@ class Reference:
             if i not in up and under and (height[i] > STANDS_OUT or empty):
                 dynamic[i] = True
         movers |= left
-        return dynamic, {self.quarter(voxel[i]) for i in up}
+        return dynamic, {self.quarter(voxel[i]) for i in up}, moving
 
     def left(self, place: tuple[int, int], now: int) -> bool:
-        """Whether the last that was seen in a place is a mover that is there now or later."""
-        last, _ = self.so_far.get(place, (-99, 0))
+        """Whether the last that was seen in a place is a dynamic object that is there now or later."""
+        last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
 
     def votes(self, k: Key) -> int:
