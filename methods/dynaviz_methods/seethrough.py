@@ -180,7 +180,7 @@ class SeeThrough:
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
         # Of each quarter of a column the last scan with a mover there, and in how many scans that one had been judged
-        # dynamic: by what is known at the end, and so far. And when anything, and a dynamic object, was seen there last.
+        # dynamic: by what is known at the end, and so far. And when anything and a dynamic object was seen there last.
         places = 4 * len(self._relief) + 4
         self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
         self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
