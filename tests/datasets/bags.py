@@ -162,3 +162,17 @@ def at(x: float, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> np.ndarray
     T[:3, :3] = Rotation.from_euler("z", yaw).as_matrix()
     T[:3, 3] = x, y, z
     return T
+
+
+N = 6
+XYZ = np.random.default_rng(0).uniform(-20, 20, (N, 60, 3)).astype(np.float32)
+POSES = np.array([at(2.0 * k, -0.5 * k, 1.5, 0.2 * k) for k in range(N)])
+
+
+def drive(path: Path, kind: str = "ros1", **cloud: Any) -> Path:
+    """A cloud and its odometry every 0.1 s."""
+    with BagWriter(path, kind) as bag:
+        for k in range(N):
+            bag.cloud(k / 10, columns(XYZ[k]), **cloud)
+            bag.odometry(k / 10, POSES[k])
+    return bag.path

@@ -7,28 +7,22 @@ import dataclasses
 import io
 import json
 import math
-import os
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import room
+from pages import Page, markdown_table
 
-import dynaviz as dv
 from dynaviz.result import Result
-from dynaviz.scan import Outcome
-from dynaviz.study import Overview, Study, collect
+from dynaviz.study import Study, collect
 from dynaviz_eval.confusion import Counts
-from dynaviz_eval.report import birdseye, boards
+from dynaviz_eval.report import boards
 from dynaviz_eval.report.tables import tables
 
 Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept
@@ -93,73 +87,6 @@ def report(study: Study, format: str) -> str:
 
     text: str = registry.load("reports", format)(study)
     return text
-
-
-class Page(HTMLParser):
-    """Tables, ids, links and what would be loaded; fails where tags do not close."""
-
-    VOID = frozenset({"meta", "img", "br", "link", "hr", "input"})
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.ids: list[str] = []
-        self.links: list[str] = []
-        self.images: list[dict[str, str | None]] = []
-        self.tables: dict[str, list[list[dict[str, Any]]]] = {}
-        self.loaded: list[str] = []
-        self.words: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        if tag not in self.VOID:
-            self.open.append(tag)
-        self.ids += [given["id"] or ""] if "id" in given else []
-        if tag == "a":
-            self.links.append(given["href"] or "")
-        elif "src" in given or "href" in given:
-            self.loaded.append(given.get("src") or given.get("href") or "")
-        if tag == "img":
-            self.images.append(given)
-        if tag == "table":
-            self.rows = self.tables.setdefault(given["data-table"] or "", [])
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append({**given, "text": "", "bold": False})
-        if tag == "strong" and "table" in self.open:
-            self.rows[-1][-1]["bold"] = True
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
-        if tag not in self.VOID:
-            self.open.pop()
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag, tag
-
-    def handle_data(self, data: str) -> None:
-        if not {"style", "script"} & set(self.open):
-            self.words.append(data)
-        if {"td", "th"} & set(self.open):
-            self.rows[-1][-1]["text"] += data
-
-    @property
-    def text(self) -> str:
-        return " ".join(" ".join(self.words).split())
-
-    def body(self, name: str) -> list[list[dict[str, Any]]]:
-        """Rows below the heads."""
-        return [row for row in self.tables[name] if row[0].get("scope") == "row"]
-
-
-def markdown_table(text: str, title: str) -> list[dict[str, str]]:
-    lines = text.split(f"## {title}\n\n")[1].split("\n\n")[0].replace("\\", "").splitlines()
-    fields = [[field.strip() for field in line.strip("|").split(" | ")] for line in lines]
-    return [dict(zip(fields[0], row, strict=True)) for row in fields[2:]]
 
 
 TWO = (result("octomap_g"), result("erasor", numbers=(950, 50, 40, 60)))
@@ -423,69 +350,3 @@ def test_variants_show_their_front(study):
     assert words.count("v2") == 0  # beaten by v0 in both
     assert {"v0", "v1", "v3"} <= set(words)
     assert "no other variant beats in both" in page.text
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three runs on the little room: with a whole recording, with one without points, and with none."""
-    folder, world = tmp_path_factory.mktemp("recorded"), room(frames=4)
-    dv.run("octomap", world, out=folder / "with_points")
-    dv.run("octomap_g", world, out=folder / "scores only", record="scores")
-    dv.run("erasor", world, out=folder / "none", record="none")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def written(recorded: Path) -> Path:
-    """The page about them."""
-    path = recorded / "page.html"
-    assert dv.report(recorded, out=path) == path.read_text()
-    return path
-
-
-def test_maps_from_above_where_there_is_a_recording(written):
-    page = Page(written.read_text())
-    assert [image["alt"].split(", ")[0] for image in page.images] == [
-        "Map of room from above",
-        "Map that octomap left of room",
-    ]  # type: ignore[union-attr]
-    assert "octomap_g: no picture, for its recording holds no points." in page.text
-    assert "erasor: no picture, for there is no recording." in page.text
-    places = [link for link in page.links if link.endswith("run.rrd")]
-    assert len(places) == 2
-    assert all((written.parent / place.replace("%20", " ")).is_file() for place in places)
-
-
-def test_a_broken_recording_costs_its_picture_only(recorded, tmp_path):
-    shutil.copytree(recorded / "with_points", tmp_path / "a")
-    whole = (tmp_path / "a/run.rrd").read_bytes()
-    (tmp_path / "a/run.rrd").write_bytes(whole[: len(whole) // 2])
-    page = Page(dv.report(tmp_path, format="html"))
-    assert not page.images
-    assert "was cut off" in page.text
-
-
-def test_the_same_results_give_the_same_bytes(recorded, written):
-    code = "import sys, dynaviz as dv; sys.stdout.write(dv.report(sys.argv[1], out=sys.argv[2]))"
-    words = [sys.executable, "-c", code, recorded, recorded / "again.html"]
-    environment = {**os.environ, "PYTHONHASHSEED": "1", "PYTHONUTF8": "1"}
-    again = subprocess.run(words, check=True, env=environment, capture_output=True)
-    assert again.stdout == written.read_bytes()
-
-
-def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
-    frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
-    overview = Overview(np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8))
-    image = birdseye.View.of(overview).draw(overview)
-    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
-    return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
-
-
-def test_a_map_shows_what_prevails():
-    here, above = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    assert pixels([here], [Outcome.FALSE_POSITIVE]) == {birdseye.HOLE}
-    assert pixels([here], [Outcome.FALSE_NEGATIVE]) == {birdseye.GHOST}
-    assert pixels([here], [Outcome.DYNAMIC_REMOVED]) == {birdseye.RIGHT}
-    assert pixels([here, above], [Outcome.FALSE_POSITIVE, Outcome.STATIC_KEPT]) >= {birdseye.GREY + birdseye.SHADES - 1}
-    assert pixels([here, above], [Outcome.FALSE_NEGATIVE, Outcome.STATIC_KEPT]) == {birdseye.GHOST}
-    assert pixels([(float("nan"), 0.0, 0.0)], [Outcome.FALSE_NEGATIVE]) == set()

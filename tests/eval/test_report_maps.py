@@ -1,0 +1,85 @@
+"""Reports on recorded runs: maps from above, and the same bytes every time."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pages import Page
+from worlds import room
+
+import dynaviz as dv
+from dynaviz.scan import Outcome
+from dynaviz.study import Overview
+from dynaviz_eval.report import birdseye
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three runs on the little room: with a whole recording, with one without points, and with none."""
+    folder, world = tmp_path_factory.mktemp("recorded"), room(frames=4)
+    dv.run("octomap", world, out=folder / "with_points")
+    dv.run("octomap_g", world, out=folder / "scores only", record="scores")
+    dv.run("erasor", world, out=folder / "none", record="none")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def written(recorded: Path) -> Path:
+    """The page about them."""
+    path = recorded / "page.html"
+    assert dv.report(recorded, out=path) == path.read_text()
+    return path
+
+
+def test_maps_from_above_where_there_is_a_recording(written):
+    page = Page(written.read_text())
+    assert [image["alt"].split(", ")[0] for image in page.images] == [
+        "Map of room from above",
+        "Map that octomap left of room",
+    ]  # type: ignore[union-attr]
+    assert "octomap_g: no picture, for its recording holds no points." in page.text
+    assert "erasor: no picture, for there is no recording." in page.text
+    places = [link for link in page.links if link.endswith("run.rrd")]
+    assert len(places) == 2
+    assert all((written.parent / place.replace("%20", " ")).is_file() for place in places)
+
+
+def test_a_broken_recording_costs_its_picture_only(recorded, tmp_path):
+    shutil.copytree(recorded / "with_points", tmp_path / "a")
+    whole = (tmp_path / "a/run.rrd").read_bytes()
+    (tmp_path / "a/run.rrd").write_bytes(whole[: len(whole) // 2])
+    page = Page(dv.report(tmp_path, format="html"))
+    assert not page.images
+    assert "was cut off" in page.text
+
+
+def test_the_same_results_give_the_same_bytes(recorded, written):
+    code = "import sys, dynaviz as dv; sys.stdout.write(dv.report(sys.argv[1], out=sys.argv[2]))"
+    words = [sys.executable, "-c", code, recorded, recorded / "again.html"]
+    environment = {**os.environ, "PYTHONHASHSEED": "1", "PYTHONUTF8": "1"}
+    again = subprocess.run(words, check=True, env=environment, capture_output=True)
+    assert again.stdout == written.read_bytes()
+
+
+def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
+    frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
+    overview = Overview(np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8))
+    image = birdseye.View.of(overview).draw(overview)
+    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
+    return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
+
+
+def test_a_map_shows_what_prevails():
+    here, above = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    assert pixels([here], [Outcome.FALSE_POSITIVE]) == {birdseye.HOLE}
+    assert pixels([here], [Outcome.FALSE_NEGATIVE]) == {birdseye.GHOST}
+    assert pixels([here], [Outcome.DYNAMIC_REMOVED]) == {birdseye.RIGHT}
+    assert pixels([here, above], [Outcome.FALSE_POSITIVE, Outcome.STATIC_KEPT]) >= {birdseye.GREY + birdseye.SHADES - 1}
+    assert pixels([here, above], [Outcome.FALSE_NEGATIVE, Outcome.STATIC_KEPT]) == {birdseye.GHOST}
+    assert pixels([(float("nan"), 0.0, 0.0)], [Outcome.FALSE_NEGATIVE]) == set()
