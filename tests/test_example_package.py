@@ -2,38 +2,30 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from installed import python_with
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/dufomap_wheel"
-Python = Callable[..., str]
+Code = Callable[..., str]
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Python:
+def python(tmp_path_factory: pytest.TempPathFactory) -> Code:
     """Run code with the example installed beside everything else."""
-    pytest.importorskip("hatchling")
-    site = tmp_path_factory.mktemp("site")
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    subprocess.run([*pip, "--no-build-isolation", "--target", site, EXAMPLE], check=True, capture_output=True)
+    call = python_with(EXAMPLE, tmp_path_factory.mktemp("site"))
 
     def run(code: str, *arguments: str) -> str:
-        environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "160"}
-        done = subprocess.run(
-            [sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=environment, check=False
-        )
+        done = call("-c", code, *arguments)
         assert not done.returncode, done.stderr
         return done.stdout
 
     return run
 
 
-def test_it_is_listed_and_configured_as_any_other(python: Python) -> None:
+def test_it_is_listed_and_configured_as_any_other(python: Code) -> None:
     main = "from dynaviz.cli import main; main()"
     assert "dynaviz-dufomap-wheel 0.1.0" in python(main, "list", "methods")
     row = next(
@@ -43,6 +35,6 @@ def test_it_is_listed_and_configured_as_any_other(python: Python) -> None:
     assert "--set" in row
 
 
-def test_it_conforms(python: Python) -> None:
+def test_it_conforms(python: Code) -> None:
     pytest.importorskip("dufomap", reason="needs the public program: pip install dufomap")
     python("from dynaviz import registry, testing; testing.check_method(registry.load('methods', 'dufomap_wheel'))")

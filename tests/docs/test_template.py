@@ -3,38 +3,24 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import Python, python_with
 
 from dynaviz.testing import crossing
 
 TEMPLATE = Path(__file__).resolve().parents[2] / "examples/template"
 FRAMES = 5
 MAIN = "from dynaviz.cli import main; main()"
-Python = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Python:
     """Call Python with the template installed beside everything else."""
-    pytest.importorskip("hatchling")
-    site = tmp_path_factory.mktemp("site")
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    subprocess.run([*pip, "--no-build-isolation", "--target", site, TEMPLATE], check=True, capture_output=True)
-
-    def call(*words: str | Path) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "160"}
-        command = [sys.executable, *words]
-        return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-
-    return call
+    return python_with(TEMPLATE, tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(scope="module")
