@@ -142,13 +142,13 @@ def trails(objects, n, places, since, last, proof):
 
 
 @njit(cache=True, nogil=True)
-def within(objects, n, places, chosen):
-    """Of n objects: how many points lie in chosen places, (all places,) bool."""
-    count = np.zeros(n, np.int64)
+def count(objects, n, chosen):
+    """Of n objects: how many of their points are chosen, (N,) bool."""
+    found = np.zeros(n, np.int64)
     for i in range(len(objects)):
         if objects[i] >= 0:
-            count[objects[i]] += chosen[places[i]]
-    return count
+            found[objects[i]] += chosen[i]
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -246,10 +246,11 @@ class SeeThrough:
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         places = self._relief.quarters(voxels)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
-        left = (self._dynamic >= now) & (self._seen <= self._dynamic + LATELY)
+        last = self._dynamic[places]
+        left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
         verdict = np.zeros(n + 1, np.uint8)  # the last: no object
         why = verdict[:n]
-        why[(2 * kernels.objects.within(objects, n, places, left) > size) & (touched > WAITED_FOR * size)] = WAITED
+        why[(2 * left > size) & (touched > WAITED_FOR * size)] = WAITED
         why[(2 * lately > size) & (touched > 0) & (proof >= PROOF)] = FOLLOWED_ON
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
         why[dynamic] = SEEN_THROUGH
