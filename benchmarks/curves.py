@@ -110,7 +110,7 @@ def draw(rows: list[Row], path: Path) -> None:
             panel.minorticks_off()
             panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             panel.grid(alpha=0.3)
-            panel.legend(fontsize=7, ncols=2)
+            panel.legend(fontsize=7, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.12))  # hides no curve
     figure.suptitle("Cost against work; a level curve grows as its work does")
     figure.savefig(path, dpi=90)
     pyplot.close(figure)
