@@ -14,8 +14,6 @@ from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 
 SENSOR = load_sensor("hdl64e")
-
-
 KINDS = ("points", "T_world_sensor", "labels")
 BLOCK, SCANS = 18.0, 24  # metres after which the street is the same again, and scans on the way
 
@@ -55,10 +53,11 @@ def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of any length in the memory of one block: the same scans again and again, each time farther on."""
+    """A drive of any length in the memory of one block: the same scans again and again, each time ``farther`` on."""
 
     block: list[Scan]
     frames: int
+    farther: float = BLOCK
     name: str = "drive"
     sensor: Sensor = SENSOR
     has_labels: bool = True
@@ -83,8 +82,9 @@ class Drive:
         return map(self.__getitem__, range(self.frames))
 
     def __getitem__(self, position: int) -> Scan:
-        scan, pose = self.block[position % SCANS], self.block[position % SCANS].T_world_sensor.copy()
-        pose[0, 3] += (shift := position // SCANS * BLOCK)
+        times, place = divmod(position, len(self.block))
+        scan, pose = self.block[place], self.block[place].T_world_sensor.copy()
+        pose[0, 3] += (shift := times * self.farther)
         points = scan.points + np.float32([shift, 0, 0])
         return replace(scan, index=position, points=points, T_world_sensor=pose, origins=None)
 

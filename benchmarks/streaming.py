@@ -10,41 +10,28 @@ from __future__ import annotations
 import multiprocessing
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+
+from scenes import Drive
 
 from dynaviz import registry
 from dynaviz.loop import Run, execute, peak_rss_mb
 from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
 from dynaviz.testing.world import SENSOR, crossing
 
 SHORT, LONG = 500, 4500
 
 
-@dataclass(frozen=True)
-class Again:
-    """Scans over and over, as one long sequence."""
-
-    scans: Sequence[Scan]
-    frames: int
-    name: str = "again"
-    sensor: Sensor = SENSOR
-    has_labels: bool = True
-
-    def __len__(self) -> int:
-        return self.frames
-
-    def __getitem__(self, position: int) -> Scan:
-        return replace(self.scans[position % len(self.scans)], index=position)
+def again(scans: list[Scan], frames: int) -> Drive:
+    """Scans over and over on the same ground, as one long sequence."""
+    return Drive(scans, frames, farther=0.0, sensor=SENSOR)
 
 
 def measure(name: str, frames: int) -> None:
     """Run, and print what it took."""
     method, scans = registry.load("methods", name), crossing(24)
-    execute(Run(method(method.Params()), Again(scans, 24), method.Params()))  # compile
+    execute(Run(method(method.Params()), again(scans, 24), method.Params()))  # compile
     before, start = peak_rss_mb(), time.perf_counter()
-    execute(Run(method(method.Params()), Again(scans, frames), method.Params()))
+    execute(Run(method(method.Params()), again(scans, frames), method.Params()))
     seconds = (time.perf_counter() - start) / frames
     raw = f", of it the raw map {frames * len(scans[0]) * 12 / 1e6:.0f} MB" if method.info.needs_map else ""
     print(
