@@ -40,7 +40,7 @@ from dynaviz import kernels
 from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
-from dynaviz.scan import U8, Bool, Scan
+from dynaviz.scan import F32, U8, Bool, Scan
 from dynaviz.survey import Extent
 from dynaviz_methods.relief import Relief
 
@@ -188,16 +188,15 @@ class SeeThrough:
         self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
     def observe(self, scan: Scan) -> None:
-        """Count what the scan's rays hit, pass and see clear through."""
-        voxels = self._grid.locate(scan.points)
+        """Count what the scan's rays hit, pass and see clear through, and judge it by the scans so far."""
+        points, voxels, places = self._located(scan)
         marks = self._grid.mark_once(scan, voxels)
         crossed, hit = (np.ascontiguousarray(half).view(np.uint64) for half in np.split(marks.bits, 2, axis=1))
         near = self._grid.near(marks, hit, round(self.params.guard / self.params.resolution))
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
-        self._relief.add(scan.points, voxels)
-        why = self._judge(scan, self._observed, self._so_far)
-        places = self._relief.quarters(voxels)
+        self._relief.add(points, voxels)
+        why = self._judge(points, voxels, places, self._observed, self._so_far)
         self._seen[places[(why != LOW) & (why != FOOT)]] = self._observed
         self._dynamic[places[why == SEEN_THROUGH]] = self._observed
         self._show(why, marks.blocks, crossed & ~hit, near)
@@ -211,21 +210,25 @@ class SeeThrough:
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8, codes of ``REASONS``; decided when a scan is first asked for."""
         if scan.index not in self._reasons:
-            why = self._judge(scan, self._labelled, self._movers)
+            why = self._judge(*self._located(scan), self._labelled, self._movers)
             even, odd = np.append(why, np.zeros(len(why) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
             self._labelled += 1
         pairs = self._reasons[scan.index]
         return np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
 
-    def _judge(self, scan: Scan, now: int, movers: NDArray[np.int32]) -> U8:
-        """(N,) uint8, codes of ``REASONS``, for scan number ``now``; movers: where any were, and then are."""
-        params, points = self.params, kernels.frozen(scan.points, np.float32)
+    def _located(self, scan: Scan) -> tuple[F32, I64, I64]:
+        """Its points (N, 3), their voxels (N,), -1 for none, and the quarters of columns (N,) that these are in."""
+        points = kernels.frozen(scan.points, np.float32)
         voxels = self._grid.locate(points)
-        height = self._relief.height(points, voxels)
+        return points, voxels, self._relief.quarters(voxels)
+
+    def _judge(self, points: F32, voxels: I64, places: I64, now: int, movers: NDArray[np.int32]) -> U8:
+        """(N,) uint8, codes of ``REASONS``, for scan number ``now``; movers: where any were, and then are."""
+        params, height = self.params, self._relief.height(points, voxels)
         within, low = voxels >= 0, height <= params.ground_height
         objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
-        verdict = self._movement(objects, n, voxels, now, movers)
+        verdict = self._movement(objects, n, voxels, places, now, movers)
         moves = verdict > 0
 
         counts = (self._hits, self._passed, self._clear)
@@ -240,11 +243,12 @@ class SeeThrough:
         why[~within] = OUT_OF_REACH
         return why
 
-    def _movement(self, objects: NDArray[np.int32], n: int, voxels: I64, now: int, movers: NDArray[np.int32]) -> U8:
+    def _movement(
+        self, objects: NDArray[np.int32], n: int, voxels: I64, places: I64, now: int, movers: NDArray[np.int32]
+    ) -> U8:
         """(N,) uint8: why points are of an object that moves, or 0."""
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
-        places = self._relief.quarters(voxels)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
         last = self._dynamic[places]
         left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
@@ -266,5 +270,7 @@ class SeeThrough:
                 voxels = voxels[self._hits.ravel()[voxels] > 0]
                 count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))
-        emit("objects", PointClasses(CLASS[why]))
-        emit("low", Mask((why == LOW) | (why == FOOT)))
+        if wants("objects"):
+            emit("objects", PointClasses(CLASS[why]))
+        if wants("low"):
+            emit("low", Mask((why == LOW) | (why == FOOT)))
