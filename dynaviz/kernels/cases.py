@@ -134,5 +134,6 @@ def remember(keys: I64, cells: I64, size: int) -> tuple[I64, I64]:
         if keys[i] >= 0:
             s = _find(table, filled, keys[i], cells[i, GROUP])
             table[s] = keys[i]
-            filled[s] = cells[i]
+            for column in range(3):
+                filled[s, column] = cells[i, column]
     return table, filled

@@ -41,7 +41,8 @@ def number(points, size):
         numbers[i] = slots[s]
         if voxels == len(keys):  # half full: the same voxels in a table of twice the size
             more = np.empty(2 * voxels, np.int64)
-            more[:voxels] = keys
+            for v in range(voxels):
+                more[v] = keys[v]
             keys = more
             slots = np.full(4 * voxels, np.int32(-1))
             shift, mask = shift - np.uint64(1), len(slots) - 1

@@ -200,7 +200,7 @@ def ground(fine, part, gap):
         while f < end and found < enough:
             found += fine[r, f]
             f += 1
-        cuts[r] = f, end
+        cuts[r, 0], cuts[r, 1] = f, end
     return cuts
 
 

@@ -32,7 +32,7 @@ def from_samples(points, samples, distance, least_up, confidence):
             near += abs(nx * points[i, 0] + ny * points[i, 1] + nz * points[i, 2] - offset) < distance
         if near > most:
             most = near
-            best[:] = nx, ny, nz, offset
+            best[0], best[1], best[2], best[3] = nx, ny, nz, offset
             share = near / len(points)
             needed = math.log(1.0 - confidence) / math.log(max(1.0 - share**3, 1e-300))
     return best, most

@@ -144,7 +144,7 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``."""
     n, several = len(points), len(origins) > 1
     for lane in prange(len(used)):
-        count = 0
+        count = np.int64(0)
         mine, owned, own_masks = slots[lane], owners[lane], masks[lane]
         for chunk in range(lane * CHUNK, n, len(used) * CHUNK):
             for p in range(chunk, min(chunk + CHUNK, n)):

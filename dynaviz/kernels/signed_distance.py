@@ -127,7 +127,7 @@ def in_view(blocks, edge, position, axes, view, tiles, truncation):
 @njit(cache=True, nogil=True, inline="always")
 def _places(needed, places):
     """The voxels of a block that have state, in order; returns their number."""
-    n = 0
+    n = np.int64(0)
     for w in range(8):
         if needed[w] == _FULL:
             for v in range(64):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,14 +83,19 @@ def loft(rings: ArrayLike) -> Mesh:
         rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last.
     """
     points = np.asarray(rings, np.float64)
-    count, sides = points.shape[:2]
+    return Mesh(points.reshape(-1, 3), _closed(*points.shape[:2]))
+
+
+@cache
+def _closed(count: int, sides: int) -> Index:
+    """The triangles of a loft."""
     index = np.arange(count * sides).reshape(count, sides)
     a, b = index[:-1], np.roll(index[:-1], -1, axis=1)
     d, c = index[1:], np.roll(index[1:], -1, axis=1)
     side = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
     fan = np.stack([np.zeros(sides - 2, np.int64), np.arange(1, sides - 1), np.arange(2, sides)], axis=1)
     caps = [index[0][fan[:, ::-1]], index[-1][fan]]
-    return Mesh(points.reshape(-1, 3), np.concatenate(side + caps))
+    return np.concatenate(side + caps)
 
 
 def boxes(centres: ArrayLike, sizes: ArrayLike) -> Mesh:

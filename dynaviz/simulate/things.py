@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from dynaviz.scan import F64
@@ -100,6 +102,7 @@ def cyclist(way: float) -> Mesh:
     return join(parts)
 
 
+@cache
 def bicycle() -> Mesh:
     """A bicycle without a rider; rays pass through its wheels."""
     around = np.linspace(0, 2 * np.pi, 17)
