@@ -2,8 +2,10 @@
 
 Rules for a file here: leaf functions only, no call into another file (the cache on disk does not see its changes);
 ``cache=True``; the same answer on any number of threads, so threads store only equal values or integers of their own.
-Parallel kernels run on the main thread only. Compiling is what a newcomer waits for: an array assigned to a slice brings
-three seconds of text formatting for its error, and a counter that begins as a bare 0 compiles those who take it twice.
+Parallel kernels run on the main thread only.
+
+Compiling is what a newcomer waits for: an array assigned to a slice brings three seconds of text formatting for its
+error, and a counter that begins as a bare 0 compiles those who take it twice.
 """
 
 from __future__ import annotations
