@@ -6,6 +6,9 @@ thus the one that float64 gives.
 
 Several images, of the same view at different resolutions, are one flat array; ``views`` has a row for each:
 rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, place of its first pixel.
+
+``chunks`` (C, 2) int64 says which points are looked at: from the first to before the second number of each row, at most
+``CHUNK`` of them at once. Those farther than ``reach``, metres, are left out, too.
 """
 
 import math
@@ -13,7 +16,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-_CHUNK = 1024  # points whose pixels are found at once
+CHUNK = 1024  # points whose pixels are found at once
 _STEEP = np.float32(0.1)  # below this sine of the angle to the vertical, azimuths need float64
 _ANGLE_ERROR = 2e-6  # radians; twice what float32 loses, at least
 _DOUBT = -2  # in place of a pixel: ask float64
@@ -67,7 +70,7 @@ def _exact_pixel(xyz, i, position, axes, view, clamp):
 @njit(cache=True, nogil=True)
 def _buffers(images):
     """Room for the pixels, ranges and angles of a chunk."""
-    return np.empty((images, _CHUNK), np.int32), np.empty(_CHUNK, np.float32), np.empty((3, _CHUNK), np.float32)
+    return np.empty((images, CHUNK), np.int32), np.empty(CHUNK, np.float32), np.empty((3, CHUNK), np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -121,25 +124,24 @@ def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, pol
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def nearest(xyz, position, axes, views, clamp, lanes):
+def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
     """The nearest point of each pixel: ranges (P,) float32, infinite where none is, and indices (P,) int32, else -1.
 
     Of points at the same range the first counts, however many lanes share the work.
     """
-    m, last = xyz.shape[1], len(views) - 1
+    m, last = len(chunks), len(views) - 1
     size = int(views[last, 6] + views[last, 0] * views[last, 1])
     ranges = np.full((lanes, size), np.float32(np.inf))
     indices = np.full((lanes, size), np.int32(-1))
     for lane in prange(lanes):
         pixels, near, polar = _buffers(len(views))
-        end = m * (lane + 1) // lanes
-        for first in range(m * lane // lanes, end, _CHUNK):
-            n = min(_CHUNK, end - first)
+        for c in range(m * lane // lanes, m * (lane + 1) // lanes):
+            first, n = chunks[c, 0], chunks[c, 1] - chunks[c, 0]
             _project(xyz, first, first + n, position, axes, views, clamp, pixels, near, polar)
             for k in range(len(views)):
                 for i in range(n):
                     pixel = pixels[k, i]
-                    if pixel >= 0 and near[i] < ranges[lane, pixel]:
+                    if pixel >= 0 and near[i] < ranges[lane, pixel] and near[i] <= reach:
                         ranges[lane, pixel], indices[lane, pixel] = near[i], first + i
     for lane in range(1, lanes):
         for pixel in range(size):
@@ -149,7 +151,7 @@ def nearest(xyz, position, axes, views, clamp, lanes):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def judge(xyz, position, axes, views, clamp, limits, spread, past, met):
+def judge(xyz, chunks, reach, position, axes, views, clamp, limits, spread, past, met):
     """Note for each point, in (M,) uint8 arrays, what one scan says of it.
 
     limits (P,) float32: the scan looks past points that are nearer than this; 0 in pixels without return. From there
@@ -157,15 +159,13 @@ def judge(xyz, position, axes, views, clamp, limits, spread, past, met):
     resolution k. met, at the first resolution: bit 0 is set where the pixel has a return, bit 1 where the point is on
     the surface, bit 2 where it was on another scan's before.
     """
-    m = xyz.shape[1]
-    for chunk in prange((m + _CHUNK - 1) // _CHUNK):
+    for c in prange(len(chunks)):
         pixels, near, polar = _buffers(len(views))
-        first = chunk * _CHUNK
-        n = min(_CHUNK, m - first)
+        first, n = chunks[c, 0], chunks[c, 1] - chunks[c, 0]
         _project(xyz, first, first + n, position, axes, views, clamp, pixels, near, polar)
         for k in range(len(views)):
             for i in range(n):
-                limit = limits[pixels[k, i]] if pixels[k, i] >= 0 else _F0
+                limit = limits[pixels[k, i]] if pixels[k, i] >= 0 and near[i] <= reach else _F0
                 if near[i] < limit:
                     past[first + i] |= np.uint8(1 << k)
                 if k == 0 and limit > 0:

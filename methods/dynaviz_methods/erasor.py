@@ -172,14 +172,17 @@ class Erasor:
         p = self.params
         self._bins = PolarBins(p.max_range, p.rings, p.sectors, p.min_height, p.max_height)
         points, voxels = thinned(context.raw_map, p.map_voxel)
-        self._map = Tiles(points)
-        self._voxel = np.append(self._map.rank, -1).astype(np.int32)[voxels]  # (M,) of each raw point; -1: none
-        self._why = np.zeros(len(points), np.uint8)
+        self._tiles = Tiles(points)
+        self._map = points[self._tiles.order]  # (V, 3) float32, metres; and what ``port`` inserts
+        self._gone = np.zeros(len(points), np.bool_)
+        self._voxel = np.append(self._tiles.rank, -1).astype(np.int32)[voxels]  # (M,) of each raw point; -1: none
+        self._why = np.zeros(len(points) + 1, np.uint8)  # the last entry is of raw points without a voxel
+        self._why[-1] = UNJUDGED
         self._first: dict[int, int] = {}  # of each scan by its index: its first raw point
         self._seen = self._end = 0
         self._tree: Any = None
         # Kernels compile here, not in the first scan that is compared.
-        self._compare(Tiles(np.empty((0, 3), np.float32)), np.zeros((0, 3), np.float32), np.zeros(3))
+        self._compare(np.zeros((0, 3), np.float32), np.zeros(3))
 
     def observe(self, scan: Scan) -> None:
         """Note where the scan's points are in the raw map; compare every ``removal_interval``-th scan with the map."""
@@ -187,7 +190,7 @@ class Erasor:
         self._end += len(scan)
         self._seen += 1
         if self._seen % self.params.removal_interval == 0:
-            said = self._compare(self._map, scan.points, scan.position)
+            said = self._compare(scan.points, scan.position)
             self._show(said)
             self._remove(said)
 
@@ -209,22 +212,22 @@ class Erasor:
 
     def cleaned_map(self) -> F32:
         """(K, 3) float32, metres, world frame: centroids of the voxels that are left, and what ``port`` inserted."""
-        return self._map.points[~self._map.gone]
+        return self._map[~self._gone]
 
-    def _compare(self, tiles: Tiles, points: F32, position: F64) -> _Comparison:
+    def _compare(self, points: F32, position: F64) -> _Comparison:
         """Steps "bins" to "ground" for one scan; changes nothing."""
         foot = position - np.array((0, 0, self._height))
         query, _ = thinned(points, self.params.query_voxel)
-        rows, bins = self._bins.locate(tiles.points, foot, tiles.spans(foot, self.params.max_range), tiles.gone)
+        rows, bins = self._bins.locate(self._map, foot, self._tiles.spans(foot, self.params.max_range), self._gone)
         query_rows, query_bins = self._bins.locate(query, foot)
-        map_height, _ = self._bins.heights(tiles.points, rows, bins)
+        map_height, _ = self._bins.heights(self._map, rows, bins)
         scan_height, scan_points = self._bins.heights(query, query_rows, query_bins)
         verdict = self._judge(map_height, scan_height, scan_points)
         of_bin = np.append(verdict, np.uint8(OUTSIDE))  # bin -1, the last, is outside the band of heights
         why = of_bin[bins]
         flagged = np.flatnonzero(why == REMOVED)
         flagged = flagged[np.argsort(bins[flagged], kind="stable")]
-        ground = self._fit_ground(tiles.points[rows[flagged]] - foot, bins[flagged])
+        ground = self._fit_ground(self._map[rows[flagged]] - foot, bins[flagged])
         why[flagged[ground]] = GROUND
         inserted = query[query_rows[of_bin[query_bins] == REMOVED]]
         return _Comparison(foot, rows, bins, why, inserted, map_height, scan_height, verdict)
@@ -251,15 +254,20 @@ class Erasor:
 
     def _remove(self, said: _Comparison) -> None:
         self._why[said.rows] = np.maximum(self._why[said.rows], said.why)
-        self._map.gone[said.rows[said.why == REMOVED]] = True
+        self._gone[said.rows[said.why == REMOVED]] = True
         if self.params.port:
-            self._map.append(said.inserted)
-            self._why = np.append(self._why, np.full(len(said.inserted), BEYOND, np.uint8))
+            self._insert(said.inserted)
         self._tree = None
 
+    def _insert(self, points: F32) -> None:
+        self._tiles.append(points)
+        self._map = np.concatenate([self._map, points])
+        self._gone = np.append(self._gone, np.zeros(len(points), np.bool_))
+        self._why = np.insert(self._why, -1, np.full(len(points), BEYOND, np.uint8))
+
     def _reasons(self, scan: Scan) -> U8:
-        voxels = self._voxel[self._first[scan.index] :][: len(scan)]
-        return np.append(self._why, np.uint8(UNJUDGED))[voxels]
+        why: U8 = self._why[self._voxel[self._first[scan.index] :][: len(scan)]]
+        return why
 
     def _far_from_map(self, scan: Scan) -> Bool:
         """As the benchmark scores a map of centroids: is its nearest point farther than ``NEAR``?"""
@@ -281,11 +289,11 @@ class Erasor:
             self._probe.emit(name, self._bins.grid(values))
         for name, code in (("removed", REMOVED), ("ground", GROUND)):
             if self._probe.wants(name):
-                points = self._map.points[said.rows[said.why == code]]
+                points = self._map[said.rows[said.why == code]]
                 self._probe.emit(name, Points(points, (points[:, 2] - said.foot[2]).astype(np.float32)))
         if self._probe.wants("flagged"):
             chosen = (said.why == GROUND) | (said.why == REMOVED)
-            cubes = np.floor(self._map.points[said.rows[chosen]] / np.float32(PILLAR)).astype(np.int32)
+            cubes = np.floor(self._map[said.rows[chosen]] / np.float32(PILLAR)).astype(np.int32)
             keys, first = np.unique(cubes, axis=0, return_index=True)
             values = ratio[said.bins[chosen][first]].astype(np.float32)
             self._probe.emit("flagged", Voxels(keys, PILLAR, values))

@@ -7,10 +7,13 @@ pixels (Kim and Kim, IROS 2020). All images lie one after the other in one flat 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.probe import RangeImage
 from dynaviz.scan import F32, F64
+
+I64 = NDArray[np.int64]
 
 
 def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], azimuth: tuple[float, ...]) -> F64:
@@ -34,6 +37,14 @@ def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], az
         views.append((rows, columns, high * per_row, per_row, -begin * per_column, per_column, start))
         start += rows * columns
     return kernels.frozen(views, np.float64)
+
+
+def chunks(spans: I64) -> I64:
+    """Spans of points, (S, 2) int64, each from the first to before the second number, in pieces as the kernels take."""
+    most, (first, last) = kernels.range_image.CHUNK, spans.T
+    pieces = -(-(last - first) // most)
+    start = np.repeat(first - most * (np.cumsum(pieces) - pieces), pieces) + most * np.arange(pieces.sum())
+    return kernels.frozen(np.stack([start, np.minimum(start + most, np.repeat(last, pieces))], 1), np.int64)
 
 
 def slices(views: F64) -> list[slice]:

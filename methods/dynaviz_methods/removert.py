@@ -30,13 +30,14 @@ from dynaviz.errors import UsageError
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import F32, F64, U8, Bool, Scan
-from dynaviz_methods.range_images import image_views, picture, slices
-from dynaviz_methods.tiles import thinned
+from dynaviz_methods.range_images import chunks, image_views, picture, slices
+from dynaviz_methods.tiles import Tiles, thinned
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
 
 SHOWN = 3  # resolutions with reasons and states of their own
 LARGEST = 200.0  # metres; the port takes a larger difference for a pixel without return
@@ -115,7 +116,7 @@ REASONS = (
     ),
     Reason(
         "out_of_view",
-        "kept unjudged: in no image, or in no pixel with a return, or without a place in the map",
+        "kept unjudged: in no image, in no pixel with a return, beyond all returns, or without a place in the map",
         Cause.OUT_OF_RANGE,
     ),
     Reason(
@@ -173,9 +174,11 @@ class Removert:
         resolutions = (*params.resolutions, *params.revert_resolutions)
         self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
         assert context.raw_map is not None  # as info.needs_map asks
-        points, self._map_points = thinned(context.raw_map, params.voxel)
-        self._map = kernels.frozen(points.T, np.float32)
+        points, places = thinned(context.raw_map, params.voxel)
+        self._tiles = Tiles(points)
+        self._map = kernels.frozen(points[self._tiles.order].T, np.float32)
         # An entry more than there are map points: raw points without one are at -1.
+        self._map_points = np.append(self._tiles.rank, np.int32(-1))[places]
         self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
         self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
         self._places: dict[int, slice] = {}  # of each scan in the raw map
@@ -187,19 +190,22 @@ class Removert:
         self._places[scan.index] = slice(self._end, self._end + len(scan))
         self._end += len(scan)
         self._tree = None
-        before = self._dynamic(self._past) if self._probe.wants("accused") else None
-        scan_ranges, _ = self._nearest(scan, scan.points.T)
+        whole = chunks(np.array([[0, len(scan)]])), np.float32(np.inf)
+        scan_ranges, _ = self._nearest(scan, scan.points.T, *whole)
+        near = self._within_reach(scan, scan_ranges)
+        before = self._past[rows := _rows(near[0])] if self._probe.wants("accused") else None
         if self.params.port or self._draws():
-            map_ranges, nearest = self._nearest(scan, self._map)
+            map_ranges, nearest = self._nearest(scan, self._map, *near)
             flagged = self._flagged(scan_ranges, map_ranges)
         if self._draws():
             self._draw(scan_ranges, map_ranges, flagged)
         if self.params.port:
             self._judge_nearest(nearest, flagged, np.isfinite(scan_ranges))
         else:
-            self._judge_all(scan, scan_ranges)
+            self._judge_all(scan, scan_ranges, *near)
         if before is not None:
-            self._draw_accused(scan, before)
+            accused = rows[self._dynamic(self._past[rows]) & ~self._dynamic(before)]
+            self._draw_accused(scan, self._map[:, accused].T)
 
     def label(self, scan: Scan) -> Bool:
         """(N,) bool: True where the map point is dynamic, or where the scan-side step says so."""
@@ -217,10 +223,16 @@ class Removert:
         reasons[by_map & ~dynamic] = SURROUNDED
         return reasons
 
-    def _nearest(self, scan: Scan, xyz: F32) -> tuple[F32, I32]:
+    def _within_reach(self, scan: Scan, scan_ranges: F32) -> tuple[I64, np.float32]:
+        """Chunks of the map near the scan, and the range, metres, beyond which it has nothing to say of a map point."""
+        farthest = scan_ranges[np.isfinite(scan_ranges)].max(initial=0)
+        reach = farthest + LARGEST if self.params.port else farthest * (1 + self.params.threshold)
+        return chunks(self._tiles.spans(scan.position, 1.001 * float(reach))), np.float32(1.0001 * reach)
+
+    def _nearest(self, scan: Scan, xyz: F32, which: I64, reach: np.float32) -> tuple[F32, I32]:
         """Ranges and indices of the points nearest to the scan's sensor, in all pixels of all images."""
-        xyz = kernels.frozen(xyz, np.float32)
-        ranges, indices = kernels.range_image.nearest(xyz, *self._camera(scan), kernels.threads_in_use())
+        xyz, lanes = kernels.frozen(xyz, np.float32), kernels.threads_in_use()
+        ranges, indices = kernels.range_image.nearest(xyz, which, reach, *self._camera(scan), lanes)
         return ranges, indices
 
     def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:
@@ -229,13 +241,14 @@ class Removert:
         centre = kernels.frozen(scan.position, np.float64)
         return centre, kernels.frozen(axes, np.float64), self._views, self.params.port
 
-    def _judge_all(self, scan: Scan, scan_ranges: F32) -> None:
+    def _judge_all(self, scan: Scan, scan_ranges: F32, which: I64, reach: np.float32) -> None:
         """Judge every map point by its own range."""
         threshold = np.float32(self.params.threshold)
         surface = np.where(np.isfinite(scan_ranges), scan_ranges, np.float32(0))
         limits = kernels.frozen(surface - threshold * surface, np.float32)
         spread = (1 + threshold) / (1 - threshold)
-        kernels.range_image.judge(self._map, *self._camera(scan), limits, spread, self._past, self._met)
+        camera, notes = self._camera(scan), (self._past, self._met)
+        kernels.range_image.judge(self._map, which, reach, *camera, limits, spread, *notes)
 
     def _judge_nearest(self, nearest: I32, flagged: Bool, seen: Bool) -> None:
         """Judge the map point that is nearest in its pixel, and no other."""
@@ -293,8 +306,7 @@ class Removert:
             for (name, *_), flat in zip(IMAGES, values, strict=True):
                 self._probe.emit(f"{name}_{k}", picture(flat, view))
 
-    def _draw_accused(self, scan: Scan, before: Bool) -> None:
-        accused = self._map[:, (self._dynamic(self._past) & ~before)[:-1]].T
+    def _draw_accused(self, scan: Scan, accused: F32) -> None:
         ranges = np.linalg.norm(accused - scan.position, axis=1).astype(np.float32)
         self._probe.emit("accused", Points(np.ascontiguousarray(accused), ranges))
 
@@ -311,6 +323,11 @@ def verdicts(resolutions: int, revert_resolutions: int) -> U8:
         reasons[past >> k & 1 == 1] = NEARER + min(k, SHOWN - 1)
     reasons[(reasons != AGREES) & (past & revert != revert)] = REVERTED
     return reasons
+
+
+def _rows(which: I64) -> I64:
+    """The rows of the map in some chunks."""
+    return np.concatenate([np.empty(0, np.int64), *(np.arange(first, last) for first, last in which)])
 
 
 def _mean_square(tree: cKDTree, points: F32, neighbours: int) -> F64:

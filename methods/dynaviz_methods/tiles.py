@@ -1,4 +1,4 @@
-"""A thinned map, laid out tile by tile so that a scan touches only the tiles within its reach."""
+"""A thinned map, in the order of tiles so that a scan touches only those within its reach."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dynaviz import kernels
 from dynaviz.scan import F32, F64
 
 TILE = 8.0  # metres
+FARTHEST = 2.0**30  # tiles from the world's origin; those beyond are one
 
 
 def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
@@ -32,45 +33,41 @@ def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
 
 
 class Tiles:
-    """Points of a map in the order of square tiles over x and y.
+    """The points of a map in the order of square tiles over x and y.
 
     Args:
         points: (V, 3) float32, metres, world frame; finite.
 
     Attributes:
-        points: (V, 3) float32: sorted by tile; what was appended comes at the end.
-        gone: (V,) bool: points that the map has lost.
-        rank: (V,) int32: where each point given went.
+        order: (V,) int64: the points given, tile by tile.
+        rank: (V,) int32: the row of each point given in that order.
     """
 
     def __init__(self, points: F32) -> None:
-        tiles = np.floor(points[:, :2] / np.float32(TILE)).astype(np.int64)
+        tiles = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(np.int64)
         keys = (tiles[:, 0] << 32) + tiles[:, 1]
-        order = np.argsort(keys, kind="stable")
+        self.order = np.argsort(keys, kind="stable")
         self.rank = np.empty(len(points), np.int32)
-        self.rank[order] = np.arange(len(points), dtype=np.int32)
-        self.points, self.gone = points[:0], np.zeros(0, np.bool_)
-        self._spans = np.empty((0, 2), np.int64)
+        self.rank[self.order] = np.arange(len(points), dtype=np.int32)
+        self._ends = np.zeros(1, np.int64)  # the first row of each tile, and the one after the last
         self._low = self._high = np.empty((0, 2), np.float32)
-        self._extend(points[order], np.flatnonzero(np.diff(keys[order], prepend=np.iinfo(np.int64).min)))
+        self._extend(points[self.order], np.flatnonzero(np.diff(keys[self.order], prepend=np.iinfo(np.int64).min)))
 
     def spans(self, centre: F64, reach: float) -> NDArray[np.int64]:
         """(S, 2) int64: rows, from the first to before the second, of the tiles within reach of a place in x and y."""
         away = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
-        near: NDArray[np.int64] = self._spans[(away**2).sum(1) < reach**2]
-        return near
+        near = np.concatenate([[False], (away**2).sum(1) < reach**2, [False]])
+        borders = np.flatnonzero(near[1:] != near[:-1])  # tiles after one another are one span
+        return self._ends[borders].reshape(-1, 2)
 
     def append(self, points: F32) -> None:
-        """Add points at the end as a tile of their own, however far they spread: for few points."""
+        """Note points after the last row as a tile of their own, however far they spread: for few points."""
         self._extend(points, np.zeros(min(len(points), 1), np.int64))
 
     def _extend(self, points: F32, starts: NDArray[np.int64]) -> None:
-        """Add points, of which tiles begin at ``starts``."""
+        """Note points after the last row, of which tiles begin at ``starts``."""
         if not len(points):
             return
-        spans = np.stack([starts, np.append(starts[1:], len(points))], 1)
-        self._spans = np.concatenate([self._spans, spans + len(self.points)])
+        self._ends = np.concatenate([self._ends, self._ends[-1] + np.append(starts[1:], len(points))])
         self._low = np.concatenate([self._low, np.minimum.reduceat(points[:, :2], starts)])
         self._high = np.concatenate([self._high, np.maximum.reduceat(points[:, :2], starts)])
-        self.points = np.concatenate([self.points, points])
-        self.gone = np.concatenate([self.gone, np.zeros(len(points), np.bool_)])

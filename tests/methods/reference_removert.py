@@ -59,6 +59,8 @@ class Reference:
                 at, distance = self.place(scan, point, resolution)
                 if at is not None:
                     image[at] = min(distance, image.get(at, math.inf))
+            farthest = max(image.values(), default=0.0)
+            self.reach = farthest + 200 if self.p.port else farthest * (1 + self.p.threshold)
             (self.judge_nearest if self.p.port else self.judge_all)(scan, k, resolution, image)
 
     def place(self, scan: Scan, point: np.ndarray, resolution: float):
@@ -69,7 +71,7 @@ class Reference:
     def judge_all(self, scan: Scan, k: int, resolution: float, image: dict) -> None:
         for key, point in self.map.items():
             at, distance = self.place(scan, point, resolution)
-            if at not in image:
+            if at not in image or distance > self.reach:
                 continue
             if image[at] - distance > self.p.threshold * image[at]:
                 self.nearer[key].add(k)
@@ -81,7 +83,7 @@ class Reference:
         nearest: dict[object, tuple[float, object]] = {}
         for key, point in self.map.items():
             at, distance = self.place(scan, point, resolution)
-            if at is not None and distance < nearest.get(at, (math.inf, None))[0]:
+            if at is not None and distance < nearest.get(at, (math.inf, None))[0] and distance <= self.reach:
                 nearest[at] = distance, key
         for at, (distance, key) in nearest.items():
             if at in image:

@@ -287,12 +287,13 @@ clouds = st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=40).ma
 
 @given(clouds, st.tuples(coordinate, coordinate), st.floats(0.1, 200))
 def test_tiles_find_every_point_within_reach(points, centre, reach):
-    laid = Tiles(points)
-    laid.append(points[:3] + np.float32(1))
-    np.testing.assert_array_equal(laid.points[laid.rank], points)
+    laid, more = Tiles(points), points[:3] + np.float32(1)
+    laid.append(more)
+    rows = np.concatenate([points[laid.order], more])
+    np.testing.assert_array_equal(rows[laid.rank], points)
     spans = laid.spans(np.array([*centre, 0.0]), reach)
     found = {row for first, last in spans for row in range(first, last)}
-    near = np.hypot(*(laid.points[:, :2].astype(float) - centre).T) < reach
+    near = np.hypot(*(rows[:, :2].astype(float) - centre).T) < reach
     assert set(np.flatnonzero(near)) <= found
     assert sum(last - first for first, last in spans) == len(found)
 

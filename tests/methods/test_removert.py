@@ -15,7 +15,7 @@ from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.survey import Extent
-from dynaviz_methods.range_images import image_views, picture
+from dynaviz_methods.range_images import chunks, image_views, picture
 from dynaviz_methods.removert import REASONS, Removert, RemovertParams
 
 SENSOR = Sensor(elevation=(-30.0, 30.0))
@@ -135,6 +135,20 @@ def test_threads_and_listeners_decide_nothing(values):
     assert answer.any()
 
 
+@pytest.mark.parametrize("port", [False, True])
+def test_map_points_beyond_reach_are_left_out_and_nothing_else_changes(port):
+    """A return far away, where nothing else is, lets each scan reach the whole of three streets."""
+    near, params = [], dataclasses.replace(COARSE, port=port, elevation=(-30.0, 60.0))
+    for k, s in enumerate(street(4, thin=10) * 3):
+        shift = np.array([300.0 * (k // 4), 0, 0])
+        near.append(scan(k, s.points + shift, s.position + shift))
+    far = [scan(s.index, np.vstack([s.points, s.position + np.array((0, 9e4, 9e4))]), s.position) for s in near]
+    whole, cut = run(far, params), run(near, params)
+    expected = np.concatenate([whole.label(s)[:-1] for s in far])
+    np.testing.assert_array_equal(labels(cut, near), expected)
+    assert 0 < expected.mean() < 0.5
+
+
 def test_removal_is_final_and_begin_forgets():
     scans = street()
     method = run(scans)
@@ -225,7 +239,8 @@ def test_a_picture_shows_up_above_and_left_to_the_left():
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
     points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
     camera = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64)
-    flat, _ = kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *camera, views, False, 1)
+    whole = chunks(np.array([[0, len(points)]])), np.float32(np.inf)
+    flat, _ = kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *whole, *camera, views, False, 1)
     image = picture(flat, views[0]).ranges
     assert image.shape == (20, 180)
     rows, columns = np.nonzero(~np.isnan(image))
