@@ -1,4 +1,4 @@
-"""All methods on many simulated scenes, none of which was looked at while a method was made.
+"""All methods on many simulated scenes, of other seeds than those that changes of SeeThrough were decided on.
 
     python benchmarks/many.py OUT [METHOD ...]        some twenty minutes on two cores; what is done is not done again
 
