@@ -14,10 +14,9 @@ from dynaviz import registry, scoring
 from dynaviz.compared import Comparison
 from dynaviz.datasets import open_sequence
 from dynaviz.errors import UsageError
-from dynaviz.io.atomic import remove
 from dynaviz.loop import Listener, Progress, Run, execute
 from dynaviz.method import Method
-from dynaviz.outputs import FILES, LabelsFile, MapFiles, write_summary
+from dynaviz.outputs import FILES, LabelsFile, MapFiles, Outdated, write_summary
 from dynaviz.probe import SILENT, Probe
 from dynaviz.result import Result
 from dynaviz.scan import Sequence, part
@@ -101,6 +100,8 @@ def run(
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)
+    if seed is not None and seed < 0:
+        raise UsageError(f"seed = {seed}: give 0 or a positive number")
     kind = registry.load("methods", method)
     resolved = layers.resolve(kind, preset, config, settings)
     metrics = tuple(handle.load()(kind.info) for handle in registry.handles("metrics"))
@@ -117,6 +118,8 @@ def run(
     )
     folder = None if out is None else Path(out)
     recording, mode = _recording(record, folder)
+    if view and recording is None:
+        raise UsageError("view shows the recording of a run: give out=FOLDER or record=FILE.rrd, and not record=none")
     return _run_into(folder, recording, mode, this, view, progress)
 
 
@@ -235,7 +238,7 @@ def _run_into(
     with contextlib.ExitStack() as stack:
         listeners: list[Listener] = [] if first is None else [first]
         if folder is not None:
-            remove(folder / "result.json")
+            listeners.append(Outdated(folder, recording))
             listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
         if recording is not None:
             from dynaviz.viz.recorder import Recorder

@@ -301,9 +301,6 @@ def _reasons(pair: dict[str, Any]) -> Section:
     )
 
 
-_GAIN = "B's gain"
-
-
 def _frames(pair: dict[str, Any]) -> Section:
     rows = [(f"{row['frame']}", *_change(row)) for row in pair["frames"]]
     note = "B's gain: what B loses less than A, in percentage points of SA and of DA; all frames sum up to B - A"

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import whole_folder
 from dynaviz.io.semantic_label import write_semantic_labels
-from dynaviz.loop import Progress, Run
-from dynaviz.method import Method
+from dynaviz.loop import Progress
 from dynaviz.scan import Sequence, stream
 from dynaviz.scoring import GivenLabels
 from dynaviz.survey import survey
@@ -50,7 +48,7 @@ def export_labels(
     given = GivenLabels(path, path.stem)
     with whole_folder(out) as folder:
         seen = survey(sequence, lambda done: progress("checking", done, total))
-        given.check(Run(cast(Method, given), sequence, given.params), seen)
+        given.check(sequence.name, seen)
         for done, scan in enumerate(stream(sequence), 1):
             dynamic = given.label(scan)
             write_semantic_labels(

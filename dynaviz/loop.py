@@ -14,7 +14,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.bits import PackedBits
-from dynaviz.errors import UsageError
+from dynaviz.errors import PluginError, UsageError
 from dynaviz.method import Context, Method
 from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
@@ -150,6 +150,7 @@ def execute(
     def label(frame: int, scan: Scan) -> None:
         bare = scan.without_truth()
         dynamic = clock.timed(frame, run.method.label, bare)
+        _check(run.method.info.name, dynamic, len(scan))
         answer.append(dynamic)
         labelled = Labelled.of(frame, scan, dynamic, run.method.explain(bare))
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
@@ -163,11 +164,35 @@ def execute(
             for step in passing:
                 step(frame, scan)
 
-    # Memory is asked before the metrics finish: what they need then is not the method's.
-    runtime: dict[str, Any] = {**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()}
-    if run.external:
-        runtime = {**dict.fromkeys(runtime), "frames": runtime["frames"]}
-    result = Result(
+    runtime = _runtime(run, clock, threads)
+    result = _result(run, seen, runtime, answer.sha256(), instrumented=probe is not SILENT and not run.external)
+    figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
+    for listener in listeners:
+        listener.finish(result, figures)
+    return result
+
+
+def _check(method: str, dynamic: Any, points: int) -> None:
+    """Refuse an answer that is no mask: integers would choose points by their numbers where files are written."""
+    if not isinstance(dynamic, np.ndarray) or dynamic.dtype != np.bool_ or dynamic.shape != (points,):
+        kind = f"{dynamic.dtype} {dynamic.shape}" if isinstance(dynamic, np.ndarray) else type(dynamic).__name__
+        raise PluginError(
+            f"{method}: label() answered with {kind}, not with bool ({points},). "
+            "Try it with dynaviz.testing.check_method, which tells more"
+        )
+
+
+def _runtime(run: Run, clock: Clock, threads: int) -> dict[str, Any]:
+    """Seconds and memory, asked before the metrics finish, for what they need then is not the method's.
+
+    Of another program only the number of frames is known.
+    """
+    known = {**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()}
+    return {**dict.fromkeys(known), "frames": known["frames"]} if run.external else known
+
+
+def _result(run: Run, seen: Survey, runtime: dict[str, Any], labels_sha256: str, instrumented: bool) -> Result:
+    return Result(
         method=run.method.info.name,
         parameters=dataclasses.asdict(run.params),
         sequence={"name": run.sequence.name, "digest": seen.digest, "frames": seen.frames, "points": seen.points},
@@ -177,15 +202,11 @@ def execute(
         seed=run.seed,
         variant=run.variant,
         scoring=run.scoring,
-        labels_sha256=answer.sha256(),
-        instrumented=probe is not SILENT and not run.external,
+        labels_sha256=labels_sha256,
+        instrumented=instrumented,
         environment=environment(),
         command=run.command,
     )
-    figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
-    for listener in listeners:
-        listener.finish(result, figures)
-    return result
 
 
 def peak_rss_mb() -> float:

@@ -11,7 +11,7 @@ from typing import IO, Any
 import numpy as np
 
 from dynaviz.bits import PackedBits
-from dynaviz.io.atomic import whole_file, write_whole
+from dynaviz.io.atomic import remove, whole_file, write_whole
 from dynaviz.io.pcd import PcdWriter
 from dynaviz.loop import Listener, Run
 from dynaviz.metric import Figure, Labelled
@@ -39,10 +39,10 @@ class LabelsFile(Listener):
         self._frames: list[int] = []
 
     def __enter__(self) -> LabelsFile:
-        self._zip = zipfile.ZipFile(
-            self._stack.enter_context(whole_file(self._path)), "w", zipfile.ZIP_DEFLATED, compresslevel=1
-        )
-        self._stack.enter_context(self._zip)
+        with contextlib.ExitStack() as stack:
+            beside = stack.enter_context(whole_file(self._path))
+            self._zip = stack.enter_context(zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -74,6 +74,24 @@ class LabelsFile(Listener):
     def _put(self, name: str, array: Any) -> None:
         with self._zip.open(f"{name}.npy", "w") as file:
             np.lib.format.write_array(file, array, allow_pickle=False)
+
+
+class Outdated(Listener):
+    """A listener that goes before those that write: at the end of a run it takes away what an earlier one left there.
+
+    These are the files whose absence or presence says something: ``result.json``, which comes back last; and those that
+    this run does not write, ``run.rrd`` where its recording is elsewhere, and ``config.toml``. Until then all is as it
+    was, so a run that fails takes nothing from the one before.
+    """
+
+    def __init__(self, folder: Path, recording: Path | None):
+        own = recording is not None and recording.resolve() == (folder / "run.rrd").resolve()
+        self._paths = [folder / name for name in ("result.json", "config.toml", *(() if own else ("run.rrd",)))]
+
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
+        """Remove them."""
+        for path in self._paths:
+            remove(path)
 
 
 class MapFiles(Listener):

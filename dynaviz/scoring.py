@@ -87,8 +87,8 @@ class Given:
     def observe(self, scan: Scan) -> None:
         """Nothing is learnt from scans."""
 
-    def check(self, run: Run, seen: Survey) -> None:
-        """Before anything is written: whether it fits the sequence."""
+    def check(self, sequence: str, seen: Survey) -> None:
+        """Before anything is written: whether it fits the sequence of this name."""
 
     def compare(self, scan: Scan) -> None:
         """Look at a scan with its ground truth, to remark on it."""
@@ -158,12 +158,6 @@ class CleanedMap(Given):
             self._last = scan, codes
         return self._last[1]
 
-    def check(self, run: Run, seen: Survey) -> None:
-        """Hand the map over to the metrics that want it."""
-        for metric in run.metrics:
-            if isinstance(metric, TakesMap):
-                metric.cleaned_map(self.points)
-
     def compare(self, scan: Scan) -> None:
         """Note how many of some static points lie near the map."""
         if scan.labels is not None:
@@ -204,10 +198,9 @@ class GivenLabels(Given):
             points, frames = z["points"].astype(np.int64), z["frames"].tolist()
             self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
             legend = [str(reason) for reason in z["reason_names"]]
-        ends = np.cumsum(points)
-        self._rows = {
-            index: (end - n, end) for index, n, end in zip(frames, points.tolist(), ends.tolist(), strict=True)
-        }
+            ends = np.cumsum(points)
+            rows = zip(frames, points.tolist(), ends.tolist(), strict=True)
+            self._rows = {index: (end - n, end) for index, n, end in rows}
         total = int(points.sum())
         if len(self._reasons) != total or len(self._dynamic) != -(-total // 8) or len(self._rows) != len(points):
             raise DataError(path, "holds parts that do not fit together", hint="Write or copy the file again")
@@ -226,14 +219,16 @@ class GivenLabels(Given):
         codes: U8 = self._reasons[first:end]
         return codes
 
-    def check(self, run: Run, seen: Survey) -> None:
+    def check(self, sequence: str, seen: Survey) -> None:
         """Refuse a sequence that the labels do not belong to."""
         if seen.digest != self._digest:
             problem = (
                 f"belongs to other data: the labels have the digest {self._digest[:12]}..., "
-                f"the frames of {run.sequence.name} {seen.digest[:12]}..."
+                f"the frames of {sequence} {seen.digest[:12]}..."
             )
-            raise DataError(self.path, problem, hint="Give the sequence of that run, and the same --frames")
+            raise DataError(
+                self.path, problem, hint="Give the sequence of that run, and the same --frames and --stride"
+            )
 
 
 def given(path: str | os.PathLike[str], radius: float = RADIUS, name: str | None = None) -> Given:
@@ -279,14 +274,18 @@ class Source:
 
 
 class Opening(Listener):
-    """Asks whether what was given fits the sequence; goes before all that write."""
+    """Asks whether what was given fits the sequence, and hands a map to the metrics; goes before all that write."""
 
     def __init__(self, given: Given) -> None:
         self._given = given
 
     def begin(self, run: Run, survey: Survey) -> None:
-        """Ask."""
-        self._given.check(run, survey)
+        """Ask, and hand over."""
+        self._given.check(run.sequence.name, survey)
+        if isinstance(self._given, CleanedMap):
+            for metric in run.metrics:
+                if isinstance(metric, TakesMap):
+                    metric.cleaned_map(self._given.points)
 
 
 def _finite(points: F32) -> Bool:

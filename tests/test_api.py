@@ -8,7 +8,7 @@ import pytest
 from worlds import InMemory
 
 import dynaviz as dv
-from dynaviz.errors import UsageError
+from dynaviz.errors import DataError, UsageError
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
@@ -29,3 +29,41 @@ def test_nothing_is_written_unasked(little_room: InMemory, tmp_path: Path, monke
 def test_a_way_to_record_that_is_none(little_room: InMemory) -> None:
     with pytest.raises(UsageError, match=r"record = all: give full, errors, scores, none, or the path of an \.rrd"):
         dv.run("octomap", little_room, record="all")
+
+
+def test_a_seed_or_a_view_that_is_none(little_room: InMemory) -> None:
+    with pytest.raises(UsageError, match="seed = -1: give 0"):
+        dv.run("octomap_g", little_room, seed=-1)
+    with pytest.raises(UsageError, match=r"give out=FOLDER or record=FILE\.rrd"):
+        dv.run("octomap", little_room, view=True)
+
+
+def test_a_run_that_fails_takes_nothing_from_the_one_before(little_room: InMemory, tmp_path: Path) -> None:
+    dv.run("octomap", little_room, out=tmp_path, record="scores")
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    with pytest.raises(UsageError, match="removert needs the vertical field of view"):
+        dv.run("removert", little_room, out=tmp_path)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_nothing_of_an_earlier_run_is_taken_for_this_one(little_room: InMemory, tmp_path: Path) -> None:
+    dv.run("octomap", little_room, out=tmp_path, record="scores")
+    dv.run("dufomap", little_room, out=tmp_path, record=tmp_path / "here.rrd")
+    assert sorted(file.name for file in tmp_path.glob("*.rrd")) == ["here.rrd"]
+    dv.score(tmp_path / "static_map.pcd", little_room, out=tmp_path / "scored", record="none")
+    (tmp_path / "scored/config.toml").write_text("of an earlier run")
+    dv.score(tmp_path / "static_map.pcd", little_room, out=tmp_path / "scored", record="none")
+    assert sorted(file.name for file in (tmp_path / "scored").iterdir()) == [
+        "dynamic_points.pcd", "labels.npz", "result.json", "static_map.pcd",
+    ]  # fmt: skip
+
+
+def test_a_folder_that_cannot_be_written_is_told(
+    little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr("dynaviz.outputs.zipfile.ZipFile", refuse)
+    with pytest.raises(DataError, match=r"labels\.npz: cannot be written"):
+        dv.run("octomap", little_room, out=tmp_path, record="none")

@@ -14,6 +14,7 @@ import pytest
 from worlds import InMemory
 
 from dynaviz.bits import PackedBits
+from dynaviz.errors import PluginError
 from dynaviz.loop import Listener, Run, execute
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.metric import Figure, Labelled
@@ -128,6 +129,16 @@ def test_result_tells_what_ran(little_room: InMemory) -> None:
     assert result.runtime["mean_s"] > 0
     everything = np.concatenate([scan.points[:, 2] > 0.5 for scan in little_room.scans])
     assert result.labels_sha256 == hashlib.sha256(np.packbits(everything).tobytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    "answer", [lambda n: np.zeros(n, np.uint8), lambda n: np.zeros(n + 1, bool), lambda n: [False]]
+)
+def test_an_answer_that_is_no_mask_is_refused(little_room: InMemory, answer: Any) -> None:
+    run = a_run(little_room)
+    run.method.label = lambda scan: answer(len(scan))  # type: ignore[method-assign]
+    with pytest.raises(PluginError, match=r"label\(\) answered with .*, not with bool"):
+        execute(run)
 
 
 def test_a_probe_hears_states_and_the_result_says_so(little_room: InMemory) -> None:

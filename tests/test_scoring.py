@@ -117,6 +117,9 @@ def test_labels_that_are_none(little_room: InMemory, tmp_path: Path) -> None:
     np.savez(path, **{**whole, "dynamic": whole["dynamic"][:-1]})
     with pytest.raises(DataError, match="do not fit together"):
         dv.score(path, little_room)
+    np.savez(path, **{**whole, "frames": whole["frames"][:-1]})
+    with pytest.raises(DataError, match=r"is no whole labels\.npz of a run"):
+        dv.score(path, little_room)
 
 
 def test_nothing_is_said_of_the_runtime_of_another_program(little_room: InMemory, tmp_path: Path) -> None:

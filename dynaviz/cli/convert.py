@@ -47,6 +47,6 @@ def convert(
         done = write(opened, out, lambda frame, total: tell("frames", frame, total))
     for remark in done.remarks():
         print(f"dynaviz: warning: {remark}.", file=sys.stderr)
-    poses_ = "poses bit for bit" if done.exact else f"poses to {max(done.pose_error, 1e-16):.0e}"
+    poses_ = "poses bit for bit" if done.pose_error == 0 else f"poses to {done.pose_error:.0e}"
     show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {poses_}.")
     show(f"Next: {program()} run octomap_gf {out}")

@@ -34,12 +34,14 @@ def demo(
     dynaviz demo -o out --no-view
     """
     from dynaviz import api, registry
+    from dynaviz.params import read_toml
     from dynaviz.precompile import compiling
     from dynaviz.simulate import simulate
     from dynaviz.tables import result_table
 
     folder = out / "street"
-    if (folder / "sequence.toml").is_file():  # of an earlier demo
+    facts = folder / "sequence.toml"
+    if facts.is_file() and "generator" in read_toml(facts):  # of an earlier demo; a user's data stays
         shutil.rmtree(folder)
     names = [handle.name for handle in registry.handles("methods")]
     with compiling(), progress("simulating a street") as tell:
@@ -62,15 +64,14 @@ def demo(
         f"  {again} view {comparison}    (how {best.method} differs from {second.method})",
         f"  {again} run {best.method} PATH/TO/YOUR/SEQUENCE",
     )
-    if view or (view is None and has_screen()):
+    if view or (view is None and somebody_looks()):
         from dynaviz.viz.view import view as open_viewer
 
         open_viewer([recording])
 
 
-def has_screen() -> bool:
+def somebody_looks() -> bool:
     """Whether a window can open and a person sits before it."""
-    graphical = sys.platform in ("darwin", "win32") or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
-    return graphical and sys.stdout.isatty() and "CI" not in os.environ
+    from dynaviz.viz.viewer import has_screen
+
+    return has_screen() and sys.stdout.isatty() and "CI" not in os.environ

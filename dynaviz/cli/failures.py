@@ -57,7 +57,11 @@ def _section(run: Path) -> dict[str, Any]:
         from dynaviz.viz.failures import failures_of
 
         return failures_of(run)
-    section: dict[str, Any] | None = Result.load(run).sections.get("failures")
+    result = Result.load(run)
+    if result.metrics.get("SA") is None and result.metrics.get("DA") is None:
+        hint = "Run the method on a sequence with ground truth"
+        raise DataError(run, "is of a sequence without ground truth, so nobody knows what is wrong", hint=hint)
+    section: dict[str, Any] | None = result.sections.get("failures")
     if section is None:
         raise DataError(run, "was written without failure cases", hint="Run the method again, or give its run.rrd")
     return section

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -52,7 +53,7 @@ def run(
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
     view: Annotated[bool, typer.Option("--view", help="Show the run in a viewer while it goes on.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
-    seed: Annotated[int | None, typer.Option(help="For everything random in the method. [default: 0]")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="For everything random in the method. [default: 0]")] = None,
 ) -> None:
     """Run a method on a sequence: labels, scores and a recording.
 
@@ -82,7 +83,7 @@ def run(
             online=online,
             seed=seed,
             threads=threads,
-            command=" ".join(["dynaviz", *sys.argv[1:]]),
+            command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
     show(result, written(folder, record is not Record.none))

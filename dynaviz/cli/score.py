@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import warnings
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show, written
-from dynaviz.cli.opening import Frames, PointsIn, Poses, open_sequence
+from dynaviz.cli.opening import Frames, PointsIn, Poses, Stride, open_sequence
 from dynaviz.cli.run import Record
 
 
@@ -38,6 +39,7 @@ def score(
     ] = 0.05,
     name: Annotated[str | None, typer.Option(help="For tables. [default: the map's file name]")] = None,
     frames: Frames = None,
+    stride: Stride = 1,
     poses: Poses = None,
     points_in: PointsIn = None,
     record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
@@ -52,7 +54,7 @@ def score(
     """
     from dynaviz import api
 
-    opened = open_sequence(sequence, frames=frames, poses=poses, points_in=points_in)
+    opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
     called = map.stem if name is None else name
     folder = out or Path("recordings") / opened.name / called
     with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings():
@@ -65,7 +67,7 @@ def score(
             out=folder,
             record=record.value,
             threads=threads,
-            command=" ".join(["dynaviz", *sys.argv[1:]]),
+            command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
     for remark in result.sections["source"]["remarks"]:

@@ -17,7 +17,7 @@ def add_to(app: typer.Typer) -> None:
 
 def simulate(
     preset: Annotated[str, typer.Argument(help="A scene with its sensor (dynaviz list scenes).")],
-    out: Annotated[Path, typer.Argument(help="Folder for the sequence; must not exist or be empty.")],
+    out: Annotated[Path, typer.Argument(help="Folder for the sequence; must not exist.")],
     frames: Annotated[int | None, typer.Option(min=1, help="How many sweeps. [default: the scene's own]")] = None,
     seed: Annotated[int, typer.Option(help="Another seed, another scene; the same seed, the same bytes.")] = 0,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections import Counter
 from collections.abc import Iterable
@@ -144,16 +145,23 @@ class FilesSequence:
         return labels, classes, instances.astype(np.int32)
 
 
+def _entries(folder: Path) -> list[Path]:
+    """What is in a folder; nothing in one that cannot be read, such as a disk's lost+found."""
+    with contextlib.suppress(OSError):
+        return list(folder.iterdir())
+    return []
+
+
 def _numbered(folder: Path) -> list[Path]:
     """Files that look like scans: a known suffix, and a number at the end of their name."""
-    return [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
+    return [path for path in _entries(folder) if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
 
 
 def _scans_in(path: Path) -> Path | None:
     """The folder with the scans: the given one, or the only one in it that holds any."""
     if _numbered(path):
         return path
-    inside = [folder for folder in path.iterdir() if folder.is_dir() and folder.name != "labels" and _numbered(folder)]
+    inside = [folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _numbered(folder)]
     return inside[0] if len(inside) == 1 else None
 
 

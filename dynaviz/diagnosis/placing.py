@@ -261,12 +261,12 @@ def _places(view: View, raised: bool) -> F64:
     return np.concatenate([[middle], *(c + r * ring for c in (at, middle) for r in (1.5, 3.0, 6.0, 12.0))])
 
 
-def register(surface: Surface, points: F64, T: F64 | None = None, steps: int = 30) -> F64:
+def register(surface: Surface, points: F64) -> F64:
     """T_a_b that lays points upon surfaces: point-to-plane steps with a shrinking reach."""
     from scipy.spatial.transform import Rotation
 
-    T = np.eye(4) if T is None else T
-    for step in range(steps):
+    T = np.eye(4)
+    for step in range(30):
         moved = geometry.apply(T, points)
         heights, normals = surface.heights(moved)
         near = np.abs(heights) < max(1.0 - step / 15, 0.2)

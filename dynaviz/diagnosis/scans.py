@@ -229,7 +229,7 @@ class ScanWalk:
         self.indices.append(scan.index)
         self.stamps.append(scan.stamp_ns)
         self.poses.append(scan.T_world_sensor)
-        self.usable.append(not figures[0] and figures[2] <= CHECKS[2].limit)
+        self.usable.append(bool(seen.finite.any()) and far(seen) <= FAR / 1000)
         self._before = scan
 
     def pairs_apart(self, gap: int, number: int = 6) -> list[tuple[int, int]]:

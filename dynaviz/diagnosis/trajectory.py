@@ -49,7 +49,7 @@ def jumps(positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]
     T = np.array(poses)
     between = geometry.compose(geometry.inverse(T[:-1]), T[1:])
     follows = np.diff(positions) == 1
-    ticks = np.maximum(np.diff(indices), 1) / max(float(np.median(np.diff(indices))), 1) if len(T) > 1 else np.ones(0)
+    ticks = np.maximum(np.diff(indices), 1) / max(float(np.median(np.diff(indices))), 1)
     steps = np.linalg.norm(between[:, :3, 3], axis=1) / np.maximum(ticks, 1)
     turns = np.array([angle(M) for M in between]) / np.maximum(ticks, 1)
     bad = []

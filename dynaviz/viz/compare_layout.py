@@ -48,7 +48,7 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     gain = f"above 0: {names[1]} is better in this frame; below: {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
-        return blueprint(_column(numbers, names))
+        return blueprint(_column(numbers))
     which = "right in this frame: green A, purple B, white none"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
     where = solid("whole run: green A is better, purple B", [WHERE, PLACES, *context], above(places), COMPARE)
@@ -56,12 +56,12 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
     world = rrb.Grid(where, who, *frames, grid_columns=2)
-    return blueprint(rrb.Horizontal(world, _column(numbers, names), column_shares=[5, 3]))
+    return blueprint(rrb.Horizontal(world, _column(numbers), column_shares=[5, 3]))
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     """The layout for more runs, as ``two``: a small map and a small frame of each."""
-    numbers = _column(_numbers(names), names)
+    numbers = _column(_numbers(names))
     if places is None:
         return blueprint(numbers)
     maps = [_map(side, name, places) for side, name in zip(SIDES, names, strict=False)]
@@ -74,7 +74,7 @@ def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     return blueprint(rrb.Horizontal(grid, numbers, column_shares=[5, 3]))
 
 
-def _column(numbers: Sequence[Any], names: Sequence[str]) -> Any:
+def _column(numbers: Sequence[Any]) -> Any:
     words = rrb.TextDocumentView(name="report", origin=REPORT)
     return rrb.Vertical(words, *numbers, row_shares=[3.5] + [1.0] * len(numbers))
 

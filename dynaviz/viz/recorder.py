@@ -194,14 +194,14 @@ class Recorder(Listener):
         edges, total = histogram.edges.copy(), histogram.counts.sum(0)
         if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the one before
             edges[-1] = 2 * edges[-2] - edges[-3]
-        self._open.log(f"{path}/run", _bars(total, edges, histogram), static=True)
+        self._open.log(f"{path}/run", _bars(total, edges), static=True)
         if total.sum():
             width = 0.003 * (edges[-1] - edges[0])
             line = rr.BarChart([float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=_MARK)
             self._open.log(f"{path}/p10", line, static=True)
         for (frame, *_), counts in zip(self._tally.frames, histogram.counts, strict=True):
             self._open.at(frame, None)
-            self._open.log(path, _bars(counts, edges, histogram))
+            self._open.log(path, _bars(counts, edges))
 
     def _mark_worst(self) -> None:
         worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._tally.worst())
@@ -224,7 +224,7 @@ class Recorder(Listener):
 _MARK = paths.COLOURS[Outcome.FALSE_NEGATIVE]
 
 
-def _bars(counts: Any, edges: Any, histogram: FrameHistograms) -> rr.BarChart:
+def _bars(counts: Any, edges: Any) -> rr.BarChart:
     middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
     return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=paths.COLOURS[Outcome.DYNAMIC_REMOVED])
 

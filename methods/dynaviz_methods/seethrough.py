@@ -104,7 +104,7 @@ REASONS = (
     Reason("followed", "removed: its object is where a dynamic one was in the last scans", Cause.SHARED_CELL),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
     Reason("alone", "removed: its voxel was seen clear through, though its object was not", Cause.SPARSE_RINGS),
-    Reason("waited", "removed: the last that was seen where its object is moved away", Cause.SHARED_CELL),
+    Reason("waited", "removed: where its object stood before it moved away", Cause.SHARED_CELL),
 )
 REMOVED = np.array([reason.meaning.startswith("removed") for reason in REASONS])
 STATES = (

@@ -97,6 +97,7 @@ def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path
         "run octomap {} --fraems 0:3",
         "run octomap {} --record all",
         "run octomap {} --threads none",
+        "run octomap {} --seed -1",
         "list everything",
         "bench",
     ],

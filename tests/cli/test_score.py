@@ -66,6 +66,24 @@ def test_options(score: Command, folder: Path, tmp_path: Path) -> None:
     assert (result["sequence"]["frames"], result["recording_sha256"]) == (2, None)
 
 
+def test_labels_of_every_other_frame(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    code, _, err = dynaviz("run", "octomap", folder / "room", "--stride", 2, "-o", tmp_path / "a b", "--record", "none")
+    assert code == 0, err
+    code, _, err = dynaviz(
+        "score", tmp_path / "a b/labels.npz", folder / "room", "--stride", 2, "-o", tmp_path / "again"
+    )
+    assert code == 0, err
+    first, again = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("a b", "again"))
+    assert first["labels_sha256"] == again["labels_sha256"]
+
+
+def test_without_ground_truth_no_failure_is_told(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+    assert dynaviz("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
+    code, _, err = dynaviz("failures", tmp_path / "result.json")
+    assert code == 2
+    assert "without ground truth" in err
+
+
 def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
     code, _, err = score(folder / "away.pcd", folder / "room", "-o", tmp_path, "--record", "none")
     warnings = [line for line in err.splitlines() if "warning" in line]

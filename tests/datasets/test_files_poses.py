@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -264,6 +265,20 @@ def test_folders_that_cannot_be_read_are_told(tmp_path: Path) -> None:
     kitti(scans(tmp_path) / "poses.txt")
     scans(tmp_path, ".ply", clouds=XYZ[:2])
     with pytest.raises(DataError, match=r"several kinds: \.bin \(5\), \.ply \(2\)"):
+        dv.open(tmp_path)
+
+
+def test_a_folder_that_may_not_be_listed_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "lost+found").mkdir()
+    listed = Path.iterdir
+
+    def iterdir(folder: Path) -> Any:
+        if folder.name == "lost+found":
+            raise PermissionError(13, "Permission denied")
+        return listed(folder)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    with pytest.raises(DataError, match="is no sequence that is known"):
         dv.open(tmp_path)
 
 
