@@ -171,8 +171,8 @@ def combined(results: Sequence[Result]) -> Result:
 
 
 def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and deviation over the frames of all sequences."""
-    if not all("mean_s" in runtime for runtime in runtimes):
+    """Mean and deviation over the frames of all sequences; none where a map of another program is among them."""
+    if any(runtime.get("mean_s") is None for runtime in runtimes):
         return {}
     frames = sum(runtime["frames"] for runtime in runtimes)
     mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,16 @@ def test_without_a_file_it_is_printed(report, folder):
     code, out, _ = report(folder)
     assert (code, out[:8]) == (0, "# Report")
     assert report(folder / "a/result.json", "--format", "csv")[1].count("\n") == 2
+
+
+def test_a_map_of_another_program_has_no_runtime_on_all_sequences_either(report, folder):
+    first = Result.load(folder / "a/result.json")
+    runtime = {"mean_s": None, "std_s": None, "frames": 3}  # as a scored map has it
+    for name in ("a", "b"):
+        replace(first, sequence={"name": name, "digest": name}, runtime=runtime).save(folder / name / "result.json")
+    code, out, err = report(folder)
+    assert code == 0, err
+    assert "all 2" in out
 
 
 def test_what_two_paths_hold_is_found_once(report, folder):
