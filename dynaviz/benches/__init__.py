@@ -90,7 +90,7 @@ def bench(
         if not checked.search:
             return Board(rows)
         tried, found = study.search(desk, checked.search, learning, folder)
-        best = [one.best for one in found if one.best.variant]
+        best = [one.best for one in found if one.best.variant and one.best not in checked.sets]
         rows += desk.rows(best, learning)
         shown = {row.folder for row in rows}
         trials = {row.folder: row for row in tried if row.folder not in shown}

@@ -60,6 +60,17 @@ def test_the_best_of_the_trials_is_found_and_can_be_fed_back(
         assert fact in remark
 
 
+def test_a_best_set_that_a_grid_has_too_counts_once(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+    grid = {"toy": {"height": [1.0]}}
+    both = bench(table(rooms, grid=grid, search=wish(trials=1, height="1.0:1.0")), tmp_path)
+    assert both.found[0].best.variant == "height=1.0"
+    alone = bench(table(rooms, grid=grid), tmp_path)
+    assert [row.folder for row in both.rows] == [row.folder for row in alone.rows]
+    assert [total.counts for total in both.totals()] == [total.counts for total in alone.totals()]
+    held = bench(table(rooms, grid=grid, search=wish(trials=1, height="1.0:1.0"), holdout=["two"]), tmp_path)
+    assert len({row.folder for row in held.rows}) == len(held.rows) == 4
+
+
 def test_a_search_goes_on_where_it_was_left(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
     whole = bench(table(rooms[:1], search=wish(trials=12)), tmp_path / "whole")
     bench(table(rooms[:1], search=wish(trials=5)), tmp_path / "parts")
