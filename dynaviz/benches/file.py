@@ -13,6 +13,7 @@ from typing import Any, get_args
 
 from dynaviz import params, registry
 from dynaviz.benches.plan import ParameterSet, Plan, Search, Source, variant
+from dynaviz.datasets import known
 from dynaviz.errors import UsageError
 from dynaviz.registry import suggest
 from dynaviz.viz.paths import Mode
@@ -178,15 +179,17 @@ def _recorded(entry: Mapping[str, Any], place: str) -> Source:
     return Source(name, entry["path"], frames, entry.get("stride", 1), **known)
 
 
-def _held(entry: Any, sources: Iterable[Source]) -> Source:
-    """A sequence that is held out: by its name, or a further one."""
+def _held(entry: Any, sources: list[Source]) -> Source:
+    """A sequence that is held out: by its name or path, or a further one."""
     if named := next((source for source in sources if source.name == entry), None):
         return named
     other = _source(entry, "holdout")
-    if other.path and not Path(other.path.rpartition(":")[2]).exists():  # not opened: that is for the end
+    if other in sources:
+        return other
+    if other.path and not known(other.path):  # not opened: that is for the end
         names = ", ".join(source.name for source in sources)
-        raise UsageError(f"holdout: {entry} is no path, nor the name of a sequence here: {names}")
-    return next((source for source in sources if source == other), other)
+        raise UsageError(f"holdout: {entry} is no sequence, nor the name of one here: {names}")
+    return other
 
 
 def _sets(table: Mapping[str, Any], search: Search | None, place: str) -> Iterable[ParameterSet]:

@@ -61,6 +61,16 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     return part(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 
+def known(text: str) -> bool:
+    """Whether ``open_sequence`` finds something at a path, by names alone: no file is read.
+
+    Raises:
+        UsageError: for a format that is not known.
+    """
+    kind, path = _asked(text)
+    return (kind is not None and path.exists()) or any(each.matches(path) for each in _kinds())
+
+
 def _asked(text: str) -> tuple[type[Dataset] | None, Path]:
     """The format that a prefix asks for, if any, and the path."""
     prefix, colon, rest = text.partition(":")
@@ -83,16 +93,18 @@ def _fitting(kind: type[Dataset], options: Mapping[str, Any]) -> Mapping[str, An
     return options
 
 
+def _kinds() -> list[type[Dataset]]:
+    """All formats that can be loaded, those so general that they are asked last at the end."""
+    kinds: list[type[Dataset]] = []
+    for handle in registry.handles("datasets"):
+        with contextlib.suppress(PluginError):  # it breaks nobody else; asking for it by name tells what is wrong
+            kinds.append(handle.load())
+    return sorted(kinds, key=lambda kind: getattr(kind, "fallback", False))
+
+
 def _guess(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
     """The first format that matches; with options, of those that take them."""
-    kinds = []
-    for handle in registry.handles("datasets"):
-        try:
-            kind: type[Dataset] = handle.load()
-        except PluginError:  # it breaks nobody else; asking for it by name tells what is wrong
-            continue
-        kinds.append(kind)
-    kinds.sort(key=lambda kind: getattr(kind, "fallback", False))
+    kinds = _kinds()
     for kind in kinds:
         if _takes(kind, options) and kind.matches(path):
             return kind

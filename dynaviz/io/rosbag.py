@@ -93,7 +93,7 @@ class Bag:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag, by names alone."""
+    """Whether a bag is at a path, by names alone."""
     if path.is_dir():
         return (path / "metadata.yaml").is_file() or next(path.glob("*.bag"), None) is not None
-    return path.suffix.lower() in SUFFIXES
+    return path.suffix.lower() in SUFFIXES and path.is_file()

@@ -48,6 +48,27 @@ def test_files_of_poses_are_relative_to_the_file_but_topics_are_none(tmp_path: P
     assert (b.poses, b.points_in, b.deskew) == ("/odom", None, False)
 
 
+@pytest.mark.parametrize("name", ["nuscenes/scene-0061", "training/0012", "drive.bag#/topic", "drive.bag"])
+def test_what_is_held_out_may_be_part_of_what_a_path_holds(tmp_path: Path, name: str) -> None:
+    table = {"methods": ["octomap"], "sequences": [HALL], "search": {"kind": "bayes", "trials": 1}}
+    table["search"]["ranges"] = {"octomap": {"resolution": "0.1:0.2"}}
+    path = str(tmp_path / name)
+    with pytest.raises(UsageError, match="is no sequence, nor the name of one here: hall_vlp16"):
+        plan_of({**table, "holdout": [path]})
+    for folder in ("nuscenes/v1.0-mini", "training/oxts", "training/velodyne/0012"):
+        (tmp_path / folder).mkdir(parents=True)
+    for file in ("nuscenes/v1.0-mini/scene.json", "drive.bag"):
+        (tmp_path / file).touch()
+    assert plan_of({**table, "holdout": [path]}).sources[1].path == path
+
+
+def test_a_sequence_of_the_bench_is_held_out_by_its_path_too(tmp_path: Path) -> None:
+    table = {"methods": ["octomap"], "sequences": [HALL, str(tmp_path / "a")]}
+    table["search"] = {"kind": "bayes", "trials": 1, "ranges": {"octomap": {"resolution": "0.1:0.2"}}}
+    plan = plan_of({**table, "holdout": [str(tmp_path / "a")]})
+    assert (len(plan.sources), plan.holdout) == (2, {"a"})
+
+
 def test_methods_variants_and_grids_become_sets() -> None:
     table = {
         "methods": ["octomap"],
@@ -100,7 +121,7 @@ def test_every_method_runs_where_none_is_named() -> None:
         ({"workers": 0}, "at least 1"),
         ({"timing": True, "workers": 2}, "one cell at a time"),
         ({"holdout": ["hall_vlp16"]}, "at least one sequence that is not held out"),
-        ({"holdout": ["nowhere"]}, "nowhere is no path"),
+        ({"holdout": ["nowhere"]}, "nowhere is no sequence"),
         ({"search": {"kind": "bayes"}}, "[search]: give trials"),
         ({"search": {"kind": "bays", "trials": 1}}, "Did you mean 'bayes'"),
         ({"search": {"kind": "bayes", "trials": 1, "ranges": {"octomap": "0.1:0.2"}}}, "METHOD.PARAM"),
