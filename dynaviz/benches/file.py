@@ -248,6 +248,8 @@ def _search(table: Mapping[str, Any], place: str) -> Search:
         raise UsageError(
             f"{place}: give trials, at least 1, and ranges, as --trials 30 --range octomap.resolution=0.05:0.4"
         )
+    if not 0 <= table.get("seed", 0) < 2**32:
+        raise UsageError(f"{place}: seed = {table['seed']}: give one of 0 or more, below 2^32")
     if not all(isinstance(axes, dict) for axes in table["ranges"].values()):
         raise UsageError(f'{place}: give ranges as METHOD.PARAM = "LOW:HIGH"')
     ranges = {method: {name: str(text) for name, text in axes.items()} for method, axes in table["ranges"].items()}

@@ -18,6 +18,8 @@ from dynaviz.cli.run import Record
 if TYPE_CHECKING:
     from dynaviz.benches import Board, Watcher
 
+MOST_SEED = 2**32 - 1  # that optuna takes
+
 
 class Kind(StrEnum):
     """How a search chooses its trials."""
@@ -67,7 +69,9 @@ def bench(
     holdout: Annotated[
         list[str] | None, typer.Option(metavar="SEQ", help="A sequence that a search sees only at the end.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="For the choice of trials. [default: 0]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=MOST_SEED, help="For the choice of trials. [default: 0]")
+    ] = None,
 ) -> None:
     """Run methods on sequences with sets of parameters: one folder a cell, a leaderboard, and no cell run twice.
 
@@ -122,7 +126,9 @@ def _assigned(
     for text in grid or []:
         method, name, values = assignment(text, "--grid")
         given.setdefault("grid", {}).setdefault(method, {})[name] = values_of(values)
-    wish = _given(kind=search and search.value, trials=trials, seed=seed)
+    wish = _given(kind=search and search.value, trials=trials)
+    if seed is not None:
+        wish["seed"] = seed
     for text in ranges or []:
         method, name, values = assignment(text, "--range")
         wish.setdefault("ranges", {}).setdefault(method, {})[name] = values.strip()

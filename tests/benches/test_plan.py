@@ -124,6 +124,7 @@ def test_every_method_runs_where_none_is_named() -> None:
         ({"holdout": ["nowhere"]}, "nowhere is no sequence"),
         ({"search": {"kind": "bayes"}}, "[search]: give trials"),
         ({"search": {"kind": "bays", "trials": 1}}, "Did you mean 'bayes'"),
+        ({"search": {"kind": "bayes", "trials": 1, "seed": -1, "ranges": {"octomap": {}}}}, "seed = -1: give one of 0"),
         ({"search": {"kind": "bayes", "trials": 1, "ranges": {"octomap": "0.1:0.2"}}}, "METHOD.PARAM"),
     ],
 )  # fmt: skip
