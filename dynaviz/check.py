@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.io.plain_json import read_json
-from dynaviz.result import Result
+from dynaviz.result import Result, label
 
 if TYPE_CHECKING:
     from dynaviz.study import Cell
@@ -62,8 +62,7 @@ class Entry:
     @property
     def label(self) -> str:
         """Method and sequence, and what sets this run of it apart."""
-        apart = [text for text in (self.variant, "online" if self.online else "") if text]
-        return " ".join([self.method, *(f"({text})" for text in apart), "on", str(self.sequence.get("name"))])
+        return f"{label(self.method, self.variant, self.online)} on {self.sequence.get('name')}"
 
     @property
     def digest(self) -> str:

@@ -141,6 +141,12 @@ class Result:
         return console
 
 
+def label(method: str, variant: str, online: bool) -> str:
+    """A method, and what sets a run of it apart."""
+    apart = dict.fromkeys([variant, "online" if online else ""])
+    return " ".join([method, *(f"({text})" for text in apart if text)])
+
+
 def fits(value: Any, kind: Any) -> bool:
     """Whether a value from a file is as a pattern says.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError, UsageError
 from dynaviz.io.atomic import opened, write_whole
-from dynaviz.result import Result
+from dynaviz.result import Result, label
 
 if TYPE_CHECKING:
     from dynaviz.loop import Progress
@@ -51,9 +51,7 @@ class Cell:
     @property
     def label(self) -> str:
         """The method, and what sets this run of it apart."""
-        online = "online" if self.result is not None and self.result.online else ""
-        apart = dict.fromkeys([self.variant, online])
-        return " ".join([self.method, *(f"({text})" for text in apart if text)])
+        return label(self.method, self.variant, self.result is not None and self.result.online)
 
     @property
     def recording(self) -> Path | None:

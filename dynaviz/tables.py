@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dynaviz.result import Result
+from dynaviz.result import Result, label
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,7 +40,7 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
         champion = len(results) > 1 and _aa(result) == best[_group(result)] >= 0
         table.add_row(
             escape(str(result.sequence.get("name", ""))),
-            escape(_named(result)),
+            escape(label(result.method, result.variant, result.online)),
             _percent(result, "SA"),
             _percent(result, "DA"),
             f"[bold]{aa}[/bold]" if champion else aa,
@@ -63,12 +63,6 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         *(["* while its states were recorded"] if any(result.instrumented for result in results) else []),
     ]
     return "\n".join(lines)
-
-
-def _named(result: Result) -> str:
-    """The method, and what sets this run of it apart."""
-    apart = dict.fromkeys([result.variant, "online" if result.online else ""])
-    return " ".join([result.method, *(f"({text})" for text in apart if text)])
 
 
 def _group(result: Result) -> tuple[object, str]:

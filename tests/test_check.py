@@ -146,6 +146,11 @@ def test_what_failed_or_is_missing_falls() -> None:
     assert len(check(cells, baseline=baseline).fallen) == 1
 
 
+def test_what_sets_a_run_apart_is_said_once() -> None:
+    labels = [Entry.of(result(variant=variant, online=True)).label for variant in ("online", "fine", "")]
+    assert labels == ["octomap (online) on street", "octomap (fine) (online) on street", "octomap (online) on street"]
+
+
 def test_a_baseline_survives_its_file(tmp_path: Path) -> None:
     results = [result(method="b"), result((0, 0), method="a", variant="fine"), result(method="b")]
     write_baseline(tmp_path / "b.json", results)
