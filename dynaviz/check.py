@@ -141,11 +141,9 @@ def check(
     left = list(baseline or [])
     for cell in cells:
         if cell.result is None:
-            run = f"{cell.method} on {cell.sequence}"
+            run, failed = f"{cell.label} on {cell.sequence}", (cell.method, cell.variant, cell.sequence)
             findings.append(Finding(Verdict.FELL, run, "run", remark=f"failed: {cell.error}"))
-            left = [
-                entry for entry in left if (entry.method, entry.sequence.get("name")) != (cell.method, cell.sequence)
-            ]
+            left = [e for e in left if (e.method, e.variant, e.sequence.get("name")) != failed]
             continue
         now = Entry.of(cell.result)
         findings += [_least(now, name, least) for name, least in minima]

@@ -146,6 +146,15 @@ def test_what_failed_or_is_missing_falls() -> None:
     assert len(check(cells, baseline=baseline).fallen) == 1
 
 
+def test_a_variant_that_failed_hides_no_other_that_is_missing() -> None:
+    baseline = [Entry.of(result(variant=variant)) for variant in ("", "fine", "coarse")]
+    cells = [replace(cell(None, "no memory"), variant="fine"), cell(result())]
+    assert {f.run: f.remark for f in check(cells, baseline=baseline, complete=True).fallen} == {
+        "octomap (fine) on street": "failed: no memory",
+        "octomap (coarse) on street": "is in the baseline, but has no result",
+    }
+
+
 def test_what_sets_a_run_apart_is_said_once() -> None:
     labels = [Entry.of(result(variant=variant, online=True)).label for variant in ("online", "fine", "")]
     assert labels == ["octomap (online) on street", "octomap (fine) (online) on street", "octomap (online) on street"]
