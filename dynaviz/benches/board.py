@@ -92,6 +92,7 @@ class Board:
 
     def __rich__(self) -> RenderableType:
         from rich.console import Group
+        from rich.markup import escape
         from rich.table import Table
 
         from dynaviz.tables import result_table
@@ -110,7 +111,7 @@ class Board:
                 "sequence", "method", "failed", box=None, pad_edge=False, title="failed", title_justify="left"
             )
             for row in self.failed:
-                table.add_row(row.cell.source.name, row.cell.path.name, row.error)
+                table.add_row(*map(escape, (row.cell.source.name, row.cell.path.name, row.error or "")))
             parts.append(table)
         return Group(*parts)
 

@@ -84,6 +84,8 @@ def bench(
     dynaviz bench -m octomap -s A -s B --holdout B --search bayes --trials 30 \\
             --range octomap.resolution=log:0.05:0.4 -o bench
     """
+    from rich.markup import escape
+
     from dynaviz.benches import bench as run
     from dynaviz.benches import read
 
@@ -101,7 +103,7 @@ def bench(
     table |= _assigned(table, grid, search, trials, ranges, seed)
     with _watched() as watcher:
         board = run(table, out, scheduler=scheduler, fresh=not resume, watcher=watcher)
-    show(board, *_words(board, out))
+    show(board, *map(escape, _words(board, out)))
     if board.failed:
         raise typer.Exit(1)
 

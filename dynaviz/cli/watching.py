@@ -93,17 +93,17 @@ class Live(Watcher):
             self._done += row.result is not None
 
     def _table(self) -> RenderableType:
+        from rich.markup import escape
         from rich.table import Table
 
-        table = Table(
-            "sequence", "method", "state", box=None, pad_edge=False, title=self._title(), title_justify="left"
-        )
+        title = escape(self._title())
+        table = Table("sequence", "method", "state", box=None, pad_edge=False, title=title, title_justify="left")
         with self._lock:
             for row in self._last:
                 style = "red" if row.error else "dim" if row.kept else ""
-                table.add_row(row.cell.source.name, row.cell.path.name, scored(row), style=style)
+                table.add_row(*map(escape, (row.cell.source.name, row.cell.path.name, scored(row))), style=style)
             for path, state in self._running.items():
-                table.add_row(path.parent.name, path.name, state, style="bold")
+                table.add_row(*map(escape, (path.parent.name, path.name, state)), style="bold")
         return table
 
     def _title(self) -> str:

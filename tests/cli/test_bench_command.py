@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from dynaviz import benches
+from dynaviz.benches.plan import ParameterSet, Source
+from dynaviz.cli.watching import Live
 
 Command = Callable[..., tuple[int, str, str]]
+
+
+def failed(folder: Path, error: str, variant: str = "") -> benches.Row:
+    what = ParameterSet("octomap", variant, {})
+    return benches.Row(benches.Cell(Source("street"), what, "", "none"), folder, error=error)
+
+
+def shown(what: object) -> str:
+    console = Console(width=150, file=io.StringIO())
+    console.print(what)
+    return console.file.getvalue()
 
 
 @pytest.fixture
@@ -38,3 +53,21 @@ def test_a_seed_of_zero_takes_the_place_of_the_files_too(
 def test_a_seed_below_zero_is_refused(dynaviz: Command, tmp_path: Path) -> None:
     code, _, err = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path, "--seed", -1)
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
+
+
+def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    row = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]")
+    board, live = benches.Board([row]), Live()
+    live.preparing("reading [/street]", 1, 2)
+    live.running(row.cell, "label [/2]", 1, 2)
+    texts = [shown(live._table())]
+    live.ended(row)
+    texts += [shown(live._table()), shown(board)]
+    assert all("octomap-act=[auto]" in text for text in texts)
+    assert all("reading [/street] 1/2" in text for text in texts[:2])
+    assert "label [/2] 1/2" in texts[0]
+    assert all("no [auto] at [/tmp/x]" in text for text in texts[1:])
+    monkeypatch.setattr(benches, "bench", lambda *given, **how: board)
+    code, out, _ = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)
+    assert code == 1
+    assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
