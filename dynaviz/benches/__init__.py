@@ -74,6 +74,8 @@ def bench(
     checked = plan_of(given, "bench" if given is plan else os.fspath(plan))  # type: ignore[arg-type]
     if scheduler and checked.timing:
         raise UsageError("timing needs this machine alone: leave out --scheduler")
+    if scheduler and "workers" in given:
+        raise UsageError("a cluster has its own workers: leave out workers, or --scheduler")
     folder, watcher = Path(out), watcher or Watcher()
     if checked.search:
         from dynaviz.benches import study

@@ -90,8 +90,8 @@ def bench(
     from dynaviz.benches import read
 
     table = read(file) if file else {}
-    if timing:
-        table = {key: value for key, value in table.items() if key not in ("workers", "record")}
+    apart = ("workers", "record") if timing else ("workers",) if scheduler else ()
+    table = {key: value for key, value in table.items() if key not in apart}
     table |= _given(
         methods=methods,
         sequences=sequences,
@@ -143,17 +143,20 @@ def _words(board: Board, out: Path) -> Iterator[str]:
     """What was found, and where everything is."""
     for found in board.found:
         default = "n/a" if found.default_aa is None else f"{found.default_aa:.2f}"
+        trials = f"{found.trials} trials" + (f" ({found.failed} failed)" if found.failed else "")
         if found.best.variant:
-            yield f"{found.best.method}: AA {found.aa:.2f} is the best of {found.trials} trials; {default} by default."
+            yield f"{found.best.method}: AA {found.aa:.2f} is the best of {trials}; {default} by default."
         else:
-            yield f"{found.best.method}: none of {found.trials} trials is better than the defaults, AA {default}."
+            yield f"{found.best.method}: none of {trials} is better than the defaults, AA {default}."
         yield f"Use it with: dynaviz run {found.best.method} SEQ --config {found.preset}"
     every = [*board.rows, *board.trials]
     kept, failed = sum(row.kept for row in every), len(board.failed)
     done = f"{len(every) - failed} cells done" + (f", {kept} of them before" if kept else "")
     yield f"{done}, {failed} failed. Each has its folder: {out}/SEQUENCE/METHOD."
     if board.failed:
-        yield f"What went wrong: {board.failed[0].folder}/error.log. The same command runs only what is not done."
+        log = board.failed[0].folder / "error.log"
+        told = log if log.is_file() else log.with_name("error.json")  # a cell that never ran has no log
+        yield f"What went wrong: {told}. The same command runs only what is not done."
 
 
 @contextlib.contextmanager

@@ -71,3 +71,5 @@ def test_no_scheduler_is_told(rooms: list[Path], tmp_path: Path, monkeypatch: py
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path, scheduler="tcp://127.0.0.1:9")
     with pytest.raises(UsageError, match="leave out --scheduler"):
         bench({"sequences": [str(rooms[0])], "timing": True}, tmp_path, scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(UsageError, match="a cluster has its own workers"):
+        bench({"sequences": [str(rooms[0])], "workers": 1}, tmp_path, scheduler="tcp://127.0.0.1:9")

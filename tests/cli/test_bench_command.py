@@ -50,6 +50,20 @@ def test_a_seed_of_zero_takes_the_place_of_the_files_too(
         assert planned[-1]["search"]["seed"] == seed
 
 
+def test_a_cluster_takes_the_place_of_the_files_workers(
+    dynaviz: Command, planned: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    (tmp_path / "bench.toml").write_text('workers = 4\nrecord = "scores"\n')
+    there = ["--scheduler", "tcp://127.0.0.1:9"]
+    for typed, keys in (
+        (there, {"record"}),
+        ([*there, "--workers", 2], {"record", "workers"}),
+        (["--timing"], {"timing"}),
+    ):
+        assert dynaviz("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
+        assert planned[-1].keys() - {"sequences", "variants"} == keys
+
+
 def test_a_seed_below_zero_is_refused(dynaviz: Command, tmp_path: Path) -> None:
     code, _, err = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path, "--seed", -1)
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
@@ -71,3 +85,22 @@ def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.Monkey
     code, out, _ = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
     assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
+
+
+def test_the_file_that_tells_what_went_wrong_exists(
+    dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    board = benches.Board([failed(tmp_path, "cannot be read")])
+    monkeypatch.setattr(benches, "bench", lambda *given, **how: board)
+    for name in ("error.json", "error.log"):
+        (tmp_path / name).touch()
+        assert f"{name}. The same command" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+
+
+@pytest.mark.parametrize("variant", ["", "resolution=0.2"])
+def test_trials_that_failed_are_told(
+    dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
+) -> None:
+    found = benches.Found(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
+    monkeypatch.setattr(benches, "bench", lambda *given, **how: benches.Board([], found=[found]))
+    assert "of 7 trials (2 failed)" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
