@@ -104,7 +104,7 @@ def run(
         raise UsageError(f"seed = {seed}: give 0 or a positive number")
     kind = registry.load("methods", method)
     resolved = layers.resolve(kind, preset, config, settings)
-    metrics = tuple(handle.load()(kind.info) for handle in registry.handles("metrics"))
+    metrics = tuple(metric(kind.info) for metric in registry.loadable("metrics").values())
     this = Run(
         method=kind(resolved.params),
         sequence=sequence,
@@ -173,7 +173,7 @@ def score(
     given = scoring.given(map, radius, name)
     if folder is not None and given.path.name in FILES and given.path.resolve().parent == folder.resolve():
         raise UsageError(f"{given.path} would be replaced by the files of the run: give another folder than {folder}")
-    metrics = (scoring.Source(given), *(handle.load()(given.info) for handle in registry.handles("metrics")))
+    metrics = (scoring.Source(given), *(metric(given.info) for metric in registry.loadable("metrics").values()))
     this = Run(
         method=cast(Method, given),
         sequence=sequence,

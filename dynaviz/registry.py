@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import warnings
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -70,6 +71,17 @@ def load(kind: str, name: str) -> Any:
     if name not in known:
         raise UsageError(f"no {kind.removesuffix('s')} '{name}'. {suggest(name, known)}")
     return known[name].load()
+
+
+def loadable(kind: str) -> dict[str, Any]:
+    """All plug-ins of a kind by name, loaded; one that cannot be is warned of and left out."""
+    found = {}
+    for handle in handles(kind):
+        try:
+            found[handle.name] = handle.load()
+        except PluginError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return found
 
 
 def suggest(name: str, known: Any) -> str:

@@ -150,8 +150,8 @@ def combined(results: Sequence[Result]) -> Result:
     if len({result.scoring for result in results}) > 1:
         raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
     sections: dict[str, Any] = {}
-    for handle in registry.handles("metrics"):
-        if combine := getattr(handle.load(), "combine", None):
+    for metric in registry.loadable("metrics").values():
+        if combine := getattr(metric, "combine", None):
             sections |= combine([result.sections for result in results])
     total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
     digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))

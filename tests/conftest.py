@@ -12,6 +12,7 @@ import hypothesis
 import pytest
 from worlds import InMemory, room
 
+from dynaviz import registry
 from dynaviz.cli import main
 
 hypothesis.settings.register_profile("patient", deadline=None)  # the first call may compile a kernel
@@ -28,6 +29,17 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 @pytest.fixture
 def little_room() -> InMemory:
     return room()
+
+
+@pytest.fixture
+def broken_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plug-in of each kind that cannot be imported, beside all others."""
+    every = registry.handles
+
+    def handles(kind: str) -> list[registry.Handle]:
+        return [registry.Handle(kind, "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"), *every(kind)]
+
+    monkeypatch.setattr(registry, "handles", handles)
 
 
 @pytest.fixture

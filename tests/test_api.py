@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from worlds import InMemory
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
+from dynaviz.study import combined
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
@@ -67,3 +69,15 @@ def test_a_folder_that_cannot_be_written_is_told(
     monkeypatch.setattr("dynaviz.outputs.zipfile.ZipFile", refuse)
     with pytest.raises(DataError, match=r"labels\.npz: cannot be written"):
         dv.run("octomap", little_room, out=tmp_path, record="none")
+
+
+def test_a_broken_metric_ends_no_run_and_no_score(broken_plugins: None, little_room: InMemory, tmp_path: Path) -> None:
+    np.save(tmp_path / "map.npy", np.concatenate([scan.points[scan.labels == 0] for scan in little_room.scans]))
+    with pytest.warns(UserWarning, match="metric 'a_broken_one'"):
+        results = [dv.run("octomap", little_room)]
+    with pytest.warns(UserWarning, match="metric 'a_broken_one'"):
+        results.append(dv.score(tmp_path / "map.npy", little_room))
+    for result in results:
+        with pytest.warns(UserWarning, match="metric 'a_broken_one'"):
+            total = combined([result, result])
+        assert total.counts["static_kept"] == 2 * result.counts["static_kept"] > 0

@@ -22,6 +22,13 @@ def test_unknown_name_suggests_the_nearest() -> None:
         registry.load("methods", "zzz")
 
 
+def test_all_of_a_kind_but_those_that_are_broken(broken_plugins: None) -> None:
+    with pytest.warns(UserWarning, match=r"method 'a_broken_one' of somebody's 1\.0 cannot be loaded"):
+        found = registry.loadable("methods")
+    assert list(found) == [handle.name for handle in registry.handles("methods")][1:]
+    assert found["octomap"] is registry.load("methods", "octomap")
+
+
 def test_a_broken_plug_in_is_listed_and_breaks_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = metadata.EntryPoint("broken", "no_such_module:Thing", "dynaviz.methods")
     whole = metadata.entry_points(group="dynaviz.methods")

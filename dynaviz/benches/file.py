@@ -200,7 +200,7 @@ def _sets(table: Mapping[str, Any], search: Search | None, place: str) -> Iterab
         for n, entry in _numbered(table, "variants")
     ]
     named = [*grids, *(entry.get("method", "") for entry in variants), *(search.ranges if search else ())]
-    methods = table.get("methods") or list(dict.fromkeys(named)) or [h.name for h in registry.handles("methods")]
+    methods = table.get("methods") or list(dict.fromkeys(named)) or list(registry.loadable("methods"))
     base = {method: ParameterSet.of(str(method)) for method in dict.fromkeys(methods)}
     yield from base.values()
     for n, entry in enumerate(variants, 1):

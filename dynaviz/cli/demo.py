@@ -43,7 +43,7 @@ def demo(
     facts = folder / "sequence.toml"
     if facts.is_file() and "generator" in read_toml(facts):  # of an earlier demo; a user's data stays
         shutil.rmtree(folder)
-    names = [handle.name for handle in registry.handles("methods")]
+    names = list(registry.loadable("methods"))
     with compiling(), progress("simulating a street") as tell:
         simulate("demo", folder, progress=lambda done, total: tell("frames", done, total))
     results = []

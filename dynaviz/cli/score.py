@@ -57,8 +57,8 @@ def score(
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
     called = map.stem if name is None else name
     folder = out or Path("recordings") / opened.name / called
-    with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # remarks are told below
+    with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings(record=True) as remarks:
+        warnings.simplefilter("always", UserWarning)
         result = api.score(
             map,
             opened,
@@ -70,6 +70,6 @@ def score(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
-    for remark in result.sections["source"]["remarks"]:
+    for remark in dict.fromkeys(str(remark.message).removesuffix(".") for remark in remarks):
         print(f"dynaviz: warning: {remark}.", file=sys.stderr)
     show(result, written(folder, record is not Record.none))

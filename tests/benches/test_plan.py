@@ -93,6 +93,13 @@ def test_every_method_runs_where_none_is_named() -> None:
     assert {"octomap", "erasor", "dynablox"} <= methods
 
 
+def test_a_broken_method_is_left_out_where_none_is_named(broken_plugins: None) -> None:
+    with pytest.warns(UserWarning, match="method 'a_broken_one'"):
+        methods = {what.method for what in plan_of({"sequences": [HALL]}).sets}
+    assert "octomap" in methods
+    assert "a_broken_one" not in methods
+
+
 @pytest.mark.parametrize(
     ("table", "says"),
     [

@@ -119,3 +119,8 @@ def test_help_begins_with_examples(score: Command) -> None:
     code, out, _ = score("--help")
     assert code == 0
     assert out.index("  dynaviz score erasor_output.pcd") < out.index("Options:")
+
+
+def test_a_broken_metric_is_told(broken_plugins: None, score: Command, folder: Path, tmp_path: Path) -> None:
+    code, _, err = score(folder / "clean.pcd", folder / "room", "-o", tmp_path)
+    assert (code, err.count("warning: metric 'a_broken_one'"), ".." in err.splitlines()[-1]) == (0, 1, False), err
