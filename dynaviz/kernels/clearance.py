@@ -19,7 +19,7 @@ def beside(blocks, rows, keys, base, shape, top, children):
     Args:
         blocks: (B,) int32, numbers of blocks.
         rows: (all blocks + 1,) int32 scratch, zero before and after.
-        keys: (all blocks, 3) int32, and the grid's directory.
+        keys: (all blocks, 3) int64, and the grid's directory.
     """
     n = len(blocks)
     for r in prange(n):

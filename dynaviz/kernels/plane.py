@@ -34,5 +34,5 @@ def from_samples(points, samples, distance, least_up, confidence):
             most = near
             best[0], best[1], best[2], best[3] = nx, ny, nz, offset
             share = near / len(points)
-            needed = math.log(1.0 - confidence) / math.log(max(1.0 - share**3, 1e-300))
+            needed = math.log(1.0 - confidence) / math.log1p(-min(share**3, 1.0 - 1e-15))
     return best, most

@@ -29,7 +29,7 @@ def floors(columns, starts, blocks, number, height, floor):
     Args:
         columns: (K,) int64, which.
         starts: (C + 1,) int64, the first block of each column, and the end.
-        blocks: (B, 3) int32, their keys.
+        blocks: (B, 3) int64, their keys.
         number, height: (B, 8), as ``add`` fills them.
     """
     for k in prange(len(columns)):
@@ -61,7 +61,7 @@ def floors(columns, starts, blocks, number, height, floor):
 
 @njit(cache=True, nogil=True, parallel=True)
 def pits(surface, deep):
-    """Cells (X, Y) that lie ``deep`` below more than three in four of the 24 around them, as reflections do."""
+    """Cells (X, Y) that lie ``deep`` below more than three in four of the 5 x 5 around them, as reflections do."""
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
     for x in prange(rows):
@@ -123,10 +123,15 @@ def spanned(voxels, column, columns):
 
 @njit(cache=True, nogil=True)
 def heights(points, voxels, column, columns, first, surface):
-    """(N,) float32: how far points (N, 3) lie above a surface whose first cell is column ``first``; infinite for -1."""
+    """(N,) float32: how far points (N, 3) lie above a surface whose first cell is column ``first``.
+
+    Infinite for -1, beside the surface, and where the surface is infinite.
+    """
     found = np.full(len(voxels), np.float32(np.inf))
     for i in range(len(voxels)):
         if voxels[i] >= 0:
             c = column[voxels[i] >> 9]
-            found[i] = points[i, 2] - surface[columns[c, 0] - first[0], columns[c, 1] - first[1]]
+            x, y = columns[c, 0] - first[0], columns[c, 1] - first[1]
+            if 0 <= x < surface.shape[0] and 0 <= y < surface.shape[1] and surface[x, y] < np.inf:
+                found[i] = points[i, 2] - surface[x, y]
     return found

@@ -12,7 +12,6 @@ class Kind(IntEnum):
     CAR = 10
     PARKED_BICYCLE = 11
     ROAD = 40
-    PARKING = 44
     SIDEWALK = 48
     OTHER_GROUND = 49
     BUILDING = 50
@@ -30,17 +29,11 @@ class Kind(IntEnum):
     MOVING_TRUCK = 258
     MOVING_OTHER_VEHICLE = 259
 
-    @property
-    def moving(self) -> bool:
-        """Whether the class is a moving one."""
-        return self >= Kind.MOVING_CAR
-
 
 CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in Kind}
 
 REFLECTANCE = {
     Kind.ROAD: 0.2,
-    Kind.PARKING: 0.2,
     Kind.SIDEWALK: 0.3,
     Kind.OTHER_GROUND: 0.3,
     Kind.BUILDING: 0.5,

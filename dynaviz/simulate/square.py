@@ -93,15 +93,14 @@ def _crowd(scene: Scene, traffic: float) -> None:
     for count in range(round(28 * traffic)):
         pace = scene.rng.uniform(0.9, 1.6)
         stands = scene.duration * scene.rng.uniform(0.3, 0.7) if count % 5 == 1 else None
-        scene.walk(*_way(scene, pace, scene.duration, stands, close_to_wall=count % 4 == 0))
+        scene.walk(*_way(scene, pace, stands, close_to_wall=count % 4 == 0))
     for _ in range(round(4 * traffic)):
-        scene.move(Kind.MOVING_BICYCLIST, *_way(scene, 3.5, scene.duration), things.cyclist)
+        scene.move(Kind.MOVING_BICYCLIST, *_way(scene, 3.5), things.cyclist)
 
 
 def _way(
     scene: Scene,
     pace: float,
-    duration: float,
     stands: float | None = None,
     close_to_wall: bool = False,
 ) -> tuple[Path, Schedule]:

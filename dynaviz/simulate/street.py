@@ -59,6 +59,8 @@ def _profile(aside: F64) -> F64:
 def street(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
     """Build a street for a sensor that drives along it.
 
+    On its right there is a gutter below the kerb; on its left the road rises to the pavement.
+
     Args:
         rng: chooses everything.
         duration: of the recording, seconds.

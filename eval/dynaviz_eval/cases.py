@@ -1,6 +1,8 @@
-"""Wrong points joined into cases while frames go by, in memory that does not grow with their number."""
+"""Wrong points joined into cases while frames go by, in memory that grows neither with points nor with small cases."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +29,12 @@ class Cases:
     Args:
         reasons: number of reason codes.
         span: metres that a case may extend along an axis; what is larger falls into several.
+        forgotten: told of small cases that are over, a row each (``summed``): they are not kept.
     """
 
-    def __init__(self, reasons: int, span: float) -> None:
+    def __init__(
+        self, reasons: int, span: float, forgotten: Callable[[NDArray[np.void]], None] = lambda cases: None
+    ) -> None:
         self._limit = int(min(span / EDGE, 1 << 30))
         self.kind = np.dtype(
             [
@@ -39,7 +44,7 @@ class Cases:
             ]
         )  # fmt: skip
         self.rows = np.empty(0, self.kind)
-        self.dropped = summed(self.rows)  # small cases, which are told only in total
+        self._forgotten = forgotten
         self._new: list[NDArray[np.void]] = []
         self._table, self._cells = np.full(1024, -1, np.int64), np.empty((1024, 3), np.int64)
         self._remembered = 0
@@ -125,7 +130,7 @@ class Cases:
         largest = np.zeros(len(old), np.bool_)
         largest[np.argsort(-points, kind="stable")[:KEEP]] = True
         keep = ~done | largest
-        self.dropped = np.concatenate([self.dropped, summed(rows[~keep[which]])])
+        self._forgotten(summed(rows[~keep[which]]))
         self.rows, new = rows[keep[which]], np.cumsum(keep) - 1
         self.rows["case"] = new[which][keep[which]]
         self._forget(frame, old, keep, new)

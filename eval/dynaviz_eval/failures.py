@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,12 @@ class Failures:
     def __init__(self, info: MethodInfo) -> None:
         self._reasons = info.reasons
         spans = {"false_negative": np.inf, "false_positive": SPAN}
-        self._cases = {kind: Cases(len(info.reasons) + 1, span) for kind, span in spans.items()}
+        self._cases = {
+            kind: Cases(len(info.reasons) + 1, span, partial(self._count, kind)) for kind, span in spans.items()
+        }
+        self._causes: dict[str, dict[str, dict[str, int]]] = {
+            kind: defaultdict(lambda: {"cases": 0, "points": 0}) for kind in spans
+        }
         self._names: dict[int, str] = {}
         self._totals = dict.fromkeys(_KINDS, 0)
         self._frame = 0
@@ -59,24 +65,19 @@ class Failures:
 
     def finish(self) -> Mapping[str, Any]:
         """The section."""
-        causes: dict[str, dict[str, dict[str, int]]] = {}
         told: list[tuple[dict[str, Any], NDArray[np.void]]] = []
         for kind, cases in self._cases.items():
             cases.settle(self._frame, over=True)
             told += self._described(kind, cases.rows)
-            causes[kind] = defaultdict(lambda: {"cases": 0, "points": 0})
-            every = np.concatenate([summed(cases.rows), cases.dropped])
-            for cause, points in zip(causes_of(kind, every, self._reasons), every["points"].tolist(), strict=True):
-                causes[kind][str(cause or "unknown")]["cases"] += 1
-                causes[kind][str(cause or "unknown")]["points"] += points
+            self._count(kind, summed(cases.rows))
         told.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))
         self._told = told[:KEEP]
+        counts = [count for by in self._causes.values() for count in by.values()]
         others = {
-            "cases": sum(count["cases"] for by in causes.values() for count in by.values()) - len(self._told),
-            "points": sum(count["points"] for by in causes.values() for count in by.values())
-            - sum(case["points"] for case, _ in self._told),
+            "cases": sum(count["cases"] for count in counts) - len(self._told),
+            "points": sum(count["points"] for count in counts) - sum(case["points"] for case, _ in self._told),
         }
-        ordered = {kind: dict(sorted(by.items(), key=lambda i: -i[1]["points"])) for kind, by in causes.items()}
+        ordered = {kind: dict(sorted(by.items(), key=lambda i: -i[1]["points"])) for kind, by in self._causes.items()}
         return {"failures": {"cases": [case for case, _ in self._told], "causes": ordered, "others": others}}
 
     def figures(self) -> Mapping[str, Figure]:
@@ -100,11 +101,19 @@ class Failures:
             )
         }
 
+    def _count(self, kind: str, over: NDArray[np.void]) -> None:
+        """Add cases that are over to those of their causes."""
+        for cause, points in zip(causes_of(kind, over, self._reasons), over["points"].tolist(), strict=True):
+            count = self._causes[kind][str(cause or "unknown")]
+            count["cases"] += 1
+            count["points"] += points
+
     def _described(self, kind: str, rows: NDArray[np.void]) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
         """Each case as plain JSON values, with its rows."""
         total = summed(rows)
         for case, cause in zip(total, causes_of(kind, total, self._reasons), strict=True):
             group, points = int(case["group"]), int(case["points"])
+            number = (group >> 32) - 1  # of its class
             plain = {
                 "kind": kind,
                 "points": points,
@@ -123,9 +132,9 @@ class Failures:
                 "moved": round(float(case["moved"]), 1),
                 "reasons": self._by_name(case["reasons"]),
                 "cause": None if cause is None else str(cause),
-                "class": (group >> 32) - 1 if group else None,
+                "class": number if number >= 0 else None,
                 "instance": (group & 0xFFFFFFFF) or None,
-                "what": self._names.get((group >> 32) - 1) or shape(kind, case["high"] - case["low"]),
+                "what": self._names.get(number) or shape(kind, case["high"] - case["low"]),
             }
             yield {**plain, "sentence": sentence(plain)}, rows[rows["case"] == case["case"]]
 

@@ -85,6 +85,9 @@ class DynabloxParams:
         for name in ("resolution", "truncation", "occupied_distance", "cluster_distance"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
+        if self.cluster_distance < self.resolution / 32:  # keys of its cells have the room of so many a voxel
+            least = f"{self.resolution / 32:g} m, a 32nd of resolution"
+            raise ValueError(f"cluster_distance = {self.cluster_distance}: give at least {least}")
         for name in ("min_range", "max_range", "field_of_view", "image_rows", "temporal_buffer", "burn_in"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give a number of at least 0")

@@ -175,7 +175,7 @@ class Erasor:
         self._tiles = Tiles(points)
         self._map = points[self._tiles.order]  # (V, 3) float32, metres; and what ``port`` inserts
         self._gone = np.zeros(len(points), np.bool_)
-        self._voxel = np.append(self._tiles.rank, -1).astype(np.int32)[voxels]  # (M,) of each raw point; -1: none
+        self._voxel = np.append(self._tiles.rank, np.int32(-1))[voxels]  # (M,) of each raw point; -1: none
         self._why = np.zeros(len(points) + 1, np.uint8)  # the last entry is of raw points without a voxel
         self._why[-1] = UNJUDGED
         self._first: dict[int, int] = {}  # of each scan by its index: its first raw point
@@ -260,6 +260,8 @@ class Erasor:
         self._tree = None
 
     def _insert(self, points: F32) -> None:
+        if not len(points):
+            return
         self._tiles.append(points)
         self._map = np.concatenate([self._map, points])
         self._gone = np.append(self._gone, np.zeros(len(points), np.bool_))
@@ -277,7 +279,9 @@ class Erasor:
             self._tree = cKDTree(self.cleaned_map())
         far = np.zeros(len(scan), np.bool_)
         judged = np.flatnonzero(self._reasons(scan) != UNJUDGED)
-        nearest, _ = self._tree.query(scan.points[judged], distance_upper_bound=np.nextafter(NEAR, 1))
+        nearest, _ = self._tree.query(
+            scan.points[judged], distance_upper_bound=np.nextafter(NEAR, 1), workers=kernels.threads_in_use()
+        )
         far[judged] = np.isinf(nearest)
         return far
 

@@ -84,6 +84,7 @@ class FreeSpace:
         self._blocks, inner = _blocks_of(self.grid), _blocks_of(BlockGrid(extent, size))
         keys = self._blocks @ KEY
         self._inner = np.isin(keys, inner @ KEY)
+        self._outer = np.append(~self._inner, True)  # the last is none
         self.neighbours = np.stack([_find(keys, keys + shift @ KEY) for shift in AROUND], 1).reshape(-1, 27)
         full = np.where(self._inner, ~np.uint64(0), np.uint64(0))
         self._needed = kernels.ever_free.spread(np.repeat(full[:, None], 8, 1), self.neighbours)
@@ -93,7 +94,7 @@ class FreeSpace:
     def locate(self, points: F32) -> I64:
         """(N,) int64: the voxel of each point, metres, world frame; -1 where there is none."""
         voxels = self.grid.locate(points)
-        voxels[~np.append(self._inner, False)[voxels // VOXELS]] = -1
+        voxels[self._outer[voxels // VOXELS]] = -1
         return voxels
 
     def learn(self, voxels: I64) -> tuple[Bits, Bits]:
@@ -150,8 +151,12 @@ class FreeSpace:
         """Average the signed distances of all voxels in view with those that the range image tells."""
         p, view, k = self._params, self._view.numbers, kernels.signed_distance
         pose = self._position, self._axes
-        seen = k.in_view(self._blocks, 8 * p.resolution, *pose, view, self._tiles, p.truncation)
-        self._in_view = np.flatnonzero(seen).astype(np.int32)
+        edge = 8 * p.resolution
+        reach = float(self._tiles.max()) + p.truncation + edge
+        ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
+        first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
+        seen = k.in_view(self._blocks[first:last], edge, *pose, view, self._tiles, p.truncation)
+        self._in_view = (first + np.flatnonzero(seen)).astype(np.int32)
         k.integrate(
             *(self._in_view, self._blocks, p.resolution, *pose, self._offsets(), view, self.image.ravel()),
             *(p.truncation, p.occupied_distance, p.max_weight, self._needed, self._first),

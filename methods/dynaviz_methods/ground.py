@@ -44,7 +44,9 @@ def ground_plane(points: F32, distance: float, angle: float, random: np.random.G
 
 
 def _near(points: F32, normal: F64, offset: float, distance: float) -> Bool:
-    near: Bool = np.abs(points @ normal - offset) < distance
+    # Not by @: its last bits depend on the machine and on threads.
+    x, y, z = points.T.astype(np.float64)
+    near: Bool = np.abs(normal[0] * x + normal[1] * y + normal[2] * z - offset) < distance
     return near
 
 
@@ -52,7 +54,8 @@ def _fit(points: F32) -> Plane:
     """The plane of least squared distances: across the direction in which the points spread least."""
     centre = points.mean(0, dtype=np.float64)
     spread = points - centre
-    normal = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+    moments = np.array([[(a * b).sum() for b in spread.T] for a in spread.T])
+    normal = np.linalg.eigh(moments)[1][:, 0]
     normal = np.copysign(1.0, normal[2]) * normal  # upwards
     radius = float(np.sqrt((spread**2).sum(1).max()))
     return Plane(normal, float(normal @ centre), centre, radius)

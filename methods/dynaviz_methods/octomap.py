@@ -142,7 +142,7 @@ class OctoMap:
 
     def begin(self, context: Context) -> None:
         """Lay out the map where points will lie."""
-        self._context, self._probe = context, context.probe
+        self._seed, self._probe = context.seed, context.probe
         self._grid = BlockGrid(context.extent, self.params.resolution)
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._log_odds = np.zeros((rows, VOXELS), np.float32)
@@ -208,7 +208,7 @@ class OctoMapG(OctoMap):
     def _find_ground(self, scan: Scan, among: Bool) -> Bool:
         ground = np.zeros(len(scan), np.bool_)
         chosen = np.flatnonzero(among & np.isfinite(scan.points).all(1))
-        random = np.random.default_rng((self._context.seed, scan.index))
+        random = np.random.default_rng((self._seed, scan.index))
         near, plane = ground_plane(scan.points[chosen], self.params.ground_distance, self.params.ground_angle, random)
         ground[chosen[near]] = True
         self._ground[scan.index] = np.packbits(ground)

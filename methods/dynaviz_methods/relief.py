@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.scan import F32
+from dynaviz.scan import F32, F64
 
 I64 = NDArray[np.int64]
 
 SLOPE = 0.2  # metres a metre: steeper is no ground but a thing that stands on it
+WIDE = 1024  # columns to each side of the sensor: beyond them nothing is told, for a stray return may be anywhere
 PIT = 0.3  # metres: what lies so far below most around it is no ground but a reflection
 
 
@@ -22,12 +23,12 @@ class Relief:
     a column's points, and is no pit among the columns around.
 
     Args:
-        blocks: (B, 3) int32, keys of a grid's blocks of 8^3 voxels, sorted.
+        blocks: (B, 3) int64, keys of a grid's blocks of 8^3 voxels, sorted.
         resolution: edge of a voxel, metres.
     """
 
-    def __init__(self, blocks: NDArray[np.int32], resolution: float) -> None:
-        self._blocks, self._step = blocks, SLOPE * 8 * resolution
+    def __init__(self, blocks: I64, resolution: float) -> None:
+        self._blocks, self._edge, self._step = blocks, 8 * resolution, SLOPE * 8 * resolution
         turns = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
         self._starts = np.append(turns, len(blocks))
         self._columns = blocks[turns, :2].astype(np.int64)
@@ -44,13 +45,23 @@ class Relief:
         kernels.relief.add(voxels, kernels.frozen(points, np.float32), self._number, self._height)
         self._stale[self._column[voxels >> 9]] = True
 
-    def height(self, points: F32, voxels: I64) -> F32:
-        """(N,) float32: metres above the ground; infinite where there is none near, or no voxel."""
+    def height(self, points: F32, voxels: I64, position: F64) -> F32:
+        """(N,) float32: metres above the ground.
+
+        Infinite where no ground is known around the scan, for points without a voxel, and ``WIDE`` from the sensor.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+            voxels: (N,) int64, -1 for none.
+            position: (3,) float64, metres, world frame: the sensor.
+        """
         stale = np.flatnonzero(self._stale[:-1])
         kernels.relief.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
         self._stale[:] = False
         place = (voxels, self._column, self._columns)
         low, high = kernels.relief.spanned(*place)
+        middle = np.floor(position[:2] / self._edge).astype(np.int64)
+        low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
         if (low > high).any():
             return np.full(len(points), np.inf, np.float32)
         near = slice(*np.searchsorted(self._columns[:, 0], (low[0], high[0] + 1)))

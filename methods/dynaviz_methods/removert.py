@@ -181,6 +181,7 @@ class Removert:
         self._map_points = np.append(self._tiles.rank, np.int32(-1))[places]
         self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
         self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
+        self._met[:-1] = IN_VIEW if params.port else 0  # there each is judged, or not the nearest of its pixel
         self._places: dict[int, slice] = {}  # of each scan in the raw map
         self._end = 0  # in the raw map, of the scans observed so far
         self._tree: cKDTree | None = None  # of the cleaned map
@@ -252,7 +253,6 @@ class Removert:
 
     def _judge_nearest(self, nearest: I32, flagged: Bool, seen: Bool) -> None:
         """Judge the map point that is nearest in its pixel, and no other."""
-        self._met[:-1] |= IN_VIEW
         images = slices(self._views)
         for k, image in enumerate(images):
             self._past[nearest[image][flagged[image]]] |= np.uint8(1 << k)

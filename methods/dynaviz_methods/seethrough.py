@@ -80,6 +80,8 @@ class SeeThroughParams:
         for name in ("resolution", "gap"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
+        if self.gap < self.resolution / 32:  # keys of its cells have the room of so many a voxel
+            raise ValueError(f"gap = {self.gap}: give at least resolution / 32 = {self.resolution / 32:g} m")
         if not 0 <= self.guard <= 7 * self.resolution * 1.001:
             raise ValueError(f"guard = {self.guard}: give metres from 0 to 7 voxels of {self.resolution} m")
         if not 1 <= self.votes <= 65535:
@@ -130,7 +132,7 @@ class ClearGrid(BlockGrid):
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
 
     @property
-    def blocks(self) -> NDArray[np.int32]:
+    def blocks(self) -> I64:
         """(B, 3) keys of its blocks, sorted."""
         return self._blocks
 
@@ -155,7 +157,10 @@ class ClearGrid(BlockGrid):
         return Marks(*kernels.raycast.collect(*self._scratch))
 
     def near(self, marks: Marks, hit: NDArray[np.uint64], times: int) -> NDArray[np.uint64]:
-        """(B, 8) uint64: voxels of the marked blocks in the cubes of 2 times + 1 voxels a side around those hit."""
+        """(B, 8) uint64: voxels of the marked blocks in the cubes of 2 times + 1 voxels a side around those hit.
+
+        Cubes grow from block to block beside it, as far as these are marked.
+        """
         sides = kernels.clearance.beside(marks.blocks, self._rows, self._blocks, *self._place)
         padded = np.zeros((len(hit) + 1, 8), np.uint64)
         padded[:-1] = hit
@@ -184,7 +189,7 @@ class SeeThrough:
         places = 4 * len(self._relief) + 4
         self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
         self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
-        self._observed = self._labelled = 0
+        self._number: dict[int, int] = {}  # of each scan by its index: the how manieth was observed
         self._reasons: dict[int, U8] = {}  # four bits a point, packed
 
     def observe(self, scan: Scan) -> None:
@@ -196,24 +201,23 @@ class SeeThrough:
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
         self._relief.add(points, voxels)
-        why = self._judge(points, voxels, places, self._observed, self._so_far)
-        self._seen[places[(why != LOW) & (why != FOOT)]] = self._observed
-        self._dynamic[places[why == SEEN_THROUGH]] = self._observed
+        now = self._number[scan.index] = len(self._number)
+        why = self._judge(scan, points, voxels, places, self._so_far)
+        self._seen[places[(why != LOW) & (why != FOOT)]] = now
+        self._dynamic[places[why == SEEN_THROUGH]] = now
         self._show(why, marks.blocks, crossed & ~hit, near)
-        self._observed += 1
 
     def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the point is of something dynamic. The first time, scans come in their order."""
+        """(N,) bool: True where the point is of something dynamic. Trails need scans to be asked for in order."""
         dynamic: Bool = REMOVED[self.explain(scan)]
         return dynamic
 
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8, codes of ``REASONS``; decided when a scan is first asked for."""
         if scan.index not in self._reasons:
-            why = self._judge(*self._located(scan), self._labelled, self._movers)
+            why = self._judge(scan, *self._located(scan), self._movers)
             even, odd = np.append(why, np.zeros(len(why) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
-            self._labelled += 1
         pairs = self._reasons[scan.index]
         return np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
 
@@ -223,9 +227,10 @@ class SeeThrough:
         voxels = self._grid.locate(points)
         return points, voxels, self._relief.quarters(voxels)
 
-    def _judge(self, points: F32, voxels: I64, places: I64, now: int, movers: NDArray[np.int32]) -> U8:
-        """(N,) uint8, codes of ``REASONS``, for scan number ``now``; movers: where any were, and then are."""
-        params, height = self.params, self._relief.height(points, voxels)
+    def _judge(self, scan: Scan, points: F32, voxels: I64, places: I64, movers: NDArray[np.int32]) -> U8:
+        """(N,) uint8, codes of ``REASONS``, for an observed scan; movers: where any were, and then are."""
+        params, now = self.params, self._number[scan.index]
+        height = self._relief.height(points, voxels, scan.position)
         within, low = voxels >= 0, height <= params.ground_height
         objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
         verdict = self._movement(objects, n, voxels, places, now, movers)
@@ -246,7 +251,7 @@ class SeeThrough:
     def _movement(
         self, objects: NDArray[np.int32], n: int, voxels: I64, places: I64, now: int, movers: NDArray[np.int32]
     ) -> U8:
-        """(N,) uint8: why points are of an object that moves, or 0."""
+        """(N,) uint8: why points are of an object that moves, or 0; such objects leave a trail in ``movers``."""
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)

@@ -67,19 +67,20 @@ def components(frames: list[np.ndarray]) -> list[frozenset[tuple[int, int]]]:
 def test_cases_are_connected_components(seed, n, frames, size):
     rng = np.random.default_rng(seed)
     scans = [rng.uniform(-size, size, (rng.integers(0, n + 1), 3)).astype(np.float32) for _ in range(frames)]
-    cases = Cases(2, np.inf)
+    small = []
+    cases = Cases(2, np.inf, small.append)
     for frame, points in enumerate(scans):
         m = len(points)
         empty = np.zeros(m, np.uint8)
         cases.add(frame, points, np.zeros(m, np.int64), empty, np.zeros(m, np.float32), np.zeros(m, np.bool_))
     cases.settle(frames - 1, over=True)
-    found = np.concatenate([summed(cases.rows)["points"], cases.dropped["points"]])
+    found = np.concatenate([some["points"] for some in (summed(cases.rows), *small)])
     assert sorted(found) == sorted(len(c) for c in components(scans))
 
 
 def test_memory_does_not_grow_with_frames():
-    rng, cases = np.random.default_rng(1), Cases(2, np.inf)
-    sizes = []
+    small, sizes = [], []
+    rng, cases = np.random.default_rng(1), Cases(2, np.inf, small.append)
     for frame in range(600):
         points = rng.uniform([frame - 40, -40, -40], [frame + 40, 40, 40], (60, 3)).astype(np.float32)
         none = np.zeros(60, np.int64)
@@ -87,8 +88,13 @@ def test_memory_does_not_grow_with_frames():
         sizes.append((len(cases._table), len(cases._parent), len(cases.rows)))
     assert (np.max(sizes[300:], axis=0) <= 1.5 * np.max(sizes[100:300], axis=0)).all()
     cases.settle(599, over=True)
-    assert summed(cases.rows)["points"].sum() + cases.dropped["points"].sum() == 36000
+    assert sum(some["points"].sum() for some in (summed(cases.rows), *small)) == 36000
     assert len(np.unique(cases.rows["case"])) == KEEP
+
+
+def test_an_object_of_no_class_has_none():
+    (case,) = section(labelled(0, [[1.0, 0, 0]] * 9, 1, False, instances=np.full(9, 4)))["cases"]
+    assert (case["class"], case["instance"]) == (None, 4)
 
 
 def test_a_large_hole_is_told_in_parts_and_a_long_trail_in_one():

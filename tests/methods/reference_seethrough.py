@@ -105,7 +105,8 @@ class Reference:
         inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
         voxel = {i: key(points[i], size) for i in inside}
         surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
-        height = {i: float(points[i, 2]) - surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
+        ground = {i: surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
+        height = {i: float(points[i, 2]) - g if g < np.inf else np.inf for i, g in ground.items()}
         up = [i for i in inside if not height[i] <= params.ground_height]
         dynamic = np.zeros(len(points), bool)
         whole: set[int] = set()

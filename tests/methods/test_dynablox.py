@@ -314,6 +314,7 @@ def test_the_view_is_the_sensors_unless_given():
         ("revoke_after", 0),
         ("revoke_after", 65535),
         ("max_cluster", 19),
+        ("cluster_distance", 0.001),
     ],
 )
 def test_values_that_make_no_sense_are_refused(name, value):

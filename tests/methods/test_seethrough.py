@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -130,7 +131,7 @@ def test_reflections_below_the_ground_do_not_lower_it() -> None:
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
     relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
     relief.add(points, voxels)
-    height = relief.height(points, voxels)
+    height = relief.height(points, voxels, np.zeros(3))
     assert np.abs(height[: len(slope)][(slope[:, :2] < 12).all(1)]).max() < 0.13, (
         "half a column's width up or down the slope, and what it is pressed"
     )
@@ -144,7 +145,22 @@ def test_ground_under_a_roof_is_the_ground_beside_it() -> None:
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
     relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
     relief.add(points, voxels)
-    assert (relief.height(points, voxels)[len(around) :] > 0.5).all()
+    assert (relief.height(points, voxels, np.zeros(3))[len(around) :] > 0.5).all()
+
+
+def test_where_no_ground_is_known_nothing_is_low_and_a_stray_return_costs_nothing() -> None:
+    points = np.concatenate([GROUND, [[3000.0, 2500.0, 1.0], [-3000.0, 0.0, 1.0]]]).astype(np.float32)
+    grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
+    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    assert np.isinf(relief.height(points, voxels, np.zeros(3))).all()
+    relief.add(points, voxels)
+    tracemalloc.start()
+    height = relief.height(points, voxels, np.zeros(3))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert np.isinf(height[-2:]).all()
+    assert np.abs(height[:-2]).max() < 0.2
+    assert most < 150e6
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
@@ -243,6 +259,7 @@ def test_the_crossing_is_cleaned() -> None:
     [
         ({"resolution": 0.0}, "resolution"),
         ({"gap": -1.0}, "gap"),
+        ({"gap": 0.003}, "gap"),
         ({"guard": 0.9}, "guard"),
         ({"votes": 0}, "votes"),
         ({"share": 1.0}, "share"),

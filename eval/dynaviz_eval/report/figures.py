@@ -50,7 +50,8 @@ def scores(boards: Sequence[Board], looks: Looks) -> Picture | None:
                 if row.label in board.best("AA"):
                     _name(axes, row.label, sa, da, low)
             axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
-        _legend(figure, grid[0], [row for board in drawn for row in board.rows], looks, "DA [%]: dynamic removed")
+        _legend(figure, [row for board in drawn for row in board.rows], looks, lines=False)
+        grid[0].set_ylabel("DA [%]: dynamic removed")
         caption = (
             "Static against dynamic accuracy: the best corner is top right. Thin lines join points of equal AA; "
             "the best method of each sequence is named."
@@ -72,7 +73,8 @@ def speed(boards: Sequence[Board], looks: Looks) -> Picture | None:
                 axes.plot(row.result.runtime["mean_s"], row.score("AA") or 0.0, linestyle="", **look, **hollow)
             axes.set(title=board.title, xlabel="seconds per frame (log)")
             _log(axes)
-        _legend(figure, grid[0], [row for board in drawn for row in board.rows], looks, "AA [%]")
+        _legend(figure, [row for board in drawn for row in board.rows], looks, lines=False)
+        grid[0].set_ylabel("AA [%]")
         hollow_note = (
             " Hollow: while states were recorded, so slower than the method alone."
             if any(row.result.instrumented for b in drawn for row in b.rows)
@@ -106,7 +108,7 @@ def ranges(board: Board, name: str, looks: Looks) -> Picture | None:
             said = "static kept" if kind == "false_positive" else "dynamic removed"
             axes.set(title=f"{score}: {said}", ylabel=f"{score} [%]", xlabel="range from the sensor [m]")
             axes.set_xticks(range(len(ticks)), ticks)
-        _legend(figure, grid[0], drawn, looks)
+        _legend(figure, drawn, looks)
         caption = f"Accuracy against range on {board.title}. Hollow marks stand for fewer than {FEW} points."
         caption += BEST * (len(drawn) < len(board.rows))
         return Picture(name, svg(figure, name, caption), caption)
@@ -324,16 +326,13 @@ def _log(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _legend(figure: Figure, axes: Axes, rows: Sequence[Row], looks: Looks, ylabel: str = "") -> None:
-    """One legend of methods above all panels."""
+def _legend(figure: Figure, rows: Sequence[Row], looks: Looks, lines: bool = True) -> None:
+    """One legend of methods above all panels, with their lines or with their marks alone."""
     from matplotlib.lines import Line2D
 
     methods = list(dict.fromkeys(row.result.method for row in rows))
-    if ylabel:
-        axes.set_ylabel(ylabel)
-    handles = [
-        Line2D([], [], **({**looks.line(m), "linestyle": ""} if ylabel else looks.line(m)), label=m) for m in methods
-    ]
+    bare = {} if lines else {"linestyle": ""}
+    handles = [Line2D([], [], **{**looks.line(m), **bare}, label=m) for m in methods]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=min(len(methods), 8), handlelength=2.4, columnspacing=1.4
     )
