@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz.loop import peak_rss_mb
-from dynaviz_eval.cases import Cases, summed
+from dynaviz_eval.cases import GAP, Cases, summed
 
 FRAMES, POINTS = 143, 35_000
 
@@ -26,7 +26,7 @@ def main() -> None:
             cases.add(frame, points, groups, codes, ranges, codes > 0)
             spent += time.perf_counter() - start
         start = time.perf_counter()
-        cases.settle(FRAMES - 1, over=True)
+        cases.settle(FRAMES + GAP)
         spent += time.perf_counter() - start
         if not first:  # which compiles
             found = len(summed(cases.rows)) + len(small)

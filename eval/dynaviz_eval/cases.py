@@ -112,13 +112,8 @@ class Cases:
             parent[:used], low[:used], high[:used] = self._parent[:used], self._low[:used], self._high[:used]
             self._parent, self._low, self._high = parent, low, high
 
-    def settle(self, frame: int, over: bool = False) -> None:
-        """Number cases anew, and forget those that are over and not among the ``KEEP`` largest.
-
-        Args:
-            frame: the last frame seen.
-            over: no frame comes any more.
-        """
+    def settle(self, frame: int) -> None:
+        """Number cases anew, and forget those that are over by this frame and not among the ``KEEP`` largest."""
         rows = np.concatenate([self.rows, *self._new])
         self._new = []
         rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
@@ -126,7 +121,7 @@ class Cases:
         old, which = np.unique(rows["case"], return_inverse=True)
         points, last = np.bincount(which, rows["points"], len(old)), np.zeros(len(old), np.int64)
         np.maximum.at(last, which, rows["frame"])
-        done = (last < frame - GAP) | over
+        done = last < frame - GAP
         largest = np.zeros(len(old), np.bool_)
         largest[np.argsort(-points, kind="stable")[:KEEP]] = True
         keep = ~done | largest

@@ -15,7 +15,7 @@ from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameBoxes, Labelled
 from dynaviz.scan import F32, Bool, Label, Outcome, Scan
 from dynaviz_eval.blame import causes_of, sentence, shape
-from dynaviz_eval.cases import EDGE, KEEP, Cases, summed
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 
 I64 = NDArray[np.int64]
 
@@ -67,7 +67,7 @@ class Failures:
         """The section."""
         told: list[tuple[dict[str, Any], NDArray[np.void]]] = []
         for kind, cases in self._cases.items():
-            cases.settle(self._frame, over=True)
+            cases.settle(self._frame + GAP + 1)  # by then all are over
             told += self._described(kind, cases.rows)
             self._count(kind, summed(cases.rows))
         told.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))

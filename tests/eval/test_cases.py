@@ -16,7 +16,7 @@ def test_a_row_tells_the_points_of_a_case_in_a_frame():
     cases = Cases(3, np.inf)
     points = [[0.1, 0.2, 0.3], [9, 9, 9], [0.2, 0.1, 0.6], [0.3, 0.3, 0.2]]
     add(cases, 4, points, [7, 8, 7, 7], [0, 2, 1, 200], [1.5, 5, 2.5, 2], [True, False, True, False])
-    cases.settle(4, over=True)
+    cases.settle(4 + GAP + 1)
     row, other = sorted(cases.rows, key=lambda row: row["group"])
     assert [int(row[name]) for name in ("frame", "group", "points", "cells", "beside")] == [4, 7, 3, 2, 2]
     np.testing.assert_allclose(row["low"], [0.1, 0.1, 0.2], rtol=1e-6)
@@ -29,7 +29,7 @@ def test_what_was_two_cases_of_a_frame_becomes_one_row():
     cases = Cases(1, np.inf)
     add(cases, 0, [[0, 0, 0], [2, 0, 0]], ranges=[1, 4], beside=True)
     add(cases, 1, [[0.6, 0, 0], [1.1, 0, 0], [1.6, 0, 0]])  # a bridge between them
-    cases.settle(1, over=True)
+    cases.settle(1 + GAP + 1)
     first, second = cases.rows
     assert (first["case"], second["case"], first["frame"], second["frame"]) == (0, 0, 0, 1)
     assert (first["points"], first["cells"], first["beside"], first["ranges"]) == (2, 2, 2, 5)
@@ -41,7 +41,7 @@ def test_a_sum_tells_first_last_and_worst_frame_and_the_way_between_middles():
     cases = Cases(1, np.inf)
     for frame, x, n in ((0, 0.0, 1), (1, 0.3, 4), (2, 0.6, 4), (5, 0.9, 2)):
         add(cases, frame, [[x, 0, 0]] * n + [[x, 0.2, 0.2]])
-    cases.settle(5, over=True)
+    cases.settle(5 + GAP + 1)
     (total,) = summed(cases.rows)
     assert [int(total[name]) for name in ("frames", "first", "last", "frame", "points")] == [4, 0, 5, 1, 15]
     np.testing.assert_allclose(total["moved"], 0.3, rtol=1e-5)  # three first: 0, .3, .6; three last: .3, .6, .9
@@ -64,7 +64,7 @@ def test_a_case_that_goes_on_after_a_settling_is_the_same():
     cases = Cases(1, np.inf)
     for frame in range(3 * EVERY):
         add(cases, frame, [[0.1 * frame, 0, 0], [0, 50 + 0.1 * frame, 0]])
-    cases.settle(3 * EVERY - 1, over=True)
+    cases.settle(3 * EVERY + GAP)
     assert sorted(summed(cases.rows)["frames"]) == [3 * EVERY] * 2
 
 
@@ -72,7 +72,7 @@ def test_a_span_bounds_a_case_also_over_frames_and_settlings():
     cases = Cases(1, 5.0)
     for frame in range(4 * EVERY):
         add(cases, frame, [[0.25 * frame, 0, 0]])
-    cases.settle(4 * EVERY - 1, over=True)
+    cases.settle(4 * EVERY + GAP)
     total = summed(cases.rows)
     assert (total["high"] - total["low"]).max() < 5.0
     assert len(total) == 4

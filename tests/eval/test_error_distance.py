@@ -165,3 +165,12 @@ def test_a_full_disk_is_said():
     spill._file = Full()
     with pytest.raises(DynavizError, match=r"No space left.*TMPDIR"):
         spill.append(0, np.zeros((5, 3), np.float32))
+
+
+def test_percentiles_of_evenly_spread_distances():
+    """One distance at every 0.1 mm: a percentile lies where its share of them is reached, no nearer."""
+    fine = np.zeros(20001, np.int64)
+    fine[:10000] = 1
+    found = summary(fine)
+    assert (found["p10"], found["p50"], found["p90"]) == (0.1, 0.5, 0.9)
+    assert (found["within_0.1"], found["within_0.3"], found["within_1.0"]) == (10.0, 30.0, 100.0)

@@ -73,7 +73,7 @@ def test_cases_are_connected_components(seed, n, frames, size):
         m = len(points)
         empty = np.zeros(m, np.uint8)
         cases.add(frame, points, np.zeros(m, np.int64), empty, np.zeros(m, np.float32), np.zeros(m, np.bool_))
-    cases.settle(frames - 1, over=True)
+    cases.settle(frames + GAP)
     found = np.concatenate([some["points"] for some in (summed(cases.rows), *small)])
     assert sorted(found) == sorted(len(c) for c in components(scans))
 
@@ -87,7 +87,7 @@ def test_memory_does_not_grow_with_frames():
         cases.add(frame, points, none, none.astype(np.uint8), np.zeros(60, np.float32), none.astype(np.bool_))
         sizes.append((len(cases._table), len(cases._parent), len(cases.rows)))
     assert (np.max(sizes[300:], axis=0) <= 1.5 * np.max(sizes[100:300], axis=0)).all()
-    cases.settle(599, over=True)
+    cases.settle(599 + GAP + 1)
     assert sum(some["points"].sum() for some in (summed(cases.rows), *small)) == 36000
     assert len(np.unique(cases.rows["case"])) == KEEP
 
