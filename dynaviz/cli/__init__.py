@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any
+from typing import Any, TextIO
 
 import typer
 from typer.core import TyperGroup
@@ -74,7 +75,11 @@ def main() -> None:
     """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted, 143 terminated."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        app(standalone_mode=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = _warn
+            _warned.clear()
+            app(standalone_mode=True)
     except DynavizError as error:
         if os.environ.get("DYNAVIZ_DEBUG"):
             raise
@@ -85,6 +90,26 @@ def main() -> None:
         if code in (130, 143):
             print("dynaviz:", "interrupted." if code == 130 else "terminated.", *_notes(end), file=sys.stderr)
         sys.exit(code)
+
+
+_warned: set[str] = set()
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Tell a warning in a line, once; those of programmers to programmers with the place in the code."""
+    told = f"dynaviz: warning: {str(message).removesuffix('.')}."
+    if not issubclass(category, UserWarning):
+        told = warnings.formatwarning(message, category, filename, lineno)
+    if told not in _warned:
+        _warned.add(told)
+        print(told, file=sys.stderr)
 
 
 def _notes(error: BaseException | None) -> Iterator[str]:

@@ -1,9 +1,7 @@
-"""What the verbs that open a sequence share: the options that say how, and warnings of one line."""
+"""What the verbs that open a sequence share: the options that say how."""
 
 from __future__ import annotations
 
-import sys
-import warnings
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,12 +35,7 @@ Deskew = Annotated[
 
 
 def open_sequence(path: str, **how: Any) -> Sequence:
-    """``dynaviz.open``; what is remarkable about the data is written to standard error, a line each."""
+    """``dynaviz.open``, loaded when it is needed."""
     from dynaviz import api
 
-    with warnings.catch_warnings(record=True) as remarks:
-        warnings.simplefilter("always", UserWarning)
-        sequence = api.open(path, **how)
-    for remark in remarks:
-        print(f"dynaviz: warning: {remark.message}.", file=sys.stderr)
-    return sequence
+    return api.open(path, **how)

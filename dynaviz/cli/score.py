@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -57,8 +56,7 @@ def score(
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
     called = map.stem if name is None else name
     folder = out or Path("recordings") / opened.name / called
-    with progress(f"{called} on {opened.name}") as tell, warnings.catch_warnings(record=True) as remarks:
-        warnings.simplefilter("always", UserWarning)
+    with progress(f"{called} on {opened.name}") as tell:
         result = api.score(
             map,
             opened,
@@ -70,6 +68,4 @@ def score(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
-    for remark in dict.fromkeys(str(remark.message).removesuffix(".") for remark in remarks):
-        print(f"dynaviz: warning: {remark}.", file=sys.stderr)
     show(result, written(folder, record is not Record.none))
