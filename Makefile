@@ -20,8 +20,10 @@ lint: .venv/.dev
 types: .venv/.dev
 	$(BIN)/mypy
 
+CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck
 boundscheck: .venv/.dev  # kernels again, with every index checked
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck $(BIN)/pytest -q $(ALL_CORES) \
+	$(CHECKED) $(BIN)/python -m dynaviz.precompile
+	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) \
 		-k 'not golden and not report and (not conforms or survives or keeps_points)' tests/kernels tests/methods tests/eval \
 		tests/testing tests/laws/test_places.py tests/test_grid.py tests/test_nearest.py tests/io/test_pcd.py
 
@@ -56,7 +58,7 @@ check: lint types test boundscheck docs
 
 .venv/.dev: .venv/.user
 	@echo "installing the tools for tests ..."
-	@$(PIP) --editable '.[dev]'
+	@$(PIP) --no-compile --editable '.[dev]'
 	@touch $@
 
 clean:

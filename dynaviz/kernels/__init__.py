@@ -55,7 +55,7 @@ def threads_in_use() -> int:
 
 def compiled() -> bool:
     """Whether there are compiled kernels on disk, from an earlier process."""
-    folders = [*__path__, *filter(None, [os.environ.get("NUMBA_CACHE_DIR")])]
+    folders = [elsewhere] if (elsewhere := os.environ.get("NUMBA_CACHE_DIR")) else __path__
     return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
 
 
