@@ -18,10 +18,9 @@ from dynaviz.loop import Listener, Progress, Run, execute
 from dynaviz.method import Method
 from dynaviz.outputs import FILES, LabelsFile, MapFiles, Outdated, write_summary
 from dynaviz.probe import SILENT, Probe
-from dynaviz.result import Result
+from dynaviz.result import Mode, Result
 from dynaviz.scan import Sequence, part
 from dynaviz.sensors import load_sensor
-from dynaviz.viz.paths import Mode
 
 Record = Literal[Mode, "none"]
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz.answers import BAND_NAMES, Answers
 from dynaviz.scan import F32, F64, U8, Label, Outcome
-from dynaviz.viz.answers import BAND_NAMES, Answers
 
 I64 = NDArray[np.int64]
 

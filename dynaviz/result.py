@@ -10,7 +10,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_whole
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 SCHEMA = 1
+Mode = Literal["full", "errors", "scores"]  # how much a recording holds
 _HINT = "Give the result.json of a run"
 
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import bootstrap
 
+from dynaviz.answers import BAND_NAMES, Answers
 from dynaviz.comparison import (
     BOTH,
     FIRST,
@@ -27,7 +28,6 @@ from dynaviz.comparison import (
     scores,
 )
 from dynaviz.scan import Outcome, outcomes
-from dynaviz.viz.answers import BAND_NAMES, Answers
 from dynaviz_eval.confusion import Counts
 
 NAMES = {0: "zero", 1: "one", 2: "two"}

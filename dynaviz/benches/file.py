@@ -16,7 +16,7 @@ from dynaviz.benches.plan import ParameterSet, Plan, Search, Source, variant
 from dynaviz.datasets import known
 from dynaviz.errors import UsageError
 from dynaviz.registry import suggest
-from dynaviz.viz.paths import Mode
+from dynaviz.result import Mode
 
 RECORDS = (*get_args(Mode), "none")
 KEYS: dict[str, dict[str, Any]] = {

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from dynaviz import registry
+from dynaviz.answers import Answers
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
 from dynaviz.scan import F32, Outcome, Scan
 from dynaviz.viz import paths
-from dynaviz.viz.answers import Answers
 from dynaviz.viz.reader import Drawn, Recording
 
 

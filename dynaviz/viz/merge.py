@@ -12,13 +12,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from dynaviz.answers import Answers
 from dynaviz.compared import Comparison, label
 from dynaviz.comparison import BOTH, FIRST, NEITHER, SECOND, Crossed, PlaceGains, frame_gains, who_is_right
 from dynaviz.io.atomic import whole_file
 from dynaviz.loop import Progress
 from dynaviz.scan import F32, F64, U8, Label
 from dynaviz.viz import compare_layout, paths
-from dynaviz.viz.answers import Answers
 from dynaviz.viz.compare_layout import (
     CHANGED,
     COLOURS,

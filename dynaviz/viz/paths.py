@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Outcome
 
 APPLICATION = "dynaviz"
-Mode = Literal["full", "errors", "scores"]  # how much a recording holds
 SCHEMA = 1  # of a recording's content; a reader refuses what is newer
 
 FRAME = "frame"  # timeline: position in the run, 0, 1, ...

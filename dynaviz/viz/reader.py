@@ -17,12 +17,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from dynaviz.answers import ARCHETYPE, Answers
 from dynaviz.errors import DataError
 from dynaviz.method import Cause, Reason
 from dynaviz.result import Result
 from dynaviz.scan import F32, U8
 from dynaviz.viz import paths
-from dynaviz.viz.answers import ARCHETYPE, Answers
 from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")

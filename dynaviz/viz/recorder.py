@@ -12,18 +12,18 @@ from typing import Any, get_args
 import numpy as np
 import rerun as rr
 
+from dynaviz import answers
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.loop import Listener, Run
 from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
-from dynaviz.result import Result, environment
+from dynaviz.result import Mode, Result, environment
 from dynaviz.scan import Outcome, Scan
 from dynaviz.survey import Survey
-from dynaviz.viz import answers, paths, sink, states, viewer
+from dynaviz.viz import paths, sink, states, viewer
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
-from dynaviz.viz.paths import Mode
 from dynaviz.viz.report import Tally, before, failure_list, listed, report
 from dynaviz.viz.scene import Scene
 

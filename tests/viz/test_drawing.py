@@ -46,7 +46,7 @@ def lab(rgb: np.ndarray) -> np.ndarray:
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 
-@settings(deadline=None)
+@settings(deadline=None, max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 60))
 def test_a_map_keeps_one_point_per_voxel_below_its_cap(seed: int, cap: int) -> None:
     random = np.random.default_rng(seed)

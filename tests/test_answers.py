@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from worlds import pose
 
+from dynaviz.answers import BAND_NAMES, Answers, range_bands
 from dynaviz.metric import Labelled
 from dynaviz.scan import Label, Scan
-from dynaviz.viz.answers import BAND_NAMES, Answers, range_bands
 
 
 @settings(deadline=None)
