@@ -101,7 +101,7 @@ def grow(voxels, seeds, neighbours):
 
 @njit(cache=True, nogil=True)
 def merge(points, clusters, distance):
-    """The same clusters (N,), of which those with points nearer than a distance are one: its earliest."""
+    """The same clusters (N,); those with points (N, 3) nearer than a distance, metres, are one: its earliest."""
     n = len(points)
     merged, parent = clusters.copy(), np.arange(clusters.max() + 1 if n else 0)
     per_metre = 1.0 / distance

@@ -11,7 +11,7 @@ _KEEP = 5  # lowest points that a cell remembers
 
 @njit(cache=True, nogil=True)
 def above_ground(points, size):
-    """(N,) float32: height of each point above a low point of the cells around it.
+    """(N,) float32, metres: height of each point (N, 3) above a low point of the cells, of edge ``size``, around it.
 
     The ground of a cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile where they hold
     fewer than 20: so a few points below the ground do not matter.

@@ -52,7 +52,10 @@ def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
 
 @njit(cache=True, nogil=True)
 def heights(points, rows, bins, n):
-    """(n,) float64: highest minus lowest point of each of n bins, NaN without points; and (n,) int64: its points."""
+    """(n,) float64, metres: highest minus lowest point of each of n bins, NaN without any; and (n,) int64: its points.
+
+    Points (N, 3) float32, metres; rows and bins (K,) as from ``locate``.
+    """
     low = np.full(n, np.inf)
     high = np.full(n, -np.inf)
     counts = np.zeros(n, np.int64)

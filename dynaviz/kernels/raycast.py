@@ -141,7 +141,14 @@ def _inside(v, base, shape):
 
 @njit(cache=True, nogil=True, parallel=True)
 def mark(points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used):
-    """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``."""
+    """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
+
+    Args:
+        points: (N, 3) float32, metres, world frame, where rays end.
+        origins: (N or 1, 3) float64, metres, world frame, where they start.
+        casts, hits: (N,) bool: whether a ray is walked, and whether its end counts as a hit.
+        per_metre: voxels a metre; the others are the grid's directory and its scratch memory.
+    """
     n, several = len(points), len(origins) > 1
     for lane in prange(len(used)):
         count = np.int64(0)

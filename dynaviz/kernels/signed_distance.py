@@ -43,7 +43,13 @@ def _angle(y, x):
 
 @njit(cache=True, nogil=True, parallel=True)
 def pixels(points, position, axes, nearest, farthest, view):
-    """Pixel of each point (-1: not in view), its range, and whether that lies within (nearest, farthest)."""
+    """Pixels of points (N, 3), metres, world frame, seen from a position (3,) along axes (3, 3), sensor from world.
+
+    Returns:
+        pixels: (N,) int32, row * columns + column; -1 where not in view.
+        ranges: (N,) float32, metres.
+        inside: (N,) bool: whether the range lies within (nearest, farthest), metres.
+    """
     n, rows, columns = len(points), int(view[0]), int(view[1])
     found, ranges, inside = np.full(n, np.int32(-1)), np.empty(n, np.float32), np.zeros(n, np.bool_)
     for i in prange(n):
@@ -65,7 +71,10 @@ def pixels(points, position, axes, nearest, farthest, view):
 
 @njit(cache=True, nogil=True)
 def image(pixels, ranges, rows, columns):
-    """The nearest range in each pixel, 0 where there is none; and the farthest of those in each tile."""
+    """(rows * columns,) float32, metres: the nearest range in each pixel, 0 where there is none.
+
+    And (tiles down, tiles across) float32: the farthest of those in each tile.
+    """
     nearest = np.zeros(rows * columns, np.float32)
     for i in range(len(pixels)):
         p = pixels[i]
@@ -81,7 +90,11 @@ def image(pixels, ranges, rows, columns):
 
 @njit(cache=True, nogil=True, parallel=True)
 def in_view(blocks, edge, position, axes, view, tiles, truncation):
-    """Whether a block (B, 3), of the given edge, might hold a voxel that the image tells of; errs towards True."""
+    """(B,) bool: whether a block might hold a voxel that the image tells of; errs towards True.
+
+    Blocks (B, 3) are in edges (metres) from the world's origin; position and axes as for ``pixels``, tiles as from
+    ``image``; voxels up to ``truncation`` metres behind a surface count.
+    """
     radius, seen = 0.8661 * edge, np.zeros(len(blocks), np.bool_)
     highest, columns = tiles.max(), int(view[1])
     for b in prange(len(blocks)):
@@ -183,6 +196,7 @@ def integrate(
 ):  # fmt: skip
     """Average each voxel of the active blocks with what the image says of it.
 
+    active: (A,) int32, rows of blocks (B, 3); size: edge of a voxel, metres; position, axes and image as above.
     offsets: (3, 512) float32, metres, in the sensor's axes: from a block's corner to its voxels' centres.
     Sets bits of voxels ``observed`` ever, ``near`` (below that distance), and ``updated`` now.
     """
