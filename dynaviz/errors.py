@@ -42,7 +42,7 @@ class DataError(DynavizError):
 
 
 class PluginError(DynavizError):
-    """A method, dataset or metric whose code cannot be loaded."""
+    """A method, dataset or metric whose code cannot be loaded, or does not keep to its contract."""
 
 
 class MissingDependency(DynavizError):

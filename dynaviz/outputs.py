@@ -79,9 +79,9 @@ class LabelsFile(Listener):
 class Outdated(Listener):
     """A listener that goes before those that write: at the end of a run it takes away what an earlier one left there.
 
-    These are the files whose absence or presence says something: ``result.json``, which comes back last; and those that
-    this run does not write, ``run.rrd`` where its recording is elsewhere, and ``config.toml``. Until then all is as it
-    was, so a run that fails takes nothing from the one before.
+    These are the files whose absence says something: ``result.json`` and ``config.toml``, which come back last, if at
+    all; and ``run.rrd`` where this run's recording is elsewhere. Until then all is as it was, so a run that fails takes
+    nothing from the one before.
     """
 
     def __init__(self, folder: Path, recording: Path | None):

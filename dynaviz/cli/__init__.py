@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 import warnings
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any
 
 import typer
 from typer.core import TyperGroup
@@ -75,10 +76,7 @@ def main() -> None:
     """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted, 143 terminated."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("always", UserWarning)
-            warnings.showwarning = _warn
-            _warned.clear()
+        with _warnings_in_lines():
             app(standalone_mode=True)
     except DynavizError as error:
         if os.environ.get("DYNAVIZ_DEBUG"):
@@ -92,24 +90,23 @@ def main() -> None:
         sys.exit(code)
 
 
-_warned: set[str] = set()
+@contextlib.contextmanager
+def _warnings_in_lines() -> Iterator[None]:
+    """Tell each warning to users in a line, once; those to programmers come as Python shows them."""
+    told, shown = set(), warnings.showwarning
 
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        line = f"dynaviz: warning: {str(message).removesuffix('.')}."
+        if not issubclass(category, UserWarning):
+            shown(message, category, *place, **more)
+        elif line not in told:
+            told.add(line)
+            print(line, file=sys.stderr)
 
-def _warn(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Tell a warning in a line, once; those of programmers to programmers with the place in the code."""
-    told = f"dynaviz: warning: {str(message).removesuffix('.')}."
-    if not issubclass(category, UserWarning):
-        told = warnings.formatwarning(message, category, filename, lineno)
-    if told not in _warned:
-        _warned.add(told)
-        print(told, file=sys.stderr)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show
+        yield
 
 
 def _notes(error: BaseException | None) -> Iterator[str]:

@@ -18,8 +18,6 @@ from dynaviz.cli.run import Record
 if TYPE_CHECKING:
     from dynaviz.benches import Board, Watcher
 
-MOST_SEED = 2**32 - 1  # that optuna takes
-
 
 class Kind(StrEnum):
     """How a search chooses its trials."""
@@ -69,9 +67,7 @@ def bench(
     holdout: Annotated[
         list[str] | None, typer.Option(metavar="SEQ", help="A sequence that a search sees only at the end.")
     ] = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, max=MOST_SEED, help="For the choice of trials. [default: 0]")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="For the choice of trials. [default: 0]")] = None,
 ) -> None:
     """Run methods on sequences with sets of parameters: one folder a cell, a leaderboard, and no cell run twice.
 
@@ -109,8 +105,8 @@ def bench(
 
 
 def _given(**flags: Any) -> dict[str, Any]:
-    """The flags that were typed."""
-    return {key: value for key, value in flags.items() if value}
+    """The flags that were typed, be it a 0."""
+    return {key: value for key, value in flags.items() if value or (value == 0 and value is not False)}
 
 
 def _assigned(
@@ -128,9 +124,7 @@ def _assigned(
     for text in grid or []:
         method, name, values = assignment(text, "--grid")
         given.setdefault("grid", {}).setdefault(method, {})[name] = values_of(values)
-    wish = _given(kind=search and search.value, trials=trials)
-    if seed is not None:
-        wish["seed"] = seed
+    wish = _given(kind=search and search.value, trials=trials, seed=seed)
     for text in ranges or []:
         method, name, values = assignment(text, "--range")
         wish.setdefault("ranges", {}).setdefault(method, {})[name] = values.strip()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -46,7 +46,7 @@ def convert(
     with progress(f"converting {opened.name}") as tell:
         done = write(opened, out, lambda frame, total: tell("frames", frame, total))
     for remark in done.remarks():
-        print(f"dynaviz: warning: {remark}.", file=sys.stderr)
+        warnings.warn(remark, stacklevel=1)
     poses_ = "poses bit for bit" if done.pose_error == 0 else f"poses to {done.pose_error:.0e}"
     show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {poses_}.")
     show(f"Next: {program()} run octomap_gf {out}")

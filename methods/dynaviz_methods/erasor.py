@@ -26,7 +26,7 @@ from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import F32, F64, U8, Bool, Scan
 from dynaviz_methods.polar import PolarBins
-from dynaviz_methods.tiles import Tiles, thinned
+from dynaviz_methods.tiles import laid_out, thinned
 
 NEAR = 0.05  # metres: the port's map stands for the points this near to one of its own
 PILLAR = 0.5  # metres: the cubes that show flagged bins
@@ -171,12 +171,10 @@ class Erasor:
         assert context.raw_map is not None  # as info.needs_map asks
         p = self.params
         self._bins = PolarBins(p.max_range, p.rings, p.sectors, p.min_height, p.max_height)
-        points, voxels = thinned(context.raw_map, p.map_voxel)
-        self._tiles = Tiles(points)
-        self._map = points[self._tiles.order]  # (V, 3) float32, metres; and what ``port`` inserts
-        self._gone = np.zeros(len(points), np.bool_)
-        self._voxel = np.append(self._tiles.rank, np.int32(-1))[voxels]  # (M,) of each raw point; -1: none
-        self._why = np.zeros(len(points) + 1, np.uint8)  # the last entry is of raw points without a voxel
+        # The map, (V, 3) float32, metres, to which ``port`` adds; and the voxel of each raw point, (M,), -1 for none.
+        self._tiles, self._map, self._voxel = laid_out(*thinned(context.raw_map, p.map_voxel))
+        self._gone = np.zeros(len(self._map), np.bool_)
+        self._why = np.zeros(len(self._map) + 1, np.uint8)  # the last entry is of raw points without a voxel
         self._why[-1] = UNJUDGED
         self._first: dict[int, int] = {}  # of each scan by its index: its first raw point
         self._seen = self._end = 0

@@ -47,6 +47,11 @@ def chunks(spans: I64) -> I64:
     return kernels.frozen(np.stack([start, np.minimum(start + most, np.repeat(last, pieces))], 1), np.int64)
 
 
+def whole(points: int) -> tuple[I64, np.float32]:
+    """All of so many points, however far: their chunks, and the reach, metres."""
+    return chunks(np.array([[0, points]])), np.float32(np.inf)
+
+
 def slices(views: F64) -> list[slice]:
     """Where each image is in the flat array."""
     return [slice(int(view[6]), int(view[6] + view[0] * view[1])) for view in views]

@@ -30,8 +30,8 @@ from dynaviz.errors import UsageError
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import F32, F64, U8, Bool, Scan
-from dynaviz_methods.range_images import chunks, image_views, picture, slices
-from dynaviz_methods.tiles import Tiles, thinned
+from dynaviz_methods.range_images import chunks, image_views, picture, slices, whole
+from dynaviz_methods.tiles import laid_out, thinned
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -174,11 +174,9 @@ class Removert:
         resolutions = (*params.resolutions, *params.revert_resolutions)
         self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
         assert context.raw_map is not None  # as info.needs_map asks
-        points, places = thinned(context.raw_map, params.voxel)
-        self._tiles = Tiles(points)
-        self._map = kernels.frozen(points[self._tiles.order].T, np.float32)
+        self._tiles, points, self._map_points = laid_out(*thinned(context.raw_map, params.voxel))
+        self._map = kernels.frozen(points.T, np.float32)
         # An entry more than there are map points: raw points without one are at -1.
-        self._map_points = np.append(self._tiles.rank, np.int32(-1))[places]
         self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
         self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
         self._met[:-1] = IN_VIEW if params.port else 0  # there each is judged, or not the nearest of its pixel
@@ -191,8 +189,7 @@ class Removert:
         self._places[scan.index] = slice(self._end, self._end + len(scan))
         self._end += len(scan)
         self._tree = None
-        whole = chunks(np.array([[0, len(scan)]])), np.float32(np.inf)
-        scan_ranges, _ = self._nearest(scan, scan.points.T, *whole)
+        scan_ranges, _ = self._nearest(scan, scan.points.T, *whole(len(scan)))
         near = self._within_reach(scan, scan_ranges)
         before = self._past[rows := _rows(near[0])] if self._probe.wants("accused") else None
         if self.params.port or self._draws():

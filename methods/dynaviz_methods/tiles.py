@@ -32,26 +32,39 @@ def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
     return points[finite], np.where(finite, np.cumsum(finite) - 1, -1).astype(np.int32)
 
 
-class Tiles:
-    """The points of a map in the order of square tiles over x and y.
+def laid_out(points: F32, voxels: NDArray[np.int32]) -> tuple[Tiles, F32, NDArray[np.int32]]:
+    """A thinned map in the order of square tiles over x and y.
 
     Args:
         points: (V, 3) float32, metres, world frame; finite.
+        voxels: (N,) int32: the point that stands for each raw point; -1 for none.
 
-    Attributes:
-        order: (V,) int64: the points given, tile by tile.
-        rank: (V,) int32: the row of each point given in that order.
+    Returns:
+        tiles: which rows are in which tile.
+        points: (V, 3) float32, tile by tile.
+        rows: (N,) int32: where what stands for each raw point went; -1 for none.
+    """
+    of_point = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(np.int64)
+    keys = (of_point[:, 0] << 32) + of_point[:, 1]
+    order = np.argsort(keys, kind="stable")
+    rank = np.full(len(points) + 1, np.int32(-1))  # the last is of none
+    rank[order] = np.arange(len(points), dtype=np.int32)
+    points = points[order]
+    return Tiles(points, np.flatnonzero(np.diff(keys[order], prepend=np.iinfo(np.int64).min))), points, rank[voxels]
+
+
+class Tiles:
+    """Which rows of a map are in which tile.
+
+    Args:
+        points: (V, 3) float32, metres, world frame; tile by tile.
+        starts: (T,) int64: the first row of each tile.
     """
 
-    def __init__(self, points: F32) -> None:
-        tiles = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(np.int64)
-        keys = (tiles[:, 0] << 32) + tiles[:, 1]
-        self.order = np.argsort(keys, kind="stable")
-        self.rank = np.empty(len(points), np.int32)
-        self.rank[self.order] = np.arange(len(points), dtype=np.int32)
+    def __init__(self, points: F32, starts: NDArray[np.int64]) -> None:
         self._ends = np.zeros(1, np.int64)  # the first row of each tile, and the one after the last
         self._low = self._high = np.empty((0, 2), np.float32)
-        self._extend(points[self.order], np.flatnonzero(np.diff(keys[self.order], prepend=np.iinfo(np.int64).min)))
+        self._extend(points, starts)
 
     def spans(self, centre: F64, reach: float) -> NDArray[np.int64]:
         """(S, 2) int64: rows, from the first to before the second, of the tiles within reach of a place in x and y."""

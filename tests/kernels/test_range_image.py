@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynaviz import kernels
-from dynaviz_methods.range_images import chunks, image_views, slices
+from dynaviz_methods.range_images import image_views, slices, whole
 
 RESOLUTIONS = (2.5, 0.7)
 TURNS = {"none": np.eye(3), "some": Rotation.from_euler("xyz", (0.1, -0.2, 2.5)).as_matrix()}
@@ -68,8 +68,7 @@ def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
     once = random.normal(0, (10, 10, 2), (3000, 3)).astype(np.float32)
     xyz = kernels.frozen(np.concatenate([once, once]).T, np.float32)
     position, axes = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64)
-    whole = chunks(np.array([[0, xyz.shape[1]]])), np.float32(np.inf)
-    ranges, indices = kernels.range_image.nearest(xyz, *whole, position, axes, views, False, lanes)
+    ranges, indices = kernels.range_image.nearest(xyz, *whole(xyz.shape[1]), position, axes, views, False, lanes)
     distance = np.linalg.norm(xyz.astype(np.float64), axis=0)
     expected = np.full(len(indices), -1)
     for view in views:
@@ -86,7 +85,6 @@ def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
 def test_an_empty_cloud_makes_an_empty_image():
     views = image_views((1.0,), (-20.0, 20.0), (-180.0, 180.0))
     camera = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64), views, False
-    nothing = kernels.frozen(np.empty((3, 0)), np.float32), chunks(np.array([[0, 0]])), np.float32(np.inf)
-    ranges, indices = kernels.range_image.nearest(*nothing, *camera, 2)
+    ranges, indices = kernels.range_image.nearest(kernels.frozen(np.empty((3, 0)), np.float32), *whole(0), *camera, 2)
     assert np.isinf(ranges).all()
     assert (indices == -1).all()

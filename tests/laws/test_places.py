@@ -16,7 +16,7 @@ from dynaviz.nearest import Nearest, nearest_distance
 from dynaviz.scan import Scan
 from dynaviz.survey import Extent
 from dynaviz_methods.polar import PolarBins
-from dynaviz_methods.range_images import chunks, image_views, slices
+from dynaviz_methods.range_images import image_views, slices, whole
 
 some = settings(max_examples=30)
 numbers = st.floats(-100, 100, allow_subnormal=False)
@@ -303,8 +303,8 @@ AT, AXES = kernels.frozen((3.5, -1.25, 2.0), np.float64), kernels.frozen(np.eye(
 
 
 def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
-    whole = chunks(np.array([[0, len(points)]])), np.float32(np.inf)
-    return kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *whole, AT, AXES, VIEWS, False, lanes)
+    every = whole(len(points))
+    return kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *every, AT, AXES, VIEWS, False, lanes)
 
 
 def rays(view: Any, ranges: Any) -> Any:

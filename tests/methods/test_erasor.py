@@ -18,7 +18,7 @@ from dynaviz.sensors import Sensor
 from dynaviz.survey import Extent
 from dynaviz_methods import tiles
 from dynaviz_methods.erasor import REASONS, Erasor, ErasorParams
-from dynaviz_methods.tiles import Tiles, thinned
+from dynaviz_methods.tiles import laid_out, thinned
 
 HEIGHT = 1.5
 SMALL = ErasorParams(max_range=12.0, rings=5, sectors=24, removal_interval=2)
@@ -287,10 +287,11 @@ clouds = st.lists(st.tuples(coordinate, coordinate, coordinate), max_size=40).ma
 
 @given(clouds, st.tuples(coordinate, coordinate), st.floats(0.1, 200))
 def test_tiles_find_every_point_within_reach(points, centre, reach):
-    laid, more = Tiles(points), points[:3] + np.float32(1)
+    (laid, rows, where), more = laid_out(points, np.arange(-1, len(points), dtype=np.int32)), points[:3] + np.float32(1)
+    assert where[0] == -1
+    np.testing.assert_array_equal(rows[where[1:]], points)
     laid.append(more)
-    rows = np.concatenate([points[laid.order], more])
-    np.testing.assert_array_equal(rows[laid.rank], points)
+    rows = np.concatenate([rows, more])
     spans = laid.spans(np.array([*centre, 0.0]), reach)
     found = {row for first, last in spans for row in range(first, last)}
     near = np.hypot(*(rows[:, :2].astype(float) - centre).T) < reach

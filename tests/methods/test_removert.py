@@ -15,7 +15,7 @@ from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.survey import Extent
-from dynaviz_methods.range_images import chunks, image_views, picture
+from dynaviz_methods.range_images import image_views, picture, whole
 from dynaviz_methods.removert import REASONS, Removert, RemovertParams
 
 SENSOR = Sensor(elevation=(-30.0, 30.0))
@@ -143,8 +143,8 @@ def test_map_points_beyond_reach_are_left_out_and_nothing_else_changes(port):
         shift = np.array([300.0 * (k // 4), 0, 0])
         near.append(scan(k, s.points + shift, s.position + shift))
     far = [scan(s.index, np.vstack([s.points, s.position + np.array((0, 9e4, 9e4))]), s.position) for s in near]
-    whole, cut = run(far, params), run(near, params)
-    expected = np.concatenate([whole.label(s)[:-1] for s in far])
+    all_of_it, cut = run(far, params), run(near, params)
+    expected = np.concatenate([all_of_it.label(s)[:-1] for s in far])
     np.testing.assert_array_equal(labels(cut, near), expected)
     assert 0 < expected.mean() < 0.5
 
@@ -239,8 +239,8 @@ def test_a_picture_shows_up_above_and_left_to_the_left():
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
     points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
     camera = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64)
-    whole = chunks(np.array([[0, len(points)]])), np.float32(np.inf)
-    flat, _ = kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *whole, *camera, views, False, 1)
+    every = whole(len(points))
+    flat, _ = kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *every, *camera, views, False, 1)
     image = picture(flat, views[0]).ranges
     assert image.shape == (20, 180)
     rows, columns = np.nonzero(~np.isnan(image))
