@@ -1,0 +1,268 @@
+"""Write the generated parts of the pages: what the code knows about each method, and files that a page quotes.
+
+    python docs/generate.py            # bring all pages up to date
+    python docs/generate.py --check    # change nothing; list the pages that are out of date, and exit with 1
+
+A page marks each part with a pair of comments:
+
+    <!-- generated: parameters -->
+    ...
+    <!-- end -->
+
+The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), one of TABLES on any page, or the path
+of a file in the repository, which is quoted in full. Text outside the markers is never touched. A built-in method
+without a page gets one with every section. ``docs/draw.py`` measures the numbers in ``failures`` and draws its picture.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import re
+import sys
+import textwrap
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from griffe import Docstring, DocstringSectionAttributes
+
+from dynaviz import registry
+
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parent
+PICTURES = "../pictures"
+BLOCK = re.compile(r"^<!-- generated: (\S+) -->\n.*?^<!-- end -->$", re.M | re.S)
+COMMAND = "python docs/generate.py"
+
+
+def pages() -> dict[Path, str]:
+    """The text that each page with generated parts should have, including pages that do not exist yet.
+
+    Raises:
+        ValueError: a page marks a part that nothing generates.
+    """
+    paths = {*DOCS.rglob("*.md"), *ROOT.glob("*.md"), *ROOT.glob("*/README.md")}
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(paths)}
+    texts |= {page(name): new_page(kind) for name, kind in methods().items() if page(name) not in texts}
+    return {path: filled(text, path) for path, text in texts.items() if BLOCK.search(text)}
+
+
+def stale() -> list[Path]:
+    """Pages whose generated parts differ from what the code says now."""
+    return [path for path, text in pages().items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+
+
+def page(name: str) -> Path:
+    """The page of a method."""
+    return DOCS / f"methods/{name}.md"
+
+
+def new_page(kind: Any) -> str:
+    """A page with every section and no prose, for a method that has no page."""
+    blocks = "\n\n".join(f"<!-- generated: {section} -->\n<!-- end -->" for section in SECTIONS)
+    return filled(f"# {kind.info.title}\n\n{blocks}\n", page(kind.info.name))
+
+
+def filled(text: str, path: Path) -> str:
+    """The text of a page with its generated parts up to date.
+
+    Args:
+        text: the page in Markdown.
+        path: its file, which decides which method the sections describe.
+    """
+    kind = methods().get(path.stem) if path.parent == DOCS / "methods" else None
+
+    def block(found: re.Match[str]) -> str:
+        name = found[1]
+        if kind is not None and name in SECTIONS:
+            content = SECTIONS[name](kind)
+        elif name in TABLES:
+            content = TABLES[name]()
+        elif (ROOT / name).is_file():
+            content = quoted(ROOT / name)
+        else:
+            raise ValueError(f"{path.relative_to(ROOT)}: cannot generate {name!r}. Give a section, a table or a file.")
+        return f"<!-- generated: {name} -->\n\n{content}\n\n<!-- end -->"
+
+    return BLOCK.sub(block, text)
+
+
+def quoted(path: Path) -> str:
+    """A file of the repository as a fenced block."""
+    languages = {".py": "python", ".toml": "toml", ".json": "json", ".yml": "yaml"}
+    return f"```{languages.get(path.suffix, 'text')}\n{path.read_text(encoding='utf-8').strip()}\n```"
+
+
+@cache
+def methods() -> dict[str, Any]:
+    """The methods that come with dynaviz, by name."""
+    handles = (handle for handle in registry.handles("methods") if handle.package == "dynaviz_methods")
+    return {handle.name: handle.load() for handle in handles}
+
+
+@cache
+def measurements() -> dict[str, Any]:
+    """What docs/draw.py measured."""
+    known: dict[str, Any] = json.loads((DOCS / "methods/measured.json").read_text(encoding="utf-8"))
+    return known
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table."""
+    lines = [list(head), *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def overview() -> str:
+    """All methods: whether they need a prior map, and their scores on the scene of docs/draw.py."""
+    measured = measurements()["methods"]
+    rows = []
+    for name, kind in methods().items():
+        scores = measured.get(name, {}).get("metrics", {})
+        rows.append(
+            (
+                f"[{kind.info.title}]({name}.md)",
+                f"`{name}`",
+                kind.info.paper,
+                "yes" if kind.info.needs_map else "no",
+                len(dataclasses.fields(kind.Params)),
+                *(f"{scores[key]:.2f}" if key in scores else "" for key in ("SA", "DA", "AA")),
+            )
+        )
+    return table(("method", "name", "paper", "prior map", "parameters", "SA", "DA", "AA"), rows)
+
+
+def all_states() -> str:
+    """All methods with the states they can show."""
+    rows = (
+        (
+            f"`{name}`",
+            kind.info.paper,
+            "yes" if kind.info.needs_map else "no",
+            len(dataclasses.fields(kind.Params)),
+            ", ".join(f"`{state.name}`" for state in kind.info.emits),
+        )
+        for name, kind in methods().items()
+    )
+    return table(("name", "paper", "prior map", "parameters", "states"), rows)
+
+
+def all_reasons() -> str:
+    """The reasons of all methods; methods that share a reason share a row."""
+    users: dict[tuple[str, str], list[str]] = {}
+    for name, kind in methods().items():
+        for reason in kind.info.reasons:
+            users.setdefault((reason.name, reason.meaning), []).append(f"`{name}`")
+    rows = ((f"`{reason}`", ", ".join(names), meaning) for (reason, meaning), names in users.items())
+    return table(("reason", "methods", "meaning"), rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {"overview": overview, "all_states": all_states, "all_reasons": all_reasons}
+
+
+def facts(kind: Any) -> str:
+    """Paper, prior map, source file, and the command that runs the method."""
+    info = kind.info
+    needs = "needs the raw map before the first scan" if info.needs_map else "needs no prior map"
+    file = Path(inspect.getsourcefile(kind) or "").relative_to(ROOT)
+    return f"{info.paper} · {needs} · [`{file}`](../../{file})\n\n```sh\ndynaviz run {info.name} path/to/sequence\n```"
+
+
+def algorithm(kind: Any) -> str:
+    """The algorithm box: the indented block of the module's docstring."""
+    text = inspect.getdoc(inspect.getmodule(kind)) or ""
+    block = re.search(r"(?:^ {4}.*\n)(?:^(?: {4}.*)?\n)*", text, re.M)
+    return f"```text\n{textwrap.dedent(block[0]).strip()}\n```" if block else ""
+
+
+def parameters(kind: Any) -> str:
+    """The fields of Params: defaults, types, and meanings from the docstrings."""
+    meanings: dict[str, str] = {}
+    for parent in reversed(kind.Params.__mro__):
+        for section in Docstring(inspect.getdoc(parent) or "").parse("google"):
+            if isinstance(section, DocstringSectionAttributes):
+                meanings |= {item.name: " ".join(item.description.split()) for item in section.value}
+    hints = get_type_hints(kind.Params)
+    rows = (
+        (f"`{field.name}`", f"`{field.default}`", named(hints[field.name]), meanings.get(field.name, ""))
+        for field in dataclasses.fields(kind.Params)
+    )
+    return (
+        table(("parameter", "default", "type", "meaning"), rows)
+        + "\n\nSet a parameter with `--set KEY=VALUE`, a preset or a file; "
+        + f"`dynaviz config {kind.info.name}` prints the values in effect."
+    )
+
+
+def named(hint: Any) -> str:
+    """A type in a reader's words."""
+    return "numbers" if getattr(hint, "__origin__", None) is tuple else str(getattr(hint, "__name__", hint))
+
+
+def states(kind: Any) -> str:
+    """The states that a recording shows."""
+    rows = ((f"`{state.name}`", state.kind.__name__, state.meaning) for state in kind.info.emits)
+    return table(("state", "drawn as", "meaning"), rows)
+
+
+def reasons(kind: Any) -> str:
+    """Why points are kept or removed, and the cause assigned to a wrong point with that reason."""
+    rows = ((f"`{reason.name}`", reason.meaning, reason.cause or "") for reason in kind.info.reasons)
+    return table(("reason", "meaning", "cause if wrong"), rows)
+
+
+def failures(kind: Any) -> str:
+    """Picture, wrong points by cause, and the costliest cases on the scene of docs/draw.py."""
+    name, known = kind.info.name, measurements()
+    if name not in known["methods"]:
+        return ""
+    run, sides = known["methods"][name], (("false_positive", "removed", "SA"), ("false_negative", "kept", "DA"))
+    totals = {"SA": run["static"], "DA": run["dynamic"]}
+    causes = [
+        (word, cause, f"{counted['points']:,}", f"{100 * counted['points'] / totals[score]:.2f} % {score}")
+        for kind_, word, score in sides
+        for cause, counted in run["causes"].get(kind_, {}).items()
+    ]
+    scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
+    cases = "\n".join(
+        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {case['sentence']}"
+        for position, case in enumerate(run["cases"], 1)
+    )
+    return (
+        f"Scores on `{known['scene']}`, {known['frames']} frames, default parameters: {scores}.\n\n"
+        f"![Map of {kind.info.title} with its wrong points, and a state]({PICTURES}/{name}.jpg)\n\n"
+        f"Left: the map of the run. Grey and blue points are right, orange points are dynamic but kept, yellow points "
+        f"are static but removed. Right: the state `{run['state']}` in frame {run['frame']}.\n\n"
+        + table(("wrongly", "cause", "points", "cost"), causes)
+        + f"\n\nThe costliest failure cases:\n\n{cases}"
+    )
+
+
+SECTIONS: dict[str, Callable[[Any], str]] = {
+    section.__name__: section for section in (facts, algorithm, parameters, states, reasons, failures)
+}
+
+
+def main(arguments: list[str]) -> int:
+    """Update the pages, or with ``--check`` only list those that are out of date."""
+    changed = stale()
+    if arguments == ["--check"]:
+        for path in changed:
+            print(f"{path.relative_to(ROOT)}: out of date. Run {COMMAND}.", file=sys.stderr)
+        return int(bool(changed))
+    if arguments:
+        print(__doc__)
+        return 2
+    texts = pages()
+    for path in changed:
+        path.write_text(texts[path], encoding="utf-8")
+        print(f"{path.relative_to(ROOT)}: updated")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
