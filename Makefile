@@ -25,7 +25,7 @@ boundscheck: .venv/.dev  # kernels again, with every index checked
 	$(CHECKED) $(BIN)/python -m dynaviz.precompile
 	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) \
 		-k 'not golden and not report and (not conforms or survives or keeps_points)' tests/kernels tests/methods tests/eval \
-		tests/testing tests/laws/test_places.py tests/test_grid.py tests/test_nearest.py tests/io/test_pcd.py
+		tests/testing tests/laws/test_places.py tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
 
 # Kernels once more as plain Python, which sees their lines, on worlds small enough. It warns where compiled integers wrap, and
 # has no integer for NaN. tests/README.md tells what is left.
@@ -35,7 +35,7 @@ PLAIN := not finite and (odd_scans or log_odds or lines_protect or box_goes or e
 coverage: .venv/.dev
 	$(BIN)/pytest -q $(ALL_CORES) --cov --cov-report=
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning \
-		-k '$(PLAIN)' tests/kernels tests/methods tests/eval tests/test_grid.py tests/test_nearest.py tests/io/test_pcd.py
+		-k '$(PLAIN)' tests/kernels tests/methods tests/eval tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
 
 mutants: .venv/.dev  # the evaluation changed in one place at a time: what do its tests not notice?
 	$(BIN)/python tests/mutants.py

@@ -16,7 +16,7 @@ import numpy as np
 from dynaviz import api
 from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods import relief, seethrough
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
@@ -25,11 +25,11 @@ CHOSEN = (
     "mid360_hall",
 )  # fmt: skip
 PARTS = {  # constants to change, and reasons to keep
-    "all of it": ({}, ()),
+    "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
     "no lone voxels": ({}, (ALONE,)),
-    "nobody waited": ({}, (WAITED,)),
-    "nothing followed": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
+    "no waiting rule": ({}, (WAITED,)),
+    "no following": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
     "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, (WAITED,)),
     "pits are ground": ({"relief.PIT": 1e9}, ()),
 }

@@ -23,12 +23,12 @@ from scenes import SENSOR, Drive
 
 from dynaviz import api, kernels, registry
 from dynaviz.datasets import open_sequence
-from dynaviz.loop import Run, execute, peak_rss_mb
+from dynaviz.engine.loop import RunSpec, execute, peak_rss_mb
+from dynaviz.engine.summary import summarize
 from dynaviz.method import Context
 from dynaviz.metric import Labelled
+from dynaviz.reporting import report as write_report
 from dynaviz.scan import Scan, stream
-from dynaviz.study import report as write_report
-from dynaviz.survey import survey
 
 Figures = dict[str, Any]
 QUICKEST = "octomap"  # of the methods that judge each point on its own; what is recorded and compared here
@@ -65,9 +65,9 @@ def method(points: int, frames: int, folder: Path, name: str) -> Figures:
     """A method alone: ``begin``, ``observe`` and ``label``; memory beyond the drive and the raw map."""
     kernels.set_threads(1)
     kind, drive = registry.load("methods", name), Drive.of(points, frames, folder.parent)
-    execute(Run(kind(kind.Params()), Drive(drive.block, 2), kind.Params()))
+    execute(RunSpec(kind(kind.Params()), Drive(drive.block, 2), kind.Params()))
     raw_map = np.concatenate([scan.points for scan in drive]) if kind.info.needs_map else None
-    context, before = Context(survey(drive).extent, SENSOR, raw_map=raw_map), peak_rss_mb()
+    context, before = Context(summarize(drive).extent, SENSOR, raw_map=raw_map), peak_rss_mb()
 
     def cleaned() -> float:
         running = kind(kind.Params())

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.loop import peak_rss_mb
+from dynaviz.engine.loop import peak_rss_mb
 from dynaviz_eval.cases import GAP, Cases, summed
 
 FRAMES, POINTS = 143, 35_000

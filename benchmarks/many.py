@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import geometry, registry
-from dynaviz.benches import bench
+from dynaviz import registry
+from dynaviz.benchmarking.bench import bench
 from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.sensors import load_sensor
 from dynaviz.simulate.classes import CLASS_NAMES
 from dynaviz.simulate.presets import PRESETS
 from dynaviz.simulate.recording import build, shoot
+from dynaviz.spatial import geometry
 
 FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # metres and degrees by which poses are off
 

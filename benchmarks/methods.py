@@ -27,11 +27,11 @@ import numpy as np
 from scenes import SENSOR, read, street
 
 from dynaviz import kernels, registry
-from dynaviz.loop import peak_rss_mb
+from dynaviz.engine.loop import peak_rss_mb
 from dynaviz.method import Context
 from dynaviz.params import resolve
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 
 ROUNDS, FRAMES = 3, 60
 

@@ -27,7 +27,7 @@ from scenes import SENSOR, read, street
 from dynaviz import kernels
 from dynaviz.method import Context
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dufomap import DufoMap
 from dynaviz_methods.dynablox import Dynablox, DynabloxParams
 from dynaviz_methods.erasor import Erasor, ErasorParams

@@ -22,11 +22,12 @@ from scipy.spatial import cKDTree
 
 import dynaviz as dv
 from dynaviz import kernels
+from dynaviz.arrays import F32
 from dynaviz.io.points import read_points
 from dynaviz.method import MethodInfo, Reason
 from dynaviz.metric import Labelled
-from dynaviz.nearest import Nearest, nearest_distance
-from dynaviz.scan import F32, Scan, stream
+from dynaviz.scan import Scan, stream
+from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_eval.breakdown import Breakdown
 from dynaviz_eval.confusion import Confusion
 from dynaviz_eval.error_distance import ErrorDistance

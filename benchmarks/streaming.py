@@ -14,7 +14,7 @@ import time
 from scenes import Drive
 
 from dynaviz import registry
-from dynaviz.loop import Run, execute, peak_rss_mb
+from dynaviz.engine.loop import RunSpec, execute, peak_rss_mb
 from dynaviz.scan import Scan
 from dynaviz.testing.world import SENSOR, crossing
 
@@ -29,9 +29,9 @@ def again(scans: list[Scan], frames: int) -> Drive:
 def measure(name: str, frames: int) -> None:
     """Run, and print what it took."""
     method, scans = registry.load("methods", name), crossing(24)
-    execute(Run(method(method.Params()), again(scans, 24), method.Params()))  # compile
+    execute(RunSpec(method(method.Params()), again(scans, 24), method.Params()))  # compile
     before, start = peak_rss_mb(), time.perf_counter()
-    execute(Run(method(method.Params()), again(scans, frames), method.Params()))
+    execute(RunSpec(method(method.Params()), again(scans, frames), method.Params()))
     seconds = (time.perf_counter() - start) / frames
     raw = f", of it the raw map {frames * len(scans[0]) * 12 / 1e6:.0f} MB" if method.info.needs_map else ""
     print(

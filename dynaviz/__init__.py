@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynaviz.api import compare, open, run, score
-    from dynaviz.benches import bench
+    from dynaviz.benchmarking.bench import bench
     from dynaviz.diagnosis import doctor
-    from dynaviz.result import Result
-    from dynaviz.study import report
+    from dynaviz.reporting import report
+    from dynaviz.results.result import Result
 
 __all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score"]
 
 _HOMES = {
-    "bench": "dynaviz.benches",
+    "bench": "dynaviz.benchmarking.bench",
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "open": "dynaviz.api",
-    "report": "dynaviz.study",
+    "report": "dynaviz.reporting",
     "run": "dynaviz.api",
     "score": "dynaviz.api",
-    "Result": "dynaviz.result",
+    "Result": "dynaviz.results.result",
 }
 
 

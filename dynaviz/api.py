@@ -10,19 +10,21 @@ from pathlib import Path
 from typing import Literal, cast, get_args
 
 from dynaviz import params as layers
-from dynaviz import registry, scoring
-from dynaviz.compared import Comparison
+from dynaviz import registry
+from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
+from dynaviz.engine import external as scoring
+from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
 from dynaviz.errors import UsageError
-from dynaviz.loop import Listener, Progress, Run, execute
 from dynaviz.method import Method
-from dynaviz.outputs import FILES, LabelsFile, MapFiles, Outdated, write_summary
 from dynaviz.probe import SILENT, Probe
-from dynaviz.result import Mode, Result
-from dynaviz.scan import Sequence, part
+from dynaviz.progress import Progress, silent
+from dynaviz.results.result import RecordMode, Result
+from dynaviz.scan import Sequence, select_frames
 from dynaviz.sensors import load_sensor
 
-Record = Literal[Mode, "none"]
+Record = Literal[RecordMode, "none"]
 
 
 def open(
@@ -53,7 +55,7 @@ def open(
     """
     named = None if poses is None else os.fspath(poses)
     sequence = open_sequence(os.fspath(path), poses=named, points_in=points_in, deskew=deskew)
-    return part(sequence, frames, stride, load_sensor(sensor) if sensor else None)
+    return select_frames(sequence, frames, stride, load_sensor(sensor) if sensor else None)
 
 
 def run(
@@ -71,7 +73,7 @@ def run(
     variant: str = "",
     threads: int | None = None,
     command: str = "",
-    progress: Progress = lambda phase, done, total: None,
+    progress: Progress = silent,
 ) -> Result:
     """Run a method on a sequence and score it.
 
@@ -104,7 +106,7 @@ def run(
     kind = registry.load("methods", method)
     resolved = layers.resolve(kind, preset, config, settings)
     metrics = tuple(metric(kind.info) for metric in registry.loadable("metrics").values())
-    this = Run(
+    this = RunSpec(
         method=kind(resolved.params),
         sequence=sequence,
         params=resolved.params,
@@ -132,7 +134,7 @@ def score(
     record: Record | str | os.PathLike[str] = "errors",
     threads: int | None = None,
     command: str = "",
-    progress: Progress = lambda phase, done, total: None,
+    progress: Progress = silent,
 ) -> Result:
     """Score a cleaned map that any other program wrote.
 
@@ -169,11 +171,11 @@ def score(
         )
     folder = None if out is None else Path(out)
     recording, mode = _recording(record, folder)
-    given = scoring.given(map, radius, name)
+    given = scoring.read_external(map, radius, name)
     if folder is not None and given.path.name in FILES and given.path.resolve().parent == folder.resolve():
         raise UsageError(f"{given.path} would be replaced by the files of the run: give another folder than {folder}")
-    metrics = (scoring.Source(given), *(metric(given.info) for metric in registry.loadable("metrics").values()))
-    this = Run(
+    metrics = (scoring.SourceCheck(given), *(metric(given.info) for metric in registry.loadable("metrics").values()))
+    this = RunSpec(
         method=cast(Method, given),
         sequence=sequence,
         params=given.params,
@@ -183,7 +185,7 @@ def score(
         scoring=given.scoring,
         external=True,
     )
-    result = _run_into(folder, recording, mode, this, False, progress, first=scoring.Opening(given))
+    result = _run_into(folder, recording, mode, this, False, progress, first=scoring.ValidateInput(given))
     for remark in result.sections["source"]["remarks"]:
         warnings.warn(remark, stacklevel=2)
     return result
@@ -192,7 +194,7 @@ def score(
 def compare(
     *recordings: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
-    progress: Progress = lambda phase, done, total: None,
+    progress: Progress = silent,
 ) -> Comparison:
     """Say what differs between runs on the same points, from their recordings alone.
 
@@ -213,20 +215,20 @@ def compare(
     return compare_recordings(recordings, out, progress)
 
 
-def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, Mode]:
+def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode]:
     """Where the recording goes, and how much it holds."""
     if Path(record).suffix == ".rrd":
         return Path(record), "errors"
     if record not in get_args(Record):
         raise UsageError(f"record = {record}: give {', '.join(get_args(Record))}, or the path of an .rrd file")
-    return (None if folder is None or record == "none" else folder / "run.rrd"), cast(Mode, record)
+    return (None if folder is None or record == "none" else folder / "run.rrd"), cast(RecordMode, record)
 
 
 def _run_into(
     folder: Path | None,
     recording: Path | None,
-    mode: Mode,
-    this: Run,
+    mode: RecordMode,
+    this: RunSpec,
     view: bool,
     progress: Progress,
     first: Listener | None = None,
@@ -237,7 +239,7 @@ def _run_into(
     with contextlib.ExitStack() as stack:
         listeners: list[Listener] = [] if first is None else [first]
         if folder is not None:
-            listeners.append(Outdated(folder, recording))
+            listeners.append(RemoveStaleOutputs(folder, recording))
             listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
         if recording is not None:
             from dynaviz.viz.recorder import Recorder

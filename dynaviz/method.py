@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, ClassVar, Protocol
 
+from dynaviz.arrays import F32, U8, Bool
 from dynaviz.probe import SILENT, Probe, State
-from dynaviz.scan import F32, U8, Bool, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 
 
 class Cause(StrEnum):

@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.method import MethodInfo
-from dynaviz.scan import F32, U8, Bool, Scan, outcomes
+from dynaviz.scan import Scan, outcomes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +41,8 @@ class FrameHistograms:
 
     title: str
     unit: str
-    edges: NDArray[np.float64]
-    counts: NDArray[np.int64]
+    edges: F64
+    counts: I64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,8 +61,8 @@ class FrameBoxes:
     outcomes: U8
     low: F32
     high: F32
-    frames: NDArray[np.int64]
-    case: NDArray[np.int64]
+    frames: I64
+    case: I64
     box_low: F32
     box_high: F32
 

@@ -35,14 +35,14 @@ def compiling() -> Iterator[None]:
 def _clean(names: list[str]) -> None:
     """Have methods see a few scans, and show their states."""
     from dynaviz import registry
-    from dynaviz.loop import Run, execute
+    from dynaviz.engine.loop import RunSpec, execute
     from dynaviz.probe import MemoryProbe
     from dynaviz.testing import InMemory, crossing
 
     with contextlib.redirect_stderr(io.StringIO()):
         for name in names:
             method = registry.load("methods", name)
-            execute(Run(method(method.Params()), InMemory(crossing(9)), method.Params()), probe=MemoryProbe())
+            execute(RunSpec(method(method.Params()), InMemory(crossing(9)), method.Params()), probe=MemoryProbe())
 
 
 def _score() -> None:

@@ -10,10 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dynaviz.scan import F32, F64, U8, Bool
+from dynaviz.arrays import F32, F64, I32, U8, Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +60,7 @@ class Voxels:
     keys: (N, 3) int32; size: edge in metres; values: (N,) float32 colours them, if given.
     """
 
-    keys: NDArray[np.int32]
+    keys: I32
     size: float
     values: F32 | None = None
 

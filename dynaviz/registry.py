@@ -14,7 +14,7 @@ from dynaviz.errors import PluginError, UsageError
 
 
 @dataclass(frozen=True)
-class Handle:
+class PluginHandle:
     """A plug-in that is installed but not loaded.
 
     Attributes:
@@ -51,12 +51,12 @@ class Handle:
         return self.target.partition(":")[0].partition(".")[0]
 
 
-def handles(kind: str) -> list[Handle]:
+def handles(kind: str) -> list[PluginHandle]:
     """All plug-ins of a kind, sorted by name; of two with one name, the first that is found."""
-    found: dict[str, Handle] = {}
+    found: dict[str, PluginHandle] = {}
     for point in metadata.entry_points(group=f"dynaviz.{kind}"):
         name, version = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
-        found.setdefault(point.name, Handle(kind, point.name, point.value, name, version))
+        found.setdefault(point.name, PluginHandle(kind, point.name, point.value, name, version))
     return [found[name] for name in sorted(found)]
 
 

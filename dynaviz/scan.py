@@ -11,15 +11,10 @@ from enum import IntEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import F32, F64, I32, U8, U16, Bool
 from dynaviz.errors import UsageError
 from dynaviz.sensors import Sensor
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-Bool = NDArray[np.bool_]
 
 
 class Label(IntEnum):
@@ -65,8 +60,8 @@ class Scan:
     T_world_sensor: F64
     stamp_ns: int | None = None
     labels: U8 | None = None
-    classes: NDArray[np.uint16] | None = None
-    instances: NDArray[np.int32] | None = None
+    classes: U16 | None = None
+    instances: I32 | None = None
     origins: F64 = None  # type: ignore[assignment]  # filled from the pose below
     class_names: Mapping[int, str] = field(default_factory=dict)
 
@@ -151,7 +146,7 @@ class Sequence(Protocol):
 
 
 @dataclass(frozen=True)
-class Part:
+class SequenceSlice:
     """Some frames of a sequence (``--frames A:B --stride K``), perhaps with another sensor or name."""
 
     whole: Sequence
@@ -171,7 +166,9 @@ class Part:
         return self.whole[self.positions[position]]
 
 
-def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor: Sensor | None = None) -> Sequence:
+def select_frames(
+    sequence: Sequence, frames: str | None = None, stride: int = 1, sensor: Sensor | None = None
+) -> Sequence:
     """Choose frames of a sequence.
 
     Args:
@@ -194,7 +191,7 @@ def part(sequence: Sequence, frames: str | None = None, stride: int = 1, sensor:
     positions = range(len(sequence))[slice(first, last, stride)]
     if not positions:
         raise UsageError(f"--frames {frames}: chooses none of the {len(sequence)} frames in {sequence.name}")
-    return Part(sequence, positions, sensor or sequence.sensor, sequence.name)
+    return SequenceSlice(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
 def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from worlds import InMemory, room
+from helpers.worlds import InMemory, room
 
 from dynaviz import registry
 from dynaviz.cli import main
@@ -36,8 +36,11 @@ def broken_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plug-in of each kind that cannot be imported, beside all others."""
     every = registry.handles
 
-    def handles(kind: str) -> list[registry.Handle]:
-        return [registry.Handle(kind, "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"), *every(kind)]
+    def handles(kind: str) -> list[registry.PluginHandle]:
+        return [
+            registry.PluginHandle(kind, "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0"),
+            *every(kind),
+        ]
 
     monkeypatch.setattr(registry, "handles", handles)
 

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds import InMemory
+from helpers.worlds import InMemory
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
-from dynaviz.study import combined
+from dynaviz.results.collect import combined
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
-    from dynaviz.viz.reader import Recording
+    from dynaviz.viz.reader import RunRecording
 
     result = dv.run("octomap", little_room, record=tmp_path / "here.rrd")
     assert [file.name for file in tmp_path.iterdir()] == ["here.rrd"]
-    assert Recording(tmp_path / "here.rrd").result.metrics == result.metrics
+    assert RunRecording(tmp_path / "here.rrd").result.metrics == result.metrics
 
 
 def test_nothing_is_written_unasked(little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,7 +66,7 @@ def test_a_folder_that_cannot_be_written_is_told(
     def refuse(path: Path, *_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr("dynaviz.outputs.zipfile.ZipFile", refuse)
+    monkeypatch.setattr("dynaviz.engine.outputs.zipfile.ZipFile", refuse)
     with pytest.raises(DataError, match=r"labels\.npz: cannot be written"):
         dv.run("octomap", little_room, out=tmp_path, record="none")
 

@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ PACKAGES = {
 
 
 def imports(path: Path) -> Iterator[str]:
+    """Modules and names that a file imports, also inside functions."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -29,6 +31,40 @@ def imports(path: Path) -> Iterator[str]:
 
 def files(package: str) -> list[Path]:
     return sorted(PACKAGES[package].rglob("*.py"))
+
+
+def modules() -> dict[str, set[str]]:
+    """Each module with the modules that it imports, also inside functions and for types only."""
+    names = {
+        ".".join((package, *path.relative_to(root).with_suffix("").parts)).removesuffix(".__init__"): path
+        for package, root in PACKAGES.items()
+        for path in files(package)
+    }
+    return {
+        name: {known for known in imports(path) if known in names and known != name} for name, path in names.items()
+    }
+
+
+def without_packages(found: set[str]) -> set[str]:
+    """``from a import b`` imports module a.b where there is one, not what else is in a."""
+    return {name for name in found if not any(other.startswith(name + ".") for other in found)}
+
+
+def test_no_module_imports_itself_in_a_circle() -> None:
+    graph = {name: without_packages(found) for name, found in modules().items() if not name.endswith("__main__")}
+    graph["dynaviz"] = set()  # it only looks names up for users
+    TopologicalSorter(graph).prepare()  # raises CycleError with the circle
+
+
+def test_no_package_imports_itself_in_a_circle() -> None:
+    def room(name: str) -> str:
+        return ".".join(name.split(".")[:2]) if name.startswith("dynaviz.") else name.partition(".")[0]
+
+    graph: dict[str, set[str]] = {}
+    for name, found in modules().items():
+        if name != "dynaviz":
+            graph.setdefault(room(name), set()).update(room(other) for other in without_packages(found) - {"dynaviz"})
+    TopologicalSorter({name: found - {name} for name, found in graph.items()}).prepare()
 
 
 def within(name: str, *modules: str) -> bool:
@@ -46,20 +82,8 @@ def test_only_viz_imports_rerun() -> None:
     assert all(path.is_relative_to(ROOT / "dynaviz/viz") for path in guilty)
 
 
-METHODS_MAY = (
-    "scan",
-    "method",
-    "probe",
-    "grid",
-    "blocks",
-    "kernels",
-    "geometry",
-    "params",
-    "survey",
-    "sensors",
-    "errors",
-)
-EVAL_MAY = ("scan", "metric", "method", "result", "study", "grid", "nearest", "kernels", "errors", "io")
+METHODS_MAY = ("arrays", "scan", "method", "probe", "spatial", "kernels", "sensors", "errors")
+EVAL_MAY = ("arrays", "scan", "metric", "method", "results", "reporting", "spatial", "kernels", "errors", "io")
 
 
 @pytest.mark.parametrize(("package", "allowed"), [("dynaviz_methods", METHODS_MAY), ("dynaviz_eval", EVAL_MAY)])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from installed import python_with
+from helpers.installed_packages import python_with
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples/dufomap_wheel"
 Code = Callable[..., str]

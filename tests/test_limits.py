@@ -12,15 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynaviz import grid, kernels, loop, registry, survey
+from dynaviz import kernels, registry
 from dynaviz.datasets.files import numbered
+from dynaviz.engine import loop
+from dynaviz.engine.loop import RunSpec, execute
+from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, DynavizError, UsageError
 from dynaviz.io import records
-from dynaviz.loop import Run, execute
 from dynaviz.method import Context
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-from dynaviz.survey import Extent, Survey
+from dynaviz.spatial import grid
+from dynaviz.spatial.extent import FAR, Extent
 from dynaviz.testing import InMemory, crossing
 from dynaviz.testing.world import SENSOR, moved, turn
 
@@ -36,7 +39,7 @@ def loaded(name: str) -> Any:
 def test_the_page_states_what_the_code_has() -> None:
     stated = re.sub(r"\s+", " ", PAGE.read_text())
     for number in (
-        f"{survey.FAR / 1000:.0f} km",
+        f"{FAR / 1000:.0f} km",
         f"{kernels.blocks.REACH:,} voxels",
         f"{grid.REACH:,} voxels",
         f"{loop.MOST_IN_MAP:,} points",
@@ -71,10 +74,10 @@ def test_what_lies_beyond_a_methods_reach_is_kept_and_harms_nobody(name: str) ->
 
 def test_a_map_of_more_points_than_can_be_numbered_is_refused() -> None:
     sequence = InMemory(crossing(1))
-    seen = Survey(Extent.of(*sequence.scans), 9000, loop.MOST_IN_MAP + 1, "")
+    seen = SequenceSummary(Extent.of(*sequence.scans), 9000, loop.MOST_IN_MAP + 1, "")
     method = loaded("erasor")
     with pytest.raises(UsageError, match=r"2,147,483,648 points in 9,000 frames.*--stride"):
-        loop._context(Run(method, sequence, method.params), seen, loop.SILENT)
+        loop._context(RunSpec(method, sequence, method.params), seen, loop.SILENT)
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ def test_memory_grows_with_the_place_not_with_the_frames() -> None:
         method = loaded("octomap")
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
-        execute(Run(method, Endless(frames), method.params))
+        execute(RunSpec(method, Endless(frames), method.params))
         return tracemalloc.get_traced_memory()[1] - before
 
     tracemalloc.start()
@@ -118,7 +121,7 @@ def test_a_frame_of_a_million_points() -> None:
     method, sequence = loaded("octomap"), InMemory([Scan(0, points, np.eye(4))])
     tracemalloc.start()
     try:
-        result = execute(Run(method, sequence, method.params))
+        result = execute(RunSpec(method, sequence, method.params))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -138,4 +141,4 @@ def test_a_frame_number_beyond_64_bits_is_refused(number: str) -> None:
 
 def test_the_place_itself_is_told() -> None:
     with pytest.raises(DynavizError, match="km from the world's origin"):
-        Extent.of(Scan(0, np.full((1, 3), 1.001 * survey.FAR, np.float32), np.eye(4)))
+        Extent.of(Scan(0, np.full((1, 3), 1.001 * FAR, np.float32), np.eye(4)))

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynaviz.errors import UsageError
-from dynaviz.scan import Label, Outcome, Scan, Sequence, outcomes, part, stream
+from dynaviz.scan import Label, Outcome, Scan, Sequence, outcomes, select_frames, stream
 from dynaviz.sensors import Sensor
 
 
@@ -102,9 +102,9 @@ def test_a_part_is_a_slice(first: int | None, last: int | None, stride: int) -> 
     frames = f"{'' if first is None else first}:{'' if last is None else last}"
     if not expected:
         with pytest.raises(UsageError, match="chooses none of the"):
-            part(sequence, frames, stride)
+            select_frames(sequence, frames, stride)
         return
-    chosen = part(sequence, frames, stride)
+    chosen = select_frames(sequence, frames, stride)
     assert isinstance(chosen, Sequence)
     assert [chosen[k].index for k in range(len(chosen))] == expected
     with pytest.raises(IndexError):
@@ -113,19 +113,19 @@ def test_a_part_is_a_slice(first: int | None, last: int | None, stride: int) -> 
 
 def test_the_whole_is_left_as_it_is() -> None:
     sequence = Counting(3)
-    assert part(sequence) is sequence
+    assert select_frames(sequence) is sequence
 
 
 def test_another_sensor() -> None:
     sequence, other = Counting(3), Sensor(name="other")
-    assert part(sequence, sensor=other).sensor is other
-    assert len(part(sequence, sensor=other)) == 3
+    assert select_frames(sequence, sensor=other).sensor is other
+    assert len(select_frames(sequence, sensor=other)) == 3
 
 
 @pytest.mark.parametrize(("frames", "stride"), [("5", 1), ("a:b", 1), ("1:2:3", 1), (None, 0), (None, -1), (":", 0)])
 def test_what_is_no_range_is_told(frames: str | None, stride: int) -> None:
     with pytest.raises(UsageError, match="--frames" if stride == 1 else "--stride"):
-        part(Counting(10), frames, stride)
+        select_frames(Counting(10), frames, stride)
 
 
 @given(st.integers(0, 20), st.integers(1, 4))

@@ -40,7 +40,7 @@ from dynaviz.errors import DynavizError, UsageError
 WRONG_USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the copy of it that typer has
 
 
-class Verbs(TyperGroup):
+class Commands(TyperGroup):
     """The verbs; wrong words after one are told in a line, as all else that a user can cause."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -56,7 +56,7 @@ class Verbs(TyperGroup):
 
 app = typer.Typer(
     name="dynaviz",
-    cls=Verbs,
+    cls=Commands,
     help="Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.",
     epilog="Start with: dynaviz demo",
     no_args_is_help=True,

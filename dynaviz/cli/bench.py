@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import show
-from dynaviz.cli.run import Record
+from dynaviz.cli.run import RecordModeOption
 
 if TYPE_CHECKING:
-    from dynaviz.benches import Board, Watcher
+    from dynaviz.benchmarking.leaderboard import Leaderboard
+    from dynaviz.benchmarking.runner import BenchCallbacks
 
 
-class Kind(StrEnum):
+class SearchKind(StrEnum):
     """How a search chooses its trials."""
 
     random = "random"
@@ -55,11 +56,13 @@ def bench(
     resume: Annotated[
         bool, typer.Option("--resume/--fresh", help="Keep the cells that are done, or run all again.")
     ] = True,
-    record: Annotated[Record | None, typer.Option(help="How much each run.rrd holds. [default: errors]")] = None,
+    record: Annotated[
+        RecordModeOption | None, typer.Option(help="How much each run.rrd holds. [default: errors]")
+    ] = None,
     grid: Annotated[
         list[str] | None, typer.Option(metavar="METHOD.PARAM=V1,V2", help="Run every value; several: the product.")
     ] = None,
-    search: Annotated[Kind | None, typer.Option(help="Search parameters for the best AA.")] = None,
+    search: Annotated[SearchKind | None, typer.Option(help="Search parameters for the best AA.")] = None,
     trials: Annotated[int | None, typer.Option(min=1, help="How many sets a search tries, of each method.")] = None,
     ranges: Annotated[
         list[str] | None, typer.Option("--range", metavar="METHOD.PARAM=LOW:HIGH", help="Searched; log:LOW:HIGH too.")
@@ -82,8 +85,8 @@ def bench(
     """
     from rich.markup import escape
 
-    from dynaviz.benches import bench as run
-    from dynaviz.benches import read
+    from dynaviz.benchmarking.bench import bench as run
+    from dynaviz.benchmarking.plan_file import read
 
     table = read(file) if file else {}
     apart = ("workers", "record") if timing else ("workers",) if scheduler else ()
@@ -112,13 +115,13 @@ def _given(**flags: Any) -> dict[str, Any]:
 def _assigned(
     table: dict[str, Any],
     grid: list[str] | None,
-    search: Kind | None,
+    search: SearchKind | None,
     trials: int | None,
     ranges: list[str] | None,
     seed: int | None,
 ) -> dict[str, Any]:
     """Grid and search, as the tables of the file."""
-    from dynaviz.benches.file import assignment, values_of
+    from dynaviz.benchmarking.plan_file import assignment, values_of
 
     given: dict[str, Any] = {}
     for text in grid or []:
@@ -133,7 +136,7 @@ def _assigned(
     return given
 
 
-def _words(board: Board, out: Path) -> Iterator[str]:
+def _words(board: Leaderboard, out: Path) -> Iterator[str]:
     """What was found, and where everything is."""
     for found in board.found:
         default = "n/a" if found.default_aa is None else f"{found.default_aa:.2f}"
@@ -154,12 +157,12 @@ def _words(board: Board, out: Path) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def _watched() -> Iterator[Watcher]:
+def _watched() -> Iterator[BenchCallbacks]:
     """A live table on a terminal, lines in a log."""
-    from dynaviz.cli.watching import Lines, Live
+    from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
 
     if not sys.stderr.isatty():
-        yield Lines(time.monotonic())
+        yield ProgressLines(time.monotonic())
         return
-    with Live() as live:
+    with ProgressBars() as live:
         yield live

@@ -13,7 +13,7 @@ from dynaviz.cli.console import show
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from dynaviz.check import Check, Finding
+    from dynaviz.results.regression import CheckedValue, RegressionCheck
 
 ROWS = 40  # of a table; what holds is only counted beyond
 
@@ -49,9 +49,9 @@ def check(
     dynaviz check bench --write-baseline baseline.json
     dynaviz check bench --baseline baseline.json
     """
-    from dynaviz import check as core
     from dynaviz.errors import UsageError
-    from dynaviz.study import collect
+    from dynaviz.results import regression as core
+    from dynaviz.results.collect import collect
 
     if not minima and baseline is None and write_baseline is None:
         raise UsageError("nothing to check: give --min METRIC=PERCENT or --baseline FILE")
@@ -78,11 +78,11 @@ def _limit(text: str) -> tuple[str, float]:
         raise UsageError(f"--min {text}: give a metric and its least value in percent, as AA=90") from None
 
 
-def _verdict(found: Check, results: int, baseline: Path | None) -> str:
-    from dynaviz.check import Verdict
+def _verdict(found: RegressionCheck, results: int, baseline: Path | None) -> str:
+    from dynaviz.results.regression import CheckOutcome
 
-    compared = [f for f in found.findings if f.verdict is not Verdict.TOLD]
-    better = [f for f in found.findings if f.verdict is Verdict.BETTER]
+    compared = [f for f in found.findings if f.verdict is not CheckOutcome.TOLD]
+    better = [f for f in found.findings if f.verdict is CheckOutcome.BETTER]
     head = f"{len(found.fallen)} of {len(compared)} fell" if found.fallen else f"all {len(compared)} hold"
     words = f"{results} result{'s' * (results != 1)}: {head}."
     if better:
@@ -91,27 +91,27 @@ def _verdict(found: Check, results: int, baseline: Path | None) -> str:
     return words
 
 
-def _lines(found: Check, fell: bool) -> Iterator[str]:
+def _lines(found: RegressionCheck, fell: bool) -> Iterator[str]:
     """What has no numbers: before the table if it fell, else after it."""
     from rich.markup import escape
 
-    from dynaviz.check import Verdict
+    from dynaviz.results.regression import CheckOutcome
 
     for finding in found.findings:
-        if finding.in_words and finding.remark and (finding.verdict is Verdict.FELL) == fell:
+        if finding.in_words and finding.remark and (finding.verdict is CheckOutcome.FELL) == fell:
             what = "" if finding.what == "run" else f" {finding.what}"
             yield ("[bold red]FELL[/]  " if fell else "") + escape(f"{finding.run}:{what} {finding.remark}")
 
 
-def table(found: Check) -> Table:
+def table(found: RegressionCheck) -> Table:
     """A row a number, failures first, in 80 columns."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
-    from dynaviz.check import Verdict
+    from dynaviz.results.regression import CheckOutcome
 
-    looks = {Verdict.FELL: "[bold red]FELL[/]", Verdict.BETTER: "[green]better[/]", Verdict.HOLDS: "ok"}
+    looks = {CheckOutcome.FELL: "[bold red]FELL[/]", CheckOutcome.BETTER: "[green]better[/]", CheckOutcome.HOLDS: "ok"}
     rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, width=80)
     rows.caption, rows.caption_justify = "in %; FP: static points removed, FN: dynamic points kept", "left"
     rows.add_column("")
@@ -121,7 +121,7 @@ def table(found: Check) -> Table:
         rows.add_column(name, justify="right", no_wrap=True)
     rows.add_column("points", no_wrap=True)
     numbers = [finding for finding in found.findings if not finding.in_words]
-    holds = [finding for finding in numbers if finding.verdict is Verdict.HOLDS]
+    holds = [finding for finding in numbers if finding.verdict is CheckOutcome.HOLDS]
     hidden = holds[max(0, ROWS - len(numbers) + len(holds)) :]
     for finding in numbers:
         if not any(finding is other for other in hidden):
@@ -132,7 +132,7 @@ def table(found: Check) -> Table:
     return rows
 
 
-def _numbers(finding: Finding) -> tuple[str, str, str]:
+def _numbers(finding: CheckedValue) -> tuple[str, str, str]:
     """Value, limit and their difference."""
     digits = 3 if finding.what == "s/frame" else 2
     value, limit = ("n/a" if x is None else f"{x:.{digits}f}" for x in (finding.value, finding.limit))
@@ -145,12 +145,12 @@ SHORT = {"static_removed": "FP", "dynamic_kept": "FN"}
 PARTS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that a metric falls by
 
 
-def _words(finding: Finding) -> Iterator[str]:
-    from dynaviz.check import Verdict
+def _words(finding: CheckedValue) -> Iterator[str]:
+    from dynaviz.results.regression import CheckOutcome
 
     if finding.remark:
         yield finding.remark
-    if finding.verdict in (Verdict.FELL, Verdict.BETTER):
+    if finding.verdict in (CheckOutcome.FELL, CheckOutcome.BETTER):
         for part in PARTS.get(finding.what, tuple(SHORT)):
             if part in finding.counts:
                 count, change = finding.counts[part]

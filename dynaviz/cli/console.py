@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from dynaviz.loop import Progress
+    from dynaviz.progress import Progress
 
 QUIET = 5.0  # seconds between two lines of a phase in a log
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
+from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
 def add_to(app: typer.Typer) -> None:
@@ -38,7 +38,7 @@ def convert(
     ground truth (intensity 0 static, 1 dynamic, 255 unlabelled), and sequence.toml with the name, sensor and classes.
     The data do not lose the licence they came under.
     """
-    from dynaviz.convert import convert as write
+    from dynaviz.datasets.convert import convert as write
 
     opened = open_sequence(
         sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew

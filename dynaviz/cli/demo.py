@@ -36,8 +36,8 @@ def demo(
     from dynaviz import api, registry
     from dynaviz.params import read_toml
     from dynaviz.precompile import compiling
+    from dynaviz.results.tables import result_table
     from dynaviz.simulate import simulate
-    from dynaviz.tables import result_table
 
     folder = out / "street"
     facts = folder / "sequence.toml"

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName
+from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName
 
 
 def add_to(app: typer.Typer) -> None:
@@ -36,7 +36,7 @@ def doctor(
     """
     import json
 
-    from dynaviz.cli.opening import open_sequence
+    from dynaviz.cli.options import open_sequence
     from dynaviz.diagnosis import doctor as examine
     from dynaviz.io.atomic import write_whole
 

@@ -37,8 +37,8 @@ def download(
     An interrupted download goes on where it stopped. The archive is checked, unpacked and removed; NAME.download.json
     beside the sequence keeps its checksum. sequence.toml with the sensor is added. docs/datasets.md has the licences.
     """
-    from dynaviz.download import BASE, SEQUENCES
-    from dynaviz.download import download as fetch
+    from dynaviz.datasets.download import BASE, SEQUENCES
+    from dynaviz.datasets.download import download as fetch
 
     with progress(name) as tell:
         folder = fetch(name, out, url or BASE, tell)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
+from dynaviz.cli.options import Deskew, PointsIn, Poses, open_sequence
 
 
 def add_to(app: typer.Typer) -> None:
@@ -35,7 +35,7 @@ def export_labels(
     One file a frame, NNNNNN.label as the frame's number; one uint32 a point, in the order of the sequence: 9 for static
     and 251 for moving, the numbers of SemanticKITTI's task of moving object segmentation.
     """
-    from dynaviz.export import export_labels as write
+    from dynaviz.datasets.export import export_labels as write
 
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in, deskew=deskew)
     with progress(f"labels of {opened.name}") as tell:

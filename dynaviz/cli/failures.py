@@ -51,7 +51,7 @@ def failures(
 def _section(run: Path) -> dict[str, Any]:
     """The section of a result, from its own file or from a recording."""
     from dynaviz.errors import DataError
-    from dynaviz.result import Result
+    from dynaviz.results.result import Result
 
     if run.suffix == ".rrd":
         from dynaviz.viz.failures import failures_of

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.opening import Deskew, PointsIn, Poses, open_sequence
+from dynaviz.cli.options import Deskew, PointsIn, Poses, open_sequence
 
 if TYPE_CHECKING:
-    from dynaviz.result import Result
+    from dynaviz.results.result import Result
     from dynaviz.scan import Sequence
 
 
@@ -36,15 +36,15 @@ def info(
     """
     suffix = Path(what).suffix
     if suffix == ".json":
-        from dynaviz.result import Result
+        from dynaviz.results.result import Result
 
         _show_result(Result.load(what))
     elif suffix == ".rrd" or what.endswith(".rrd.part"):
-        from dynaviz.viz.reader import Recording, read
+        from dynaviz.viz.reader import RunRecording, read
 
         recording = read(what)
         _show_pairs(what, recording.facts())
-        if isinstance(recording, Recording) and recording.result is not None:
+        if isinstance(recording, RunRecording) and recording.result is not None:
             _show_result(recording.result)
     else:
         _show_pairs(what, _sequence_facts(open_sequence(what, poses=poses, points_in=points_in, deskew=deskew)))
@@ -64,10 +64,10 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
-    from dynaviz.survey import survey
+    from dynaviz.engine.summary import summarize
 
     with progress(sequence.name) as tell:
-        seen = survey(sequence, lambda done: tell("reading", done, len(sequence)))
+        seen = summarize(sequence, lambda done: tell("reading", done, len(sequence)))
     low, high = seen.extent.low, seen.extent.high
     return {
         "name": sequence.name,

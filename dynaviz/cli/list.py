@@ -12,7 +12,7 @@ import typer
 from dynaviz.cli.console import show
 
 
-class Kind(StrEnum):
+class Listing(StrEnum):
     """What can be listed."""
 
     methods = "methods"
@@ -29,7 +29,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("list")(list_)
 
 
-def list_(what: Annotated[Kind | None, typer.Argument(help="Only these. [default: everything]")] = None) -> None:
+def list_(what: Annotated[Listing | None, typer.Argument(help="Only these. [default: everything]")] = None) -> None:
     """List methods, datasets, metrics, formats of reports, sensors, parameter presets and simulated scenes.
 
     \b
@@ -38,7 +38,7 @@ def list_(what: Annotated[Kind | None, typer.Argument(help="Only these. [default
     """
     from rich.table import Table
 
-    for kind in [what] if what else list(Kind):
+    for kind in [what] if what else list(Listing):
         table = Table(
             "name", "what", "from", title=kind.value, title_justify="left", box=None, pad_edge=False, min_width=60
         )

@@ -10,7 +10,7 @@ import typer
 from dynaviz.cli.console import program, show
 
 if TYPE_CHECKING:
-    from dynaviz.viz.repair import Salvage
+    from dynaviz.viz.repair import SalvagedRecording
 
 IN_PART, NOTHING = 3, 1
 
@@ -46,7 +46,7 @@ def repair(
         raise typer.Exit(NOTHING if found.path is None else IN_PART)
 
 
-def _words(broken: Path, found: Salvage) -> list[str]:
+def _words(broken: Path, found: SalvagedRecording) -> list[str]:
     """What was salvaged, and what to do next."""
     again = "Run the method again for the rest: it writes every file of the run anew."
     if found.path is None:

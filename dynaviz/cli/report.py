@@ -38,7 +38,7 @@ def report(
     dynaviz report bench/ -o tables.tex
     dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
     """
-    from dynaviz.study import report as write_report
+    from dynaviz.reporting import report as write_report
 
     with progress("report") as tell:
         text = write_report(*results, out=out, format=format, progress=tell)

@@ -11,10 +11,10 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show, written
-from dynaviz.cli.opening import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
+from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
 
 
-class Record(StrEnum):
+class RecordModeOption(StrEnum):
     """How much a recording holds."""
 
     full = "full"
@@ -50,7 +50,7 @@ def run(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
-    record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
+    record: Annotated[RecordModeOption, typer.Option(help="How much run.rrd holds.")] = RecordModeOption.errors,
     view: Annotated[bool, typer.Option("--view", help="Show the run in a viewer while it goes on.")] = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="For everything random in the method. [default: 0]")] = None,
@@ -86,4 +86,4 @@ def run(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
-    show(result, written(folder, record is not Record.none))
+    show(result, written(folder, record is not RecordModeOption.none))

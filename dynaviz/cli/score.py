@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show, written
-from dynaviz.cli.opening import Frames, PointsIn, Poses, Stride, open_sequence
-from dynaviz.cli.run import Record
+from dynaviz.cli.options import Frames, PointsIn, Poses, Stride, open_sequence
+from dynaviz.cli.run import RecordModeOption
 
 
 def add_to(app: typer.Typer) -> None:
@@ -41,7 +41,7 @@ def score(
     stride: Stride = 1,
     poses: Poses = None,
     points_in: PointsIn = None,
-    record: Annotated[Record, typer.Option(help="How much run.rrd holds.")] = Record.errors,
+    record: Annotated[RecordModeOption, typer.Option(help="How much run.rrd holds.")] = RecordModeOption.errors,
     threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
 ) -> None:
     """Score a cleaned map that any other program wrote, with a recording.
@@ -68,4 +68,4 @@ def score(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=tell,
         )
-    show(result, written(folder, record is not Record.none))
+    show(result, written(folder, record is not RecordModeOption.none))

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, Self
 
 from dynaviz import registry
 from dynaviz.errors import DataError, PluginError, UsageError
-from dynaviz.scan import Sequence, part
+from dynaviz.scan import Sequence, select_frames
 from dynaviz.sensors import load_sensor
 
 
@@ -58,7 +58,7 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     given = {name: value for name, value in options.items() if value is not None}
     kind, path = _asked(text)
     sequence: Sequence = (kind or _guess(path, given)).open(path, **(_fitting(kind, given) if kind else given))
-    return part(sequence, sensor=load_sensor(sensor)) if sensor else sequence
+    return select_frames(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 
 def known(text: str) -> bool:

@@ -9,14 +9,15 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz import geometry
-from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.arrays import F64, I64
+from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.datasets.truth import Truth, fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 KINDS = (  # Scan.classes counts these, as the data set's own flow labels do
     "none", "animal", "articulated bus", "bicycle", "bicyclist", "bollard", "box truck", "bus", "construction barrel",
@@ -36,7 +37,7 @@ _BOX = ("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height
 
 
 @dataclass(frozen=True)
-class Poses:
+class EgoPoses:
     """The car over time.
 
     Attributes:
@@ -46,7 +47,7 @@ class Poses:
     """
 
     path: Path
-    stamps: NDArray[np.int64]
+    stamps: I64
     T_world_ego: F64
 
     def at(self, stamp: int) -> F64:
@@ -62,7 +63,7 @@ class Poses:
         pose: F64 = self.T_world_ego[nearest]
         return pose
 
-    def places(self, mounts: F64, stamps: NDArray[np.int64]) -> F64:
+    def places(self, mounts: F64, stamps: I64) -> F64:
         """Where (M, 3) places on the car were at (S,) times: (M, S, 3) float64, metres, world frame."""
         times, known = (stamps - self.stamps[0]).astype(np.float64), (self.stamps - self.stamps[0]).astype(np.float64)
         out = np.empty((len(mounts), len(stamps), 3))
@@ -87,9 +88,9 @@ class Argoverse2Sequence:
     log: str
     sensor: Sensor
     scans: dict[int, Path]
-    poses: Poses
+    poses: EgoPoses
     mounts: F64
-    boxes: dict[int, list[Box]] | None
+    boxes: dict[int, list[OrientedBox]] | None
     moving: frozenset[int]
 
     @classmethod
@@ -200,12 +201,12 @@ def _transforms(path: Path, table: dict[str, NDArray[Any]]) -> F64:
     return out
 
 
-def _poses(path: Path) -> Poses:
+def _poses(path: Path) -> EgoPoses:
     table = read_feather(path, ("timestamp_ns", *_POSE))
     if not len(table["timestamp_ns"]):
         raise DataError(path, "has no poses", hint="Copy the file again")
     order = np.argsort(table["timestamp_ns"], kind="stable")
-    return Poses(path, table["timestamp_ns"][order].astype(np.int64), _transforms(path, table)[order])
+    return EgoPoses(path, table["timestamp_ns"][order].astype(np.int64), _transforms(path, table)[order])
 
 
 def _mounts(path: Path) -> F64:
@@ -218,7 +219,7 @@ def _mounts(path: Path) -> F64:
     return _transforms(path, table)[[names.index(lidar) for lidar in LIDARS], :3, 3]
 
 
-def _boxes(path: Path) -> dict[int, list[Box]]:
+def _boxes(path: Path) -> dict[int, list[OrientedBox]]:
     """The boxes at each time stamp, in the order of time."""
     table = read_feather(path, _BOX)
     numbers = {track: number for number, track in enumerate(sorted(set(table["track_uuid"])), 1)}
@@ -226,8 +227,8 @@ def _boxes(path: Path) -> dict[int, list[Box]]:
     sizes = np.column_stack([table[name].astype(np.float64) for name in ("length_m", "width_m", "height_m")])
     T_ego_box = _transforms(path, table)
     T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2  # from the middle to the bottom
-    boxes: dict[int, list[Box]] = {int(stamp): [] for stamp in np.unique(table["timestamp_ns"])}
+    boxes: dict[int, list[OrientedBox]] = {int(stamp): [] for stamp in np.unique(table["timestamp_ns"])}
     rows = zip(table["timestamp_ns"].tolist(), table["track_uuid"], table["category"], T_ego_box, sizes, strict=True)
     for stamp, track, category, T, size in rows:
-        boxes[stamp].append(Box(numbers[track], kinds.get(category, 0), T, tuple(size.tolist())))
+        boxes[stamp].append(OrientedBox(numbers[track], kinds.get(category, 0), T, tuple(size.tolist())))
     return boxes

@@ -10,14 +10,15 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from dynaviz import geometry
+from dynaviz.arrays import F64
 from dynaviz.datasets.files import holds, numbered
 from dynaviz.datasets.truth import GroundTruth
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
 from dynaviz.io.poses import find_poses
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 _POSE = (
     "The points are in the world frame, and VIEWPOINT tx ty tz qw qx qy qz is the sensor's pose in it: "

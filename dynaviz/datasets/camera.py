@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.scan import F64, Bool
+from dynaviz.arrays import F64, Bool
+from dynaviz.spatial import geometry
 
 
 @dataclass(frozen=True)

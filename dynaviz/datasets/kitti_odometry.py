@@ -6,15 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from dynaviz import geometry
+from dynaviz.arrays import F32, F64
 from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.errors import DataError
 from dynaviz.io.calib import read_calib, rigid_of
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.text import read_table
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.scan import F32, F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 
 @dataclass(frozen=True)

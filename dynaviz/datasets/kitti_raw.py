@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.arrays import F64
+from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.datasets.kitti_tracking import CLASS_NAMES, KINDS, SWEEP
@@ -20,8 +20,9 @@ from dynaviz.io.calib import matrix_of, read_calib, rigid_of
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.tracklets import Tracklet, read_tracklets
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 _CALIB = "The calibration of a day lies in DATE/calib_*.txt, beside its drives; download it there"
 
@@ -42,7 +43,7 @@ class KittiRawSequence:
     poses: dict[int, F64]
     stamps: dict[int, int]
     camera: Camera | None
-    boxes: dict[int, list[Box]]
+    boxes: dict[int, list[OrientedBox]]
     moving: frozenset[int]
 
     @classmethod
@@ -175,14 +176,14 @@ def _time(path: Path, number: int, line: str) -> int:
         raise DataError(path, "has no time", at=f"line {number}", hint=hint) from None
 
 
-def _boxes(tracklets: list[Tracklet]) -> dict[int, list[Box]]:
+def _boxes(tracklets: list[Tracklet]) -> dict[int, list[OrientedBox]]:
     """Boxes in the sensor frame by frame."""
-    boxes: dict[int, list[Box]] = {}
+    boxes: dict[int, list[OrientedBox]] = {}
     for track, tracklet in enumerate(tracklets, 1):
         kind = tracklet.kind.partition(" ")[0]  # Person (sitting)
         number = KINDS.index(kind) if kind in KINDS else 0
         height, width, length = tracklet.size
         for frame, (x, y, z, yaw) in enumerate(tracklet.places, tracklet.first):
             T_sensor_box = geometry.pose((x, y, z), (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)))
-            boxes.setdefault(frame, []).append(Box(track, number, T_sensor_box, (length, width, height)))
+            boxes.setdefault(frame, []).append(OrientedBox(track, number, T_sensor_box, (length, width, height)))
     return boxes

@@ -10,19 +10,19 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.arrays import F64
+from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import holds, numbered, only_folder
 from dynaviz.datasets.truth import Truth, fields_of
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import REGION, read_boxes
-from dynaviz.io.boxes import Box as Line
+from dynaviz.io.boxes import REGION, TrackBox, read_boxes
 from dynaviz.io.calib import matrix_of, read_calib, rigid_of
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 KINDS = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")  # Scan.classes counts these
 CLASS_NAMES = {number: kind.lower() for number, kind in enumerate(KINDS)}
@@ -44,7 +44,7 @@ class KittiTrackingSequence:
     scans: dict[int, Path]
     poses: F64
     camera: Camera
-    boxes: dict[int, list[Line]] | None
+    boxes: dict[int, list[TrackBox]] | None
     moving: frozenset[int]
 
     @classmethod
@@ -106,7 +106,7 @@ class KittiTrackingSequence:
             truth = self._truth(geometry.apply(self.camera.T_camera_sensor, xyz), self.boxes.get(index, []))
         return Scan(index, points, T_world_sensor, **fields_of(truth, CLASS_NAMES))
 
-    def _truth(self, points: F64, boxes: Iterable[Line]) -> Truth:
+    def _truth(self, points: F64, boxes: Iterable[TrackBox]) -> Truth:
         """The truth of (N, 3) points in the camera frame."""
         seen, column, row = self.camera.sees(points)
         for left, top, right, bottom in (box.rectangle for box in boxes if box.kind == REGION):
@@ -128,14 +128,14 @@ def _split(path: Path) -> tuple[Path, str | None] | None:
     return None
 
 
-def _by_frame(boxes: Iterable[Line]) -> dict[int, list[Line]]:
+def _by_frame(boxes: Iterable[TrackBox]) -> dict[int, list[TrackBox]]:
     groups = defaultdict(list)
     for box in boxes:
         groups[box.frame].append(box)
     return dict(groups)
 
 
-def _moving(boxes: Iterable[Line], T_world_camera: F64) -> frozenset[int]:
+def _moving(boxes: Iterable[TrackBox], T_world_camera: F64) -> frozenset[int]:
     """Tracks that move, as numbered in ``Scan.instances``."""
     return moving_tracks(
         (box.track + 1, box.frame * SWEEP, geometry.apply(T_world_camera[box.frame], np.array([box.bottom]))[0])
@@ -144,10 +144,12 @@ def _moving(boxes: Iterable[Line], T_world_camera: F64) -> frozenset[int]:
     )
 
 
-def _box(box: Line) -> Box:
+def _box(box: TrackBox) -> OrientedBox:
     """A box in the camera frame, whose y axis points down."""
     height, width, length = box.size
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     T_camera_box = np.eye(4)
     T_camera_box[:3] = np.column_stack([(c, 0, -s), (s, 0, c), (0, -1, 0), box.bottom])
-    return Box(box.track + 1, KINDS.index(box.kind) if box.kind in KINDS else 0, T_camera_box, (length, width, height))
+    return OrientedBox(
+        box.track + 1, KINDS.index(box.kind) if box.kind in KINDS else 0, T_camera_box, (length, width, height)
+    )

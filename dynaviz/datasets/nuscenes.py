@@ -9,15 +9,16 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.datasets.boxed import Box, boxed_truth, moving_tracks, track_facts
+from dynaviz.arrays import F64, Bool
+from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
 from dynaviz.datasets.files import holds, only
 from dynaviz.datasets.truth import fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.records import read_records
 from dynaviz.io.velodyne import read_velodyne
-from dynaviz.scan import F64, Bool, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.spatial import geometry
 
 CHANNEL = "LIDAR_TOP"
 CAR = ((-0.8, 3.6), (-1.1, 1.1))  # metres along and across, in the car's frame: nobody drew a box around it
@@ -45,11 +46,11 @@ class Sweep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class AnnotatedBox:
     """The boxes of a keyframe by their tracks, in the world frame, and its time in microseconds."""
 
     time: int
-    boxes: dict[int, Box]
+    boxes: dict[int, OrientedBox]
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class NuScenesSequence:
     scene: str
     sensor: Sensor
     sweeps: list[Sweep]
-    drawn: list[Drawn]
+    drawn: list[AnnotatedBox]
     class_names: dict[int, str]
     moving: frozenset[int]
 
@@ -138,7 +139,7 @@ class NuScenesSequence:
         )
 
 
-def boxes_at(drawn: list[Drawn], time: int) -> list[Box] | None:
+def boxes_at(drawn: list[AnnotatedBox], time: int) -> list[OrientedBox] | None:
     """The boxes at a time, in microseconds; None before the first keyframe and after the last."""
     after = next((k for k, frame in enumerate(drawn) if frame.time >= time), None)
     if after is None or (after == 0 and drawn[0].time > time):
@@ -157,7 +158,7 @@ def boxes_at(drawn: list[Drawn], time: int) -> list[Box] | None:
     return sorted(boxes, key=lambda box: box.track)
 
 
-def _between(a: Box, b: Box, share: float) -> Box:
+def _between(a: OrientedBox, b: OrientedBox, share: float) -> OrientedBox:
     """A box on its way from one place (share 0) to another (1), or before or beyond them, where it does not turn."""
     T = np.eye(4)
     T[:3, 3] = (1 - share) * a.T_frame_box[:3, 3] + share * b.T_frame_box[:3, 3]
@@ -262,7 +263,7 @@ def _sweeps(tables: Path, samples: set[str]) -> list[Sweep]:
     return sweeps
 
 
-def _drawn(tables: Path, times: dict[str, int], names: list[str], start: F64) -> list[Drawn]:
+def _drawn(tables: Path, times: dict[str, int], names: list[str], start: F64) -> list[AnnotatedBox]:
     """The boxes of each keyframe in the order of time, given the times of samples by their tokens."""
     pose = ("translation", "rotation", "size")
     rows = [
@@ -277,7 +278,7 @@ def _drawn(tables: Path, times: dict[str, int], names: list[str], start: F64) ->
         for row in _rows(tables, "instance", "category_token")
         if row["token"] in numbers
     }
-    drawn = {sample: Drawn(time, {}) for sample, time in times.items()}
+    drawn = {sample: AnnotatedBox(time, {}) for sample, time in times.items()}
     for row in rows:
         T_world_box, track = _transform(tables, "sample_annotation", row), numbers[row["instance_token"]]
         try:
@@ -286,6 +287,6 @@ def _drawn(tables: Path, times: dict[str, int], names: list[str], start: F64) ->
             place = f"token {row['token']}"
             raise DataError(tables / "sample_annotation.json", "has no size", at=place, hint=_HINT) from None
         T_world_box[:3, 3] -= start + T_world_box[:3, 2] * height / 2  # from the middle to the bottom
-        box = Box(track, kinds.get(row["instance_token"], 0), T_world_box, (length, width, height))
+        box = OrientedBox(track, kinds.get(row["instance_token"], 0), T_world_box, (length, width, height))
         drawn[row["sample_token"]].boxes[track] = box
     return sorted(drawn.values(), key=lambda frame: frame.time)

@@ -11,16 +11,17 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz import geometry
-from dynaviz.datasets.posed import frame_of, inside, match
+from dynaviz.arrays import F32, F64, I64
+from dynaviz.datasets.pose_matching import frame_of, inside, match
 from dynaviz.datasets.transforms import Chain, Frames, plain
-from dynaviz.deskew import FIELDS, I64, Trajectory, deskew, point_times, unit_of
-from dynaviz.deskew import Path as PosePath
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pointcloud2 import rows_of, xyz_of
 from dynaviz.io.rosbag import Bag, is_bag
-from dynaviz.scan import F32, F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import FIELDS, Trajectory, deskew, point_times, unit_of
+from dynaviz.spatial.trajectory import PosesOverTime as PosePath
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
@@ -30,7 +31,7 @@ _TRAJECTORY = "Give a trajectory of the lidar with --poses FILE; any odometry, f
 
 
 @dataclass(frozen=True)
-class Clouds:
+class CloudTopic:
     """Where the clouds of a topic are.
 
     Attributes:
@@ -68,7 +69,7 @@ class RosBagSequence:
     name: str
     sensor: Sensor
     bag: Bag
-    clouds: Clouds
+    clouds: CloudTopic
     positions: I64
     poses: F64
     path: PosePath
@@ -167,7 +168,7 @@ def _topic(bag: Bag, asked: str | None) -> str:
     raise DataError(bag.path, f"has no topic of clouds, but {kinds}", hint=hint)
 
 
-def _walk(bag: Bag, topic: str) -> tuple[Clouds, dict[str, Odometry], Frames]:
+def _walk(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, Odometry], Frames]:
     """One walk through the bag: where the clouds are, and all poses."""
     kinds, frames = bag.topics, Frames()
     keys: list[tuple[int, int]] = []
@@ -203,7 +204,7 @@ def _walk(bag: Bag, topic: str) -> tuple[Clouds, dict[str, Odometry], Frames]:
         name: Odometry(*names[name], Trajectory.of([time for time, _ in told], [T for _, T in told]))
         for name, told in found.items()
     }
-    return Clouds(topic, plain(frame), np.array(keys, np.int64), np.array(stamps, np.int64)), odometries, frames
+    return CloudTopic(topic, plain(frame), np.array(keys, np.int64), np.array(stamps, np.int64)), odometries, frames
 
 
 def _stamp(header: Any) -> int:
@@ -219,7 +220,7 @@ def _pose(bag: Bag, topic: str, position: Any, turn: Any) -> F64:
 
 
 def _source(
-    bag: Bag, clouds: Clouds, odometries: dict[str, Odometry], frames: Frames, asked: str | None, points_in: str
+    bag: Bag, clouds: CloudTopic, odometries: dict[str, Odometry], frames: Frames, asked: str | None, points_in: str
 ) -> tuple[PosePath, str]:
     """T_world_sensor over time, and where it comes from: what was asked for, or the only source there is.
 
@@ -256,7 +257,7 @@ def _source(
 
 
 def _asked(
-    bag: Bag, clouds: Clouds, odometries: dict[str, Odometry], frames: Frames, asked: str, points_in: str
+    bag: Bag, clouds: CloudTopic, odometries: dict[str, Odometry], frames: Frames, asked: str, points_in: str
 ) -> tuple[PosePath, str]:
     """The topic or frame that was asked for."""
     if asked in odometries:
@@ -284,7 +285,7 @@ def _by_frames(frames: Frames, world: str, frame: str) -> tuple[PosePath, str]:
 
 
 def _by_topic(
-    bag: Bag, clouds: Clouds, topic: str, odometry: Odometry, frames: Frames, points_in: str
+    bag: Bag, clouds: CloudTopic, topic: str, odometry: Odometry, frames: Frames, points_in: str
 ) -> PosePath | None:
     """The sensor's path by a topic; None where nothing tells how the sensor is mounted on what the topic is about."""
     if points_in == "world":
@@ -298,7 +299,7 @@ def _by_topic(
     return mount and Chain(((odometry.path, False),)).then(mount)
 
 
-def _clock(bag: Bag, clouds: Clouds, positions: I64) -> tuple[str, float] | None:
+def _clock(bag: Bag, clouds: CloudTopic, positions: I64) -> tuple[str, float] | None:
     """The field with the points' times, and nanoseconds a count of it; None where there is none that spans a sweep.
 
     Some sweeps are looked at, for a single one may be cut.
@@ -316,7 +317,7 @@ def _clock(bag: Bag, clouds: Clouds, positions: I64) -> tuple[str, float] | None
     return widest and widest[1:]
 
 
-def _rows(bag: Bag, clouds: Clouds, k: int) -> NDArray[Any]:
+def _rows(bag: Bag, clouds: CloudTopic, k: int) -> NDArray[Any]:
     """The points of a cloud, as they are."""
     try:
         return rows_of(bag.message(clouds.topic, *clouds.keys[k].tolist()))
@@ -324,12 +325,12 @@ def _rows(bag: Bag, clouds: Clouds, k: int) -> NDArray[Any]:
         raise _wrong(bag, clouds, k, error) from None
 
 
-def _xyz(bag: Bag, clouds: Clouds, k: int, rows: NDArray[Any]) -> F32:
+def _xyz(bag: Bag, clouds: CloudTopic, k: int, rows: NDArray[Any]) -> F32:
     try:
         return xyz_of(rows)
     except ValueError as error:
         raise _wrong(bag, clouds, k, error) from None
 
 
-def _wrong(bag: Bag, clouds: Clouds, k: int, error: ValueError) -> DataError:
+def _wrong(bag: Bag, clouds: CloudTopic, k: int, error: ValueError) -> DataError:
     return DataError(bag.path, f"is no cloud: {error}", at=f"message {k} of {clouds.topic}", hint="Record it again")

@@ -9,12 +9,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynaviz import geometry
+from dynaviz.arrays import F32, F64, U8
 from dynaviz.datasets.files import holds
 from dynaviz.datasets.kitti_odometry import KittiOdometrySequence, sequences_of
 from dynaviz.errors import DataError
 from dynaviz.io.semantic_label import read_semantic_labels
-from dynaviz.scan import F32, F64, U8, Label, Scan
+from dynaviz.scan import Label, Scan
+from dynaviz.spatial import geometry
 
 MOVING = range(251, 260)  # anything, car, bicyclist, person, motorcyclist, on rails, bus, truck, other vehicle
 UNSURE = (0, 1)  # unlabelled, outlier: static as in the public benchmark
@@ -75,7 +76,7 @@ class SemanticKittiSequence(KittiOdometrySequence):
 
 
 @dataclass(frozen=True)
-class PaperSequence(SemanticKittiSequence):
+class SemanticKittiPaperSequence(SemanticKittiSequence):
     """The frames of SemanticKITTI 00, 01, 02, 05, 07 and 19 that the benchmark's papers use.
 
     Sweeps are whole, as where the published scores were computed. Opened by name only: ``semantickitti_paper:PATH/00``.
@@ -107,7 +108,7 @@ class PaperSequence(SemanticKittiSequence):
 
 
 @dataclass(frozen=True)
-class NearSequence(SemanticKittiSequence):
+class SemanticKitti50mSequence(SemanticKittiSequence):
     """SemanticKITTI without points farther than 50 m from the sensor, as the benchmark's extractor writes since 2024.
 
     Scores do not compare with those published, which are of whole sweeps. Opened by name only:

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dynaviz import geometry
-from dynaviz.deskew import Trajectory
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import Trajectory
 
 WORLDS = ("map", "world", "odom", "earth")  # what people call a frame that stands still
 

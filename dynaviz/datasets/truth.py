@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import F32, I32, U8, U16, Bool
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
-from dynaviz.scan import F32, U8, Bool, Label
+from dynaviz.scan import Label
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -35,8 +35,8 @@ class Truth:
     """
 
     labels: U8
-    classes: NDArray[np.uint16] | None
-    instances: NDArray[np.int32] | None
+    classes: U16 | None
+    instances: I32 | None
     unmatched: int = 0
 
 

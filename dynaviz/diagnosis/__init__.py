@@ -10,22 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.diagnosis import placing, trajectory
-from dynaviz.diagnosis.finding import Diagnosis, Finding, Sure
+from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.scans import ScanWalk
 from dynaviz.errors import DataError
-from dynaviz.loop import Progress
+from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence
 
-__all__ = ["Diagnosis", "Finding", "Sure", "doctor"]
+__all__ = ["Confidence", "Diagnosis", "Finding", "doctor"]
 
 MOST, STRETCH = 400, 20  # frames that are read of a long sequence, and how many of them in a row
 FEW = 50  # cells with points, below which scans are not compared
 LOCAL = ("ground height",)  # of the findings on poses, those that leave distances from the sensor as they are
 
 
-def doctor(
-    sequence: Sequence | str | os.PathLike[str], *, progress: Progress = lambda phase, done, total: None
-) -> Diagnosis:
+def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = silent) -> Diagnosis:
     """Say what is wrong with a sequence.
 
     Of more than ``MOST`` frames some stretches are read, spread over the whole.
@@ -103,7 +101,7 @@ def _unreadable(errors: list[DataError]) -> Iterator[Finding]:
         place = f"{first.at}: " if first.at else ""
         labels = any("label" in part for part in Path(first.path).parts[-2:])
         name = "labels do not fit" if labels else "unreadable frame"
-        yield Finding(name, Sure.CERTAIN, f"{place}{first.problem}{also}",
+        yield Finding(name, Confidence.CERTAIN, f"{place}{first.problem}{also}",
                       f"{hint or 'Write or copy the file again'}", (), len(alike), first.path)  # fmt: skip
 
 
@@ -127,20 +125,22 @@ def _placed(walk: ScanWalk, progress: Progress) -> Iterator[Finding]:
         yield found[0]
     elif views and (words := placing.elsewhere(views, 1.5 if same else 2.0)):
         if same:
-            yield Finding("poses missing", Sure.LIKELY, f"{same}, but {words}", _MISSING)
+            yield Finding("poses missing", Confidence.LIKELY, f"{same}, but {words}", _MISSING)
         else:
-            yield Finding("origin elsewhere", Sure.PERHAPS, words, _LIDAR)
+            yield Finding("origin elsewhere", Confidence.PERHAPS, words, _LIDAR)
     elif found := list(walk.outside_finding()):
         yield from found
     else:
         yield from placing.ground(views, walk.sequence.sensor.height, walk.sequence.sensor.title)
 
 
-def _views(walk: ScanWalk, pairs: list[tuple[int, int]], progress: Progress) -> list[tuple[placing.View, placing.View]]:
+def _views(
+    walk: ScanWalk, pairs: list[tuple[int, int]], progress: Progress
+) -> list[tuple[placing.ScanView, placing.ScanView]]:
     """Read pairs of scans once more."""
     views = []
     for done, rows in enumerate(pairs, 1):
-        a, b = (placing.View(walk.sequence[walk.positions[row]]) for row in rows)
+        a, b = (placing.ScanView(walk.sequence[walk.positions[row]]) for row in rows)
         if min(len(a.points), len(b.points)) > FEW:
             views.append((a, b))
         progress("comparing", done, len(pairs))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 SHOWN = 5  # frames that a finding names
 
 
-class Sure(IntEnum):
+class Confidence(IntEnum):
     """How sure a finding is."""
 
     CERTAIN = 0
@@ -38,7 +38,7 @@ class Finding:
     """
 
     name: str
-    sure: Sure
+    sure: Confidence
     what: str
     mend: str
     frames: tuple[int, ...] = ()
@@ -97,7 +97,7 @@ class Diagnosis:
         from rich.padding import Padding
         from rich.text import Text
 
-        looks = {Sure.CERTAIN: "bold red", Sure.LIKELY: "bold yellow", Sure.PERHAPS: "bold cyan"}
+        looks = {Confidence.CERTAIN: "bold red", Confidence.LIKELY: "bold yellow", Confidence.PERHAPS: "bold cyan"}
         for number, finding in enumerate(self.findings, 1):
             head = Text.assemble((f"{finding.sure.name.lower()}  ", looks[finding.sure]), (finding.name, "bold"))
             yield Text.assemble(f"{number:>2}  ", head, (f"  {finding.where}", "dim"))

@@ -13,11 +13,12 @@ from functools import cached_property
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.diagnosis.finding import Finding, Sure, settable
+from dynaviz.arrays import F64
+from dynaviz.diagnosis.finding import Confidence, Finding, settable
 from dynaviz.diagnosis.trajectory import FAULTS, Pose, angle
-from dynaviz.grid import thin
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
+from dynaviz.spatial import geometry
+from dynaviz.spatial.grid import voxel_downsample
 
 CELL = 0.4  # metres; one point of each cell is compared
 SOME = 20_000  # points that are looked at from elsewhere
@@ -29,7 +30,7 @@ MOVE, TURN = 1.0, 5.0  # metres, degrees between the two scans of a pair
 FARTHEST = 40  # frames between them
 
 
-class View:
+class ScanView:
     """A scan, thinned, for comparison. Everything is relative to ``origin``, for precision far from the world's origin.
 
     Attributes:
@@ -46,7 +47,7 @@ class View:
         xyz = xyz[(np.abs(xyz - middle) < REACH).all(1)]
         xyz = xyz[np.random.default_rng(0).permutation(len(xyz))]
         self.all = xyz[:SOME].astype(np.float64)
-        self.points = (xyz - middle)[thin(xyz - middle, CELL)[0]].astype(np.float64) + middle
+        self.points = (xyz - middle)[voxel_downsample(xyz - middle, CELL)[0]].astype(np.float64) + middle
 
     @cached_property
     def surface(self) -> Surface:
@@ -162,7 +163,7 @@ class Evidence:
     hidden: F64
 
 
-def evidence(reading: Reading, views: Sequence[tuple[View, View]], known: dict[bytes, float]) -> Evidence:
+def evidence(reading: Reading, views: Sequence[tuple[ScanView, ScanView]], known: dict[bytes, float]) -> Evidence:
     """Try a reading on pairs of scans; ``known`` keeps figures that several readings share."""
 
     def ask(number: int, T: F64, figure: Callable[[], float]) -> float:
@@ -182,7 +183,7 @@ def evidence(reading: Reading, views: Sequence[tuple[View, View]], known: dict[b
     return Evidence(np.array(overlaps), np.array(hides))
 
 
-def other_reading(views: Sequence[tuple[View, View]]) -> Iterator[Finding]:
+def other_reading(views: Sequence[tuple[ScanView, ScanView]]) -> Iterator[Finding]:
     """The reading that fits clouds and poses better than the given one, if any."""
     known: dict[bytes, float] = {}
     given, *others = (evidence(reading, views, known) for reading in (GIVEN, *READINGS))
@@ -195,7 +196,7 @@ def other_reading(views: Sequence[tuple[View, View]]) -> Iterator[Finding]:
         reading, e = next((r, e) for r, e in near if e.hidden.mean() <= FEWER[0] * least + FEWER[1])
         better = float((e.overlap > given.overlap + 0.02).mean())
         if better >= 0.6:
-            sure = Sure.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Sure.LIKELY
+            sure = Confidence.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Confidence.LIKELY
             share = f"{e.overlap.mean():.0%} of a scan then lies upon the next one, as given {given.overlap.mean():.0%}"
             yield Finding(reading.name, sure, f"{reading.what}: {share}", reading.mend)
         return
@@ -203,7 +204,7 @@ def other_reading(views: Sequence[tuple[View, View]]) -> Iterator[Finding]:
         if e.overlap.mean() > given.overlap.mean() - 0.03 and _hides_less(e.hidden, given.hidden):
             then, now = float(e.hidden.mean()), float(given.hidden.mean())
             said = f"{reading.what}: a cloud then hides {then:.1%} of itself from the sensor, as given {now:.1%}"
-            yield Finding(reading.name, Sure.LIKELY, said, reading.mend)
+            yield Finding(reading.name, Confidence.LIKELY, said, reading.mend)
             return
 
 
@@ -213,7 +214,7 @@ def _hides_less(other: F64, given: F64, times: float = FEWER[0], share: float = 
     return bool(mostly and given.mean() > max(times * other.mean(), other.mean() + share))
 
 
-def moving_clouds(views: Sequence[tuple[View, View]]) -> tuple[str, Sure] | None:
+def moving_clouds(views: Sequence[tuple[ScanView, ScanView]]) -> tuple[str, Confidence] | None:
     """In words, how the clouds of a sensor move that is said to stand; None where they do not."""
     gains, shifts = [], []
     for a, b in views:
@@ -223,10 +224,10 @@ def moving_clouds(views: Sequence[tuple[View, View]]) -> tuple[str, Sure] | None
     if not views or (moved := float(np.median(shifts))) < 0.05 or (gain := float(np.median(gains))) < 0.03:
         return None
     said = f"from scan to scan the clouds move by {moved:.2f} m: then {gain:.0%} more of a scan lies upon the other"
-    return said, Sure.CERTAIN if gain > CLEAR_GAIN else Sure.LIKELY
+    return said, Confidence.CERTAIN if gain > CLEAR_GAIN else Confidence.LIKELY
 
 
-def elsewhere(views: Sequence[tuple[View, View]], times: float) -> str | None:
+def elsewhere(views: Sequence[tuple[ScanView, ScanView]], times: float) -> str | None:
     """In words, where clouds hide themselves from the sensor's place, but several times less from another one, or None.
 
     At another height things look different anyway, so much more must speak for that.
@@ -250,7 +251,7 @@ def elsewhere(views: Sequence[tuple[View, View]], times: float) -> str | None:
     return None
 
 
-def _places(view: View, raised: bool) -> F64:
+def _places(view: ScanView, raised: bool) -> F64:
     """(K, 3) metres: places around the sensor's given one and around the middle of its cloud, or raised above there."""
     at, middle = view.T[:3, 3].copy(), np.median(view.all, axis=0)
     middle[2] = at[2]
@@ -282,7 +283,7 @@ def register(surface: Surface, points: F64) -> F64:
     return T
 
 
-def ground(views: Sequence[tuple[View, View]], height: float | None, sensor: str) -> Iterator[Finding]:
+def ground(views: Sequence[tuple[ScanView, ScanView]], height: float | None, sensor: str) -> Iterator[Finding]:
     """The sensor's height above the ground around it, against its file."""
     found = [h for _, b in views if (h := ground_height(b)) is not None]
     if height is None or len(found) < max(1, len(views) // 2):
@@ -292,10 +293,10 @@ def ground(views: Sequence[tuple[View, View]], height: float | None, sensor: str
         what = f"the ground lies {seen:.1f} m below the sensor, but {sensor} is said to be mounted at {height:.1f} m"
         by_hand = settable("sensor_height", f"{seen:.2f}")
         mend = f"Name the sensor with --sensor NAME (dynaviz list sensors), or give methods its height: {by_hand}"
-        yield Finding("ground height", Sure.LIKELY, what, mend)
+        yield Finding("ground height", Confidence.LIKELY, what, mend)
 
 
-def ground_height(view: View) -> float | None:
+def ground_height(view: ScanView) -> float | None:
     """Metres from the ground up to the sensor: where the lowest points of most square metres around lie; or None."""
     away = view.all - view.T[:3, 3]
     far = np.hypot(away[:, 0], away[:, 1])

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz import geometry
-from dynaviz.diagnosis.finding import SHOWN, Finding, Sure, settable
-from dynaviz.scan import F32, F64, Bool, Label, Scan, Sequence
-from dynaviz.survey import FAR
+from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
+from dynaviz.scan import Label, Scan, Sequence
+from dynaviz.spatial import geometry
+from dynaviz.spatial.extent import FAR
 
 HOUSING = 0.05  # metres; nothing is measured nearer: a sensor without return wrote its own place
 NEAR = 0.5  # metres; what hides a direction at this range hides everything
@@ -23,7 +23,7 @@ SLOTS = 8192  # points that neighbours are compared by
 _DROP = "Leave such points out when writing the scans"
 
 
-class Seen:
+class ScanStatistics:
     """A scan with what several checks ask of it.
 
     Attributes:
@@ -74,27 +74,27 @@ class Seen:
         return low, high
 
 
-def empty(seen: Seen) -> float:
+def empty(seen: ScanStatistics) -> float:
     """1 where no point is usable."""
     return float(not seen.finite.any())
 
 
-def not_finite(seen: Seen) -> float:
+def not_finite(seen: ScanStatistics) -> float:
     """Share of points that are NaN or infinite."""
     return _share(~seen.finite)
 
 
-def far(seen: Seen) -> float:
+def far(seen: ScanStatistics) -> float:
     """Kilometres of the farthest finite coordinate, or ray origin, from the world's origin."""
     return max(float(np.abs(part).max(initial=0)) for part in (*seen.box, seen.scan.origins)) / 1000
 
 
-def no_return(seen: Seen) -> float:
+def no_return(seen: ScanStatistics) -> float:
     """Number of points at the ray's own origin, or at exactly (0, 0, 0) by the dozen."""
     return float((seen.zero if seen.zero.sum() > 12 else seen.ranges < HOUSING).sum())
 
 
-def ego(seen: Seen) -> float:
+def ego(seen: ScanStatistics) -> float:
     """Share of azimuth columns in which something is nearer than ``NEAR``."""
     near = (seen.ranges >= HOUSING) & (seen.ranges < NEAR)
     if not near.any():
@@ -104,7 +104,7 @@ def ego(seen: Seen) -> float:
     return len(np.unique(np.floor(turn * COLUMNS))) / COLUMNS
 
 
-def duplicates(seen: Seen) -> float:
+def duplicates(seen: ScanStatistics) -> float:
     """Share of points with the coordinates of another one, not counting those without return."""
     x, y, z = (column.view(np.uint32).astype(np.uint64) for column in seen.columns)
     with np.errstate(over="ignore"):
@@ -113,7 +113,7 @@ def duplicates(seen: Seen) -> float:
     return _share(key[1:] == key[:-1])
 
 
-def repeated(seen: Seen) -> float:
+def repeated(seen: ScanStatistics) -> float:
     """1 where the scan is the one before it, in the world frame or in the sensor's."""
     scan, before = seen.scan, seen.before
     if before is None or len(scan) != len(before) or not seen.finite.any():
@@ -127,7 +127,7 @@ def repeated(seen: Seen) -> float:
     return float(np.allclose(a, b, rtol=0, atol=1e-3 + rounding, equal_nan=True))
 
 
-def outside(seen: Seen) -> float:
+def outside(seen: ScanStatistics) -> float:
     """Metres from the sensor to the box around its points, where that is far for a cloud of this size; else 0."""
     (low, high), position = seen.box, seen.scan.position
     gap = float(np.linalg.norm(np.maximum(0, np.maximum(low - position, position - high))))
@@ -151,33 +151,33 @@ class Check:
     """
 
     name: str
-    measure: Callable[[Seen], float]
+    measure: Callable[[ScanStatistics], float]
     limit: float
-    sure: Sure
+    sure: Confidence
     says: str
     mend: str
 
 
 CHECKS = (
-    Check("empty frame", empty, 0, Sure.CERTAIN, "no point that is finite",
+    Check("empty frame", empty, 0, Confidence.CERTAIN, "no point that is finite",
           "Leave such frames out: choose others with --frames A:B, or remove the files together with their poses"),
-    Check("not finite", not_finite, 0, Sure.CERTAIN, "up to {worst:.2%} of a scan's points are NaN or infinite",
+    Check("not finite", not_finite, 0, Confidence.CERTAIN, "up to {worst:.2%} of a scan's points are NaN or infinite",
           f"{_DROP}; methods keep them all, so they only cost time and score"),
-    Check("far points", far, FAR / 1000, Sure.CERTAIN,
+    Check("far points", far, FAR / 1000, Confidence.CERTAIN,
           "something lies {worst:,.0f} km from the world's origin, where float32 is too coarse",
           "Move the world's origin to the first pose (subtract its position from poses and points), or drop them"),
-    Check("no return", no_return, 0, Sure.CERTAIN,
+    Check("no return", no_return, 0, Confidence.CERTAIN,
           "up to {worst:,.0f} points lie at the sensor itself or at exactly (0, 0, 0): rays without return, "
           "which block every other ray that starts there",
           f"{_DROP}, or have methods leave them out: {{near}}"),
-    Check("ego points", ego, 0.01, Sure.CERTAIN,
+    Check("ego points", ego, 0.01, Confidence.CERTAIN,
           f"in up to {{worst:.0%}} of all directions something nearer than {NEAR} m, "
           "the sensor's carrier, blocks the rays",
           f"Have methods leave out near points: {{near}}; for others: {_DROP.lower()}"),
-    Check("duplicate points", duplicates, 0.001, Sure.CERTAIN,
+    Check("duplicate points", duplicates, 0.001, Confidence.CERTAIN,
           "up to {worst:.1%} of a scan's points have the coordinates of another one, and weigh twice in all scores",
           "Write each return once; after merging lidars or clouds, drop repeated rows"),
-    Check("duplicate frame", repeated, 0, Sure.CERTAIN, "the scan is the one before it once more",
+    Check("duplicate frame", repeated, 0, Confidence.CERTAIN, "the scan is the one before it once more",
           "Remove one of the two, with its pose; in a bag, choose the one topic that is not republished"),
 )  # fmt: skip
 
@@ -209,14 +209,14 @@ class ScanWalk:
         self.poses: list[F64] = []
         self.usable: list[bool] = []
         self._notes = [Notes() for _ in CHECKS]
-        self._labels: NDArray[np.int64] = np.zeros(256, np.int64)
+        self._labels: I64 = np.zeros(256, np.int64)
         self._outside = Notes()
         self._before: Scan | None = None
 
     def visit(self, position: int, scan: Scan) -> None:
         """Check a scan."""
         neighbour = self._before if self.positions and self.positions[-1] == position - 1 else None
-        seen = Seen(scan, neighbour)
+        seen = ScanStatistics(scan, neighbour)
         figures = [check.measure(seen) for check in CHECKS]
         for check, notes, figure in zip(CHECKS, self._notes, figures, strict=True):
             if figure > check.limit:
@@ -259,9 +259,9 @@ class ScanWalk:
         if self._outside.count > len(self.positions) / 2:
             what = f"the sensor's position lies up to {self._outside.worst:,.0f} m outside of its own cloud"
             mend = "Give poses and points in the same world, and positions in metres; look at both with 'dynaviz info'"
-            yield self._finding("origin outside", Sure.LIKELY, what, mend, self._outside)
+            yield self._finding("origin outside", Confidence.LIKELY, what, mend, self._outside)
 
-    def _finding(self, name: str, sure: Sure, what: str, mend: str, notes: Notes) -> Finding:
+    def _finding(self, name: str, sure: Confidence, what: str, mend: str, notes: Notes) -> Finding:
         file = file_of(self.sequence, notes.frames[0])
         return Finding(name, sure, what, mend, tuple(notes.frames), notes.count, file)
 
@@ -270,11 +270,11 @@ class ScanWalk:
         if not self._labels.sum():
             return
         if not known:
-            yield Finding("all unlabelled", Sure.CERTAIN, "there are labels, but not one point is static or dynamic",
+            yield Finding("all unlabelled", Confidence.CERTAIN, "labels exist, but no point is static or dynamic",
                           "Give the labels that belong to these scans; without any, runs have no scores")  # fmt: skip
         elif not self._labels[Label.DYNAMIC]:
             what = f"of {known:,} labelled points not one is dynamic, so DA, AA and HA are undefined"
-            yield Finding("no dynamic label", Sure.CERTAIN, what, "Give the labels that tell moving objects, "
+            yield Finding("no dynamic label", Confidence.CERTAIN, what, "Give the labels that tell moving objects, "
                           "or frames in which something moves (--frames A:B)")  # fmt: skip
         unmatched: Mapping[int, int] = getattr(getattr(self.sequence, "whole", self.sequence), "unmatched", {})
         lost = {index: unmatched[index] for index in self.indices if unmatched.get(index)}
@@ -283,7 +283,7 @@ class ScanWalk:
             for index in sorted(lost):
                 notes.add(index)
             what = f"{sum(lost.values()):,} points have no partner in the labelled cloud, and count nowhere"
-            yield self._finding("labels do not fit", Sure.CERTAIN, what,
+            yield self._finding("labels do not fit", Confidence.CERTAIN, what,
                                 "Write gt_cloud.pcd anew: all points of all scans, in their order", notes)  # fmt: skip
 
     def _order(self) -> Iterator[Finding]:
@@ -303,7 +303,7 @@ class ScanWalk:
         if gaps.count:
             what = f"{missing:,} numbers are missing before these frames: scans were lost, or left out"
             mend = "Add the scans with their poses; where they are lost, clean the parts apart with --frames A:B"
-            yield self._finding("gap in numbers", Sure.CERTAIN, what, mend, gaps)
+            yield self._finding("gap in numbers", Confidence.CERTAIN, what, mend, gaps)
         if any(stamp is None for stamp in self.stamps):
             return
         seconds = np.diff(np.array(self.stamps, np.float64)) / 1e9
@@ -316,11 +316,11 @@ class ScanWalk:
         if back.count:
             what = f"time stands still or goes back (by up to {back.worst:.3f} s) at these frames"
             mend = "Sort the scans by time and give each its own stamp; methods take them in the order of their numbers"
-            yield self._finding("time goes back", Sure.CERTAIN, what, mend, back)
+            yield self._finding("time goes back", Confidence.CERTAIN, what, mend, back)
         if pauses.count:
             what = f"up to {pauses.worst:.2f} s pass before these frames, usually {usual:.2f} s: scans were lost"
             mend = "Add the scans; where they are lost, clean the parts apart with --frames A:B"
-            yield self._finding("gap in time", Sure.CERTAIN, what, mend, pauses)
+            yield self._finding("gap in time", Confidence.CERTAIN, what, mend, pauses)
 
 
 def file_of(sequence: Sequence, index: int) -> str | None:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from dynaviz import geometry
-from dynaviz.diagnosis.finding import SHOWN, Finding, Sure
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
+from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding
+from dynaviz.spatial import geometry
 
 STEEP = 45.0  # degrees between the sensor's z axis and the world's
 
@@ -68,7 +68,7 @@ def jumps(positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]
         )
         mend = "Mend the trajectory there, or clean the parts before and after apart with --frames A:B"
         frames = tuple(indices[b[0] + 1] for b in bad)
-        yield Finding("poses jump", Sure.LIKELY, what, mend, frames[:SHOWN], len(frames))
+        yield Finding("poses jump", Confidence.LIKELY, what, mend, frames[:SHOWN], len(frames))
 
 
 def standing(poses: Sequence[F64]) -> str | None:
@@ -88,17 +88,17 @@ def upright(poses: Sequence[F64]) -> Iterator[Finding]:
         for name, what, mend, f in FAULTS[1:]:
             if (other := _tilt(np.array([f(pose) for pose in poses]))) < 20:
                 said = f"{what}: the sensor is tilted by {tilt:.0f} degrees, read so by {other:.0f}"
-                yield Finding(name, Sure.LIKELY, said, mend)
+                yield Finding(name, Confidence.LIKELY, said, mend)
                 return
         said = f"the sensor's z axis is tilted by {tilt:.0f} degrees against the world's"
         mend = "Turn the world so that z is up; a sensor mounted like this is fine, but no method finds ground so"
-        yield Finding("tilted", Sure.PERHAPS, said, mend)
+        yield Finding("tilted", Confidence.PERHAPS, said, mend)
         return
     extent = np.ptp(T[:, :3, 3], axis=0)
     if extent[2] > 2.0 and extent[2] > 2 * np.hypot(*extent[:2]):
         name, what, mend, _ = FAULTS[1]
         said = f"{what}: the sensor climbs {extent[2]:.1f} m while it moves {np.hypot(*extent[:2]):.1f} m sideways"
-        yield Finding(name, Sure.LIKELY, said, mend)
+        yield Finding(name, Confidence.LIKELY, said, mend)
         return
     yield from _backwards(T)
 
@@ -109,7 +109,7 @@ def _backwards(T: F64) -> Iterator[Finding]:
     if _facing(T) < -0.9 and _facing(other) > 0.9 and _tilt(T, 90) > _tilt(other, 90) + 3:
         name, what, mend, _ = FAULTS[3]
         said = f"{what}: the sensor faces backwards and tilts as it turns, by up to {_tilt(T, 90):.0f} degrees"
-        yield Finding(name, Sure.LIKELY, said, mend)
+        yield Finding(name, Confidence.LIKELY, said, mend)
 
 
 def _tilt(T: F64, percent: float = 50) -> float:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dynaviz.arrays import F32, I32, U8, U16
 from dynaviz.io.atomic import whole_folder
 from dynaviz.io.pcd import PcdWriter, write_pcd
-from dynaviz.scan import F32, U8
 
 _LAYOUT = dict.fromkeys(("x", "y", "z", "intensity"), np.float32)
 
@@ -49,7 +49,7 @@ class BenchmarkWriter:
         index: int,
         points: F32,
         T_world_sensor: ArrayLike,
-        intensity: NDArray[np.float32] | None = None,
+        intensity: F32 | None = None,
         lidar: U8 | None = None,
     ) -> None:
         """Add a scan.
@@ -71,8 +71,8 @@ class BenchmarkWriter:
         self,
         points: F32,
         labels: U8,
-        classes: NDArray[np.uint16] | None = None,
-        instances: NDArray[np.int32] | None = None,
+        classes: U16 | None = None,
+        instances: I32 | None = None,
     ) -> None:
         """Add the truth of a scan: of every one, in their order, or of none.
 

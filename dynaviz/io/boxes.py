@@ -13,7 +13,7 @@ REGION = "DontCare"
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class TrackBox:
     """An object in a frame, or a region that nobody labelled (``kind`` DontCare, which has no extent in space).
 
     Attributes:
@@ -34,7 +34,7 @@ class Box:
     yaw: float
 
 
-def read_boxes(path: str | os.PathLike[str]) -> list[Box]:
+def read_boxes(path: str | os.PathLike[str]) -> list[TrackBox]:
     """Read all boxes and regions of a sequence, in the order of the file.
 
     Raises:
@@ -50,8 +50,8 @@ def read_boxes(path: str | os.PathLike[str]) -> list[Box]:
     return boxes
 
 
-def _box(words: list[str]) -> Box:
+def _box(words: list[str]) -> TrackBox:
     left, top, right, bottom, height, width, length, x, y, z, yaw = (float(word) for word in words[6:17])
-    return Box(
+    return TrackBox(
         int(words[0]), int(words[1]), words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw
     )

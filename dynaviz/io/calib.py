@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dynaviz import geometry
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F64
+from dynaviz.spatial import geometry
 
 _HINT = "A line of a calibration file reads NAME: NUMBERS, with 12 numbers for a transform"
 

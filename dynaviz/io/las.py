@@ -9,9 +9,9 @@ from typing import IO
 
 import numpy as np
 
+from dynaviz.arrays import F32
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F32
 
 _HINT = "Write or copy the file again"
 _AT_ONCE = 100_000  # points; laspy makes room for as many as it is asked for

@@ -6,9 +6,9 @@ import os
 
 import numpy as np
 
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError
 from dynaviz.io.text import read_table
-from dynaviz.scan import F64
 
 _EARTH_RADIUS = 6378137.0  # metres
 _HINT = "A line of oxts has 30 numbers, from latitude on"

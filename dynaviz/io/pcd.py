@@ -14,12 +14,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from dynaviz import geometry, kernels
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, U8
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened, whole_file
 from dynaviz.io.pcd_header import ENCODINGS, Field, PcdHeader, header_text, layout_of, parse_header, read_header
 from dynaviz.io.text import read_rows
-from dynaviz.scan import F32, F64
+from dynaviz.spatial import geometry
 
 __all__ = ["ENCODINGS", "Field", "Pcd", "PcdHeader", "PcdWriter", "read_header", "read_pcd", "write_pcd"]
 
@@ -209,7 +210,7 @@ def _read_compressed(file: IO[bytes], path: Path, header: PcdHeader, left: int) 
         problem = f"says that {packed} bytes unpack to {size}, not to {header.points} points of {header.row.itemsize}"
         raise DataError(path, problem, at=f"byte {header.offset}", hint=_AGAIN)
     columns = np.empty(size, np.uint8)
-    source = kernels.frozen(np.fromfile(file, np.uint8, packed), np.uint8)
+    source = kernels.as_readonly(np.fromfile(file, np.uint8, packed), np.uint8)
     bad = kernels.lzf.decompress(source, columns)
     if bad >= 0:
         at = f"byte {header.offset + 8 + bad}"
@@ -239,7 +240,7 @@ def _expect(path: Path, header: PcdHeader, left: int, needed: int) -> None:
         raise DataError(path, problem, at=f"byte {header.offset}", hint=_AGAIN)
 
 
-def _columns(fields: tuple[Field, ...], rows: NDArray[np.uint8]) -> Iterator[NDArray[np.uint8]]:
+def _columns(fields: tuple[Field, ...], rows: U8) -> Iterator[U8]:
     """For each field its bytes in rows (N, bytes of a point): (N, bytes of the field) each."""
     place = 0
     for field in fields:
@@ -276,7 +277,7 @@ def _compressed(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
     pieces = _columns(fields, rows.view(np.uint8).reshape(len(rows), -1))
     columns = np.concatenate([piece.ravel() for piece in pieces])
     out = np.empty(len(columns) * 33 // 32 + 2, np.uint8)
-    packed = kernels.lzf.compress(kernels.frozen(columns, np.uint8), out)
+    packed = kernels.lzf.compress(kernels.as_readonly(columns, np.uint8), out)
     return np.array([packed, len(columns)], "<u4").tobytes() + out[:packed].tobytes()
 
 

@@ -12,10 +12,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dynaviz import geometry
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F64
+from dynaviz.spatial import geometry
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KINDS = {"F": "f", "I": "i", "U": "u"}

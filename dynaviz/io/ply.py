@@ -13,10 +13,10 @@ from typing import IO
 
 import numpy as np
 
+from dynaviz.arrays import F32
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
 from dynaviz.io.text import read_rows
-from dynaviz.scan import F32
 
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {

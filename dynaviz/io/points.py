@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from dynaviz.arrays import F32
 from dynaviz.errors import DataError
 from dynaviz.io.las import read_las
 from dynaviz.io.npy import loaded
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply
-from dynaviz.scan import F32
 
 
 def read_points(path: str | os.PathLike[str]) -> F32:

@@ -9,13 +9,12 @@ from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz import geometry
+from dynaviz.arrays import F64, I64
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
 from dynaviz.io.text import read_table
-from dynaviz.scan import F64
+from dynaviz.spatial import geometry
 
 _FORMATS = (
     "A line has 12 numbers (KITTI: three rows of a matrix), 8 (TUM: time x y z qx qy qz qw), 16 (a 4x4 matrix), "
@@ -45,8 +44,8 @@ class PoseFile:
     path: Path
     kind: str
     poses: F64
-    stamps: NDArray[np.int64] | None = None
-    numbers: NDArray[np.int64] | None = None
+    stamps: I64 | None = None
+    numbers: I64 | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -160,7 +159,7 @@ def _floats(path: Path, rows: Rows, columns: range | list[int]) -> F64:
     return table
 
 
-def _stamps(path: Path, rows: Rows, column: int, scale: int | None = None) -> NDArray[np.int64]:
+def _stamps(path: Path, rows: Rows, column: int, scale: int | None = None) -> I64:
     stamps = np.empty(len(rows), np.int64)
     for k, (n, words) in enumerate(rows):
         try:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import U16
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened, write_whole
 
 
-def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
+def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[U16, U16]:
     """Read the labels of a sweep.
 
     Args:
@@ -34,7 +34,7 @@ def read_semantic_labels(path: str | os.PathLike[str], points: int) -> tuple[NDA
     return both[:, 0], both[:, 1]
 
 
-def write_semantic_labels(path: str | os.PathLike[str], classes: NDArray[np.uint16]) -> None:
+def write_semantic_labels(path: str | os.PathLike[str], classes: U16) -> None:
     """Write the labels of a sweep, without instances, whole or not at all.
 
     Args:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F64
 
 
 def read_rows(path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dtype[Any], line: int = 0) -> NDArray[Any]:

@@ -8,9 +8,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F64
 
 _HINT = "Copy the file again"
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dynaviz.arrays import F32
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import opened
-from dynaviz.scan import F32
 
 FIELDS = ("x", "y", "z", "intensity", "ring")
 

@@ -30,7 +30,7 @@ def __getattr__(name: str) -> ModuleType:
     return importlib.import_module(f"dynaviz.kernels.{name}")
 
 
-def frozen(array: Any, dtype: DTypeLike) -> NDArray[Any]:
+def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
     """A read-only, C-contiguous view or copy: kernels then see one type each and are compiled once."""
     view = np.ascontiguousarray(array, dtype).view()
     view.flags.writeable = False

@@ -2,10 +2,8 @@
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
+from dynaviz.arrays import I32, I64, Bool
 
 GROUP, CASE, LAST = 0, 1, 2  # of a remembered cell
 _BIAS = 1 << 20
@@ -60,7 +58,7 @@ def link(
     low: I32,
     high: I32,
     used: int,
-) -> tuple[I32, NDArray[np.bool_], int, int]:
+) -> tuple[I32, Bool, int, int]:
     """Give the points of a frame their case: that of a cell of the same group which their own touches, or a new one.
 
     Args:

@@ -4,8 +4,8 @@ A ray goes from the sensor to the centre of a voxel. It is walked voxel by voxel
 something only where the grid has a block. Times along it are integers, ``UNIT`` a voxel's edge; their two lowest bits
 tell the axis, so no two borders are met at once: of borders at the same place x comes first, then y, then z.
 
-Scratch memory is that of ``dynaviz.blocks``: each lane has its own rows of 16 words, 8 of observed voxels and 8 of hit
-ones, which ``raycast.collect`` joins. Bit v of word w is voxel 64 w + v of a block.
+Scratch memory is that of ``dynaviz.spatial.blocks``: each lane has its own rows of 16 words, 8 of observed voxels and
+8 of hit ones, which ``raycast.collect`` joins. Bit v of word w is voxel 64 w + v of a block.
 """
 
 import math

@@ -4,15 +4,16 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Keys = NDArray[np.int64]
+from dynaviz.arrays import F32, I64, Bool
+
+Keys = I64
 
 _REACH = 1 << 20
 
 
 @njit(cache=True, nogil=True)
-def pack(points: NDArray[np.float32], size: float) -> tuple[Keys, bool]:
+def pack(points: F32, size: float) -> tuple[Keys, bool]:
     """Packed keys of (N, 3) points, and whether all of them fit."""
     keys = np.empty(len(points), np.int64)
     inverse = 1.0 / size
@@ -36,7 +37,7 @@ def _slot(key: np.int64, mask: int) -> np.int64:
 
 
 @njit(cache=True, nogil=True)
-def insert(slots: Keys, keys: Keys) -> NDArray[np.bool_]:
+def insert(slots: Keys, keys: Keys) -> Bool:
     """Put keys into a table of a power of two (-1: free); True where a key was not there before."""
     new = np.zeros(len(keys), np.bool_)
     mask = len(slots) - 1

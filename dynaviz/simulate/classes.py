@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 
-class Kind(IntEnum):
+class ObjectClass(IntEnum):
     """Class of a point. From 252 on it moves, or will, or has: such points are dynamic in every scan."""
 
     OUTLIER = 1  # a reflection's echo, below the ground
@@ -30,16 +30,16 @@ class Kind(IntEnum):
     MOVING_OTHER_VEHICLE = 259
 
 
-CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in Kind}
+CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in ObjectClass}
 
 REFLECTANCE = {
-    Kind.ROAD: 0.2,
-    Kind.SIDEWALK: 0.3,
-    Kind.OTHER_GROUND: 0.3,
-    Kind.BUILDING: 0.5,
-    Kind.VEGETATION: 0.6,
-    Kind.TRUNK: 0.3,
-    Kind.TERRAIN: 0.4,
-    Kind.TRAFFIC_SIGN: 1.0,
+    ObjectClass.ROAD: 0.2,
+    ObjectClass.SIDEWALK: 0.3,
+    ObjectClass.OTHER_GROUND: 0.3,
+    ObjectClass.BUILDING: 0.5,
+    ObjectClass.VEGETATION: 0.6,
+    ObjectClass.TRUNK: 0.3,
+    ObjectClass.TERRAIN: 0.4,
+    ObjectClass.TRAFFIC_SIGN: 1.0,
 }
 """Share of the light that comes back, by class; objects not listed say it themselves or send back 0.4."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
 from dynaviz.simulate import things
-from dynaviz.simulate.classes import Kind
-from dynaviz.simulate.movers import Path, Ride, cruise, depart
-from dynaviz.simulate.scene import Scene, rolling
+from dynaviz.simulate.classes import ObjectClass
+from dynaviz.simulate.movers import Ride, Route, cruise, depart
+from dynaviz.simulate.scene import SimulatedScene, rolling
 from dynaviz.simulate.shapes import Mesh, box, boxes, grid, join, quads, tube
 
 X, Y, CEILING = 24.0, 13.0, 5.5  # half length, half width and height, metres
 AISLES = (-10.6, 5.4, 9.4, -9.4)  # where people walk along the hall, y in metres
 
 
-def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
+def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
     """Build a hall for a sensor on a small robot that goes round in it.
 
     Args:
@@ -24,18 +24,18 @@ def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float
         speed: of the sensor, m/s.
         traffic: how much of it; 1 is usual.
     """
-    route = Path([(-16, -4), (0, -4), (13, -4), (13, 4), (0, 4), (-19, 4), (-19, -4), (0, -4), (13, -4)], rounds=4)
-    scene = Scene(rng, duration, rolling(rng, 0.0003), Ride(route, cruise(1.0, speed)))
+    route = Route([(-16, -4), (0, -4), (13, -4), (13, 4), (0, 4), (-19, 4), (-19, -4), (0, -4), (13, -4)], rounds=4)
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.0003), Ride(route, cruise(1.0, speed)))
     _shell(scene)
     _furniture(scene)
     _people(scene, traffic)
     return scene
 
 
-def _shell(scene: Scene) -> None:
+def _shell(scene: SimulatedScene) -> None:
     """Floor, ceiling and beams, walls with two gates to the open, pillars along the middle."""
     x, y = np.meshgrid(np.arange(-X, X + 0.1, 1.0), np.arange(-Y, Y + 0.1, 1.0), indexing="ij")
-    scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), Kind.OTHER_GROUND, 0.35)
+    scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), ObjectClass.OTHER_GROUND, 0.35)
     ceiling = quads([[(-X, -Y, CEILING), (-X, Y, CEILING), (X, Y, CEILING), (X, -Y, CEILING)]])
     beams = boxes([(x, 0, CEILING - 0.25) for x in np.arange(-X + 4, X, 4)], (0.3, 2 * Y, 0.5))
     ducts = tube([(-X, 6, CEILING - 0.8), (X, 6, CEILING - 0.8)], 0.35, 10)
@@ -46,10 +46,12 @@ def _shell(scene: Scene) -> None:
         _wall((-X, 2), (-X, -2), 3.5),
         _wall((X, -6), (X, -2), 3.5),
     ]
-    scene.add(join([ceiling, beams, ducts, *walls]), Kind.BUILDING)
+    scene.add(join([ceiling, beams, ducts, *walls]), ObjectClass.BUILDING)
     for x in np.arange(-18, 19, 6.0):
         for y in (-7.4, 7.4):
-            scene.put(join([tube([(0, 0, -0.1), (0, 0, CEILING)], 0.25, 12), box(0.8, 0.8, 0.25)]), Kind.BUILDING, x, y)
+            scene.put(
+                join([tube([(0, 0, -0.1), (0, 0, CEILING)], 0.25, 12), box(0.8, 0.8, 0.25)]), ObjectClass.BUILDING, x, y
+            )
 
 
 def _wall(start: tuple[float, float], end: tuple[float, float], above: float = -0.2) -> Mesh:
@@ -58,32 +60,36 @@ def _wall(start: tuple[float, float], end: tuple[float, float], above: float = -
     return quads([[(a, b, above), (c, d, above), (c, d, CEILING), (a, b, CEILING)]])
 
 
-def _furniture(scene: Scene) -> None:
+def _furniture(scene: SimulatedScene) -> None:
     for x in np.arange(-18, 19, 6.0):
         for y in (-12.4, 12.4):
-            scene.put(things.shelf(scene.rng), Kind.OTHER_OBJECT, x, y)
+            scene.put(things.shelf(scene.rng), ObjectClass.OTHER_OBJECT, x, y)
         if x < 18 and scene.rng.random() < 0.7:
-            scene.put(things.table(), Kind.OTHER_OBJECT, x + 2.8, float(scene.rng.choice([-7.4, 7.4])), np.pi / 2)
+            scene.put(
+                things.table(), ObjectClass.OTHER_OBJECT, x + 2.8, float(scene.rng.choice([-7.4, 7.4])), np.pi / 2
+            )
     for x, y in scene.rng.uniform((-7, -1.8), (7, 1.8), (9, 2)):
-        scene.put(box(*scene.rng.uniform(0.4, 1.3, 3)), Kind.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
-    scene.put(things.fence(8.0, 1.1), Kind.FENCE, -2, -2.8)
+        scene.put(box(*scene.rng.uniform(0.4, 1.3, 3)), ObjectClass.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
+    scene.put(things.fence(8.0, 1.1), ObjectClass.FENCE, -2, -2.8)
 
 
-def _people(scene: Scene, traffic: float) -> None:
+def _people(scene: SimulatedScene, traffic: float) -> None:
     """People along the aisles and across; one stands for half of the time; a fork-lift truck."""
     for count in range(round(9 * traffic)):
         path, pace = _aisle(scene.rng, AISLES[count % 4] + scene.rng.uniform(-0.5, 0.5)), scene.rng.uniform(0.8, 1.5)
         start = scene.rng.uniform(0, max(1.0, path.length - pace * scene.duration))
         scene.walk(path, cruise(start, pace))
-    standing = Path([(1.2, 7.2), (1.4, 5.2), (4, 5.3), (14, 5.4), (22, 5.4)], rounds=4)
+    standing = Route([(1.2, 7.2), (1.4, 5.2), (4, 5.3), (14, 5.4), (22, 5.4)], rounds=4)
     scene.walk(standing, depart(1.0, 1.3, scene.duration / 2, 1.0))
-    across = Path([(16.4, -11.4), (16.5, 0), (16.4, 11.4)], rounds=3)
+    across = Route([(16.4, -11.4), (16.5, 0), (16.4, 11.4)], rounds=3)
     scene.walk(across, cruise(0, 1.1))
-    haul = Path([(21, -11), (20.5, -5.6), (10, -5.6), (-10, -5.5), (-21.5, -5.6), (-21.5, 9)], rounds=4)
-    scene.move(Kind.MOVING_OTHER_VEHICLE, haul, depart(3, 1.8, 0.25 * scene.duration), things.forklift(scene.rng))
+    haul = Route([(21, -11), (20.5, -5.6), (10, -5.6), (-10, -5.5), (-21.5, -5.6), (-21.5, 9)], rounds=4)
+    scene.move(
+        ObjectClass.MOVING_OTHER_VEHICLE, haul, depart(3, 1.8, 0.25 * scene.duration), things.forklift(scene.rng)
+    )
 
 
-def _aisle(rng: np.random.Generator, y: float) -> Path:
+def _aisle(rng: np.random.Generator, y: float) -> Route:
     x: F64 = np.linspace(-X + 1.5, X - 1.5, 60)
-    path = Path(np.column_stack([x, y + 0.25 * np.sin(x / 3)]))
+    path = Route(np.column_stack([x, y + 0.25 * np.sin(x / 3)]))
     return path if rng.random() < 0.5 else path.reversed()

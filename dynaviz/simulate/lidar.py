@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz import geometry
-from dynaviz.scan import F32, F64, U8, Bool
+from dynaviz.arrays import F32, F64, I32, U8, U16, Bool
 from dynaviz.sensors import Sensor
-from dynaviz.simulate.classes import Kind
+from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.movers import Mover
-from dynaviz.simulate.scene import Part, Scene
+from dynaviz.simulate.scene import MeshPart, SimulatedScene
 from dynaviz.simulate.shapes import Mesh
+from dynaviz.spatial import geometry
 
 GOLDEN = (0.6180339887498949, 0.7548776662466927)  # of the golden ratio and of the plastic number
-REFLECTING = (Kind.ROAD, Kind.SIDEWALK, Kind.TERRAIN, Kind.OTHER_GROUND)
+REFLECTING = (ObjectClass.ROAD, ObjectClass.SIDEWALK, ObjectClass.TERRAIN, ObjectClass.OTHER_GROUND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +47,8 @@ class Hits:
 
     range: F64
     facing: F64
-    kind: NDArray[np.uint16]
-    instance: NDArray[np.int32]
+    kind: U16
+    instance: I32
     reflectance: F64
 
 
@@ -106,7 +105,7 @@ def _scattered(sensor: Sensor, frame: int) -> tuple[F64, F64]:
 class World:
     """A scene made ready for rays: what stands is prepared once, what moves anew for each sweep."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: SimulatedScene):
         self.scene = scene
         self._standing = _Surfaces(scene.parts, [part.mesh for part in scene.parts])
 
@@ -127,7 +126,7 @@ class World:
 class _Surfaces:
     """Some objects' meshes in the tree of the ray caster."""
 
-    def __init__(self, owners: list[Part] | list[Mover], meshes: list[Mesh]):
+    def __init__(self, owners: list[MeshPart] | list[Mover], meshes: list[Mesh]):
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy
@@ -150,7 +149,7 @@ class _Surfaces:
         return Hits(distance, facing, self._kind[owner], self._instance[owner], self._reflectance[owner])
 
 
-def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, Bool, NDArray[np.uint16], F32]:
+def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, Bool, U16, F32]:
     """What the sensor reports of the hits.
 
     Light comes back from as far as ``max_range`` from a bright surface seen squarely, less far from a dark one
@@ -168,7 +167,7 @@ def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, 
     detour = (rng.random(count) < 0.0005) & np.isin(hits.kind, REFLECTING)
     longer = np.where(detour, rng.uniform(1.15, 1.8, count), 1.0)
     distance = hits.range * longer + rng.normal(0, sensor.range_noise or 0.0, count)
-    kind = np.where(detour, Kind.OUTLIER, hits.kind).astype(np.uint16)
+    kind = np.where(detour, ObjectClass.OUTLIER, hits.kind).astype(np.uint16)
     intensity = np.clip(hits.reflectance * (0.4 + 0.6 * hits.facing) * rng.normal(1, 0.08, count), 0, 1)
     seen &= (distance >= sensor.min_range) & (distance <= sensor.max_range)
     return distance, seen, kind, intensity.astype(np.float32)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dynaviz.scan import F64
-from dynaviz.simulate.classes import Kind
+from dynaviz.arrays import F64
+from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.shapes import Mesh
 
 Height = Callable[[F64, F64], F64]
@@ -19,7 +19,7 @@ Schedule = Callable[[float], float]
 """Distance along a path in metres at a time in seconds."""
 
 
-class Path:
+class Route:
     """A smooth way over the ground.
 
     Args:
@@ -58,14 +58,14 @@ class Path:
         x, y, yaw = (float(value) for value in self.beside(distance, left))
         return x, y, yaw
 
-    def shifted(self, left: float | F64) -> Path:
+    def shifted(self, left: float | F64) -> Route:
         """The path that runs beside this one, by one distance or one for each of its points."""
         x, y, _ = self.beside(self.distance, left)
-        return Path(np.column_stack([x, y]))
+        return Route(np.column_stack([x, y]))
 
-    def reversed(self) -> Path:
+    def reversed(self) -> Route:
         """The same way in the other direction."""
-        return Path(self.xy[::-1])
+        return Route(self.xy[::-1])
 
 
 def cruise(start: float, speed: float) -> Schedule:
@@ -99,7 +99,7 @@ class Ride:
         upright: stay plumb; else lean with the slope of the ground, as what has wheels does.
     """
 
-    path: Path
+    path: Route
     schedule: Schedule
     upright: bool = False
 
@@ -145,7 +145,7 @@ class Mover:
         reflectance: share of the light that comes back.
     """
 
-    kind: Kind
+    kind: ObjectClass
     instance: int
     ride: Ride
     body: Callable[[float], Mesh]

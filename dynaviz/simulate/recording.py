@@ -7,27 +7,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz import geometry
+from dynaviz.arrays import F32, F64, I32, U8, U16
 from dynaviz.errors import UsageError
 from dynaviz.io.benchmark import BenchmarkWriter
-from dynaviz.scan import F32, F64, U8, Label
+from dynaviz.scan import Label
 from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.simulate.classes import CLASS_NAMES, Kind
+from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
 from dynaviz.simulate.hall import hall
 from dynaviz.simulate.lidar import World, receive, sweep
 from dynaviz.simulate.presets import PRESETS, Preset
-from dynaviz.simulate.scene import Scene
+from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.square import square
 from dynaviz.simulate.street import street
+from dynaviz.spatial import geometry
 
 VERSION = 1  # goes up whenever the same preset and seed give other points
 BUILDERS = {"street": street, "square": square, "hall": hall}
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class SimulatedSweep:
     """One sweep as a mapping system would hand it over, with its truth.
 
     Attributes:
@@ -36,7 +36,7 @@ class Shot:
         points: (N, 3) float32, metres, world frame: the true sensor's pose at frame 0.
         intensity: (N,) float32, 0 to 1.
         lidar: (N,) uint8, which of a merged pair.
-        kinds: (N,) uint16, a ``Kind`` each.
+        kinds: (N,) uint16, a ``ObjectClass`` each.
         instances: (N,) int32, the mover's number, 0 for what stands.
         T_world_sensor: (4, 4) float64, metres: the pose with its error, by which the points were placed.
         T_scene_world: (4, 4) float64, metres: from here to the frame of the scene, without error.
@@ -47,24 +47,24 @@ class Shot:
     points: F32
     intensity: F32
     lidar: U8
-    kinds: NDArray[np.uint16]
-    instances: NDArray[np.int32]
+    kinds: U16
+    instances: I32
     T_world_sensor: F64
     T_scene_world: F64
 
     @property
     def labels(self) -> U8:
         """(N,) uint8, a ``Label`` each."""
-        return np.where(self.kinds >= Kind.MOVING_CAR, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        return np.where(self.kinds >= ObjectClass.MOVING_CAR, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
 
 
-def build(preset: Preset, frames: int, seed: int = 0) -> Scene:
+def build(preset: Preset, frames: int, seed: int = 0) -> SimulatedScene:
     """The scene of a preset, with what happens in it fitted to the number of frames."""
     duration = frames / (load_sensor(preset.sensor).rate or 10.0)
     return BUILDERS[preset.scene](np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic)
 
 
-def shoot(scene: Scene, preset: Preset, frames: int, seed: int = 0) -> Iterator[Shot]:
+def shoot(scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0) -> Iterator[SimulatedSweep]:
     """Sweep by sweep. Each has random numbers of its own, so that it depends on no other."""
     sensor = load_sensor(preset.sensor)
     world = World(scene)
@@ -74,7 +74,9 @@ def shoot(scene: Scene, preset: Preset, frames: int, seed: int = 0) -> Iterator[
         yield _shot(world, sensor, index, T_scene_world, errors[index], np.random.default_rng([seed, 2, index]))
 
 
-def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F64, rng: np.random.Generator) -> Shot:
+def _shot(
+    world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F64, rng: np.random.Generator
+) -> SimulatedSweep:
     time = index / (sensor.rate or 10.0)
     T_scene_sensor = _sensor_pose(world.scene, sensor, time)
     rays = sweep(sensor, index, rng)
@@ -83,8 +85,8 @@ def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F
     in_sensor = rays.origins[back] + rays.directions[back] * distance[back, None]
     T_world_sensor = geometry.compose(geometry.compose(geometry.inverse(T_scene_world), T_scene_sensor), error)
     points = geometry.transform(T_world_sensor, in_sensor)
-    instances = np.where(kinds == Kind.OUTLIER, 0, hits.instance).astype(np.int32)
-    return Shot(
+    instances = np.where(kinds == ObjectClass.OUTLIER, 0, hits.instance).astype(np.int32)
+    return SimulatedSweep(
         index,
         time,
         points,
@@ -97,7 +99,7 @@ def _shot(world: World, sensor: Sensor, index: int, T_scene_world: F64, error: F
     )
 
 
-def _sensor_pose(scene: Scene, sensor: Sensor, time: float) -> F64:
+def _sensor_pose(scene: SimulatedScene, sensor: Sensor, time: float) -> F64:
     T = scene.sensor.pose(time, scene.height)
     assert T is not None  # the scene has seen to it
     T[:3, 3] += T[:3, 2] * (sensor.height or 0.0)

@@ -7,25 +7,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
-from dynaviz.scan import F64
 from dynaviz.simulate import things
-from dynaviz.simulate.classes import REFLECTANCE, Kind
-from dynaviz.simulate.movers import Height, Mover, Path, Ride, Schedule
+from dynaviz.simulate.classes import REFLECTANCE, ObjectClass
+from dynaviz.simulate.movers import Height, Mover, Ride, Route, Schedule
 from dynaviz.simulate.shapes import Mesh
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class MeshPart:
     """Something that stands: its mesh in the scene frame, class and share of light sent back."""
 
     mesh: Mesh
-    kind: Kind
+    kind: ObjectClass
     reflectance: float
 
 
 @dataclass(eq=False)
-class Scene:
+class SimulatedScene:
     """All there is to see. The scene frame has z up and the ground near z = 0.
 
     Attributes:
@@ -41,7 +41,7 @@ class Scene:
     duration: float
     height: Height
     sensor: Ride
-    parts: list[Part] = field(default_factory=list)
+    parts: list[MeshPart] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -49,11 +49,13 @@ class Scene:
         if self.sensor.pose(self.duration, self.height) is None:
             raise UsageError(f"the sensor's way takes less than {self.duration:.0f} s: ask for fewer frames (--frames)")
 
-    def add(self, mesh: Mesh, kind: Kind, reflectance: float | None = None) -> None:
+    def add(self, mesh: Mesh, kind: ObjectClass, reflectance: float | None = None) -> None:
         """Put something that stands, already in the scene frame."""
-        self.parts.append(Part(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance))
+        self.parts.append(MeshPart(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance))
 
-    def put(self, mesh: Mesh, kind: Kind, x: float, y: float, yaw: float = 0, reflectance: float | None = None) -> None:
+    def put(
+        self, mesh: Mesh, kind: ObjectClass, x: float, y: float, yaw: float = 0, reflectance: float | None = None
+    ) -> None:
         """Stand something on the ground."""
         z = float(self.height(np.array([x]), np.array([y]))[0])
         self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
@@ -61,26 +63,26 @@ class Scene:
     def tree(self, x: float, y: float, highest: float = 9.0) -> None:
         """Plant a tree, 6.5 m high at least."""
         height = self.rng.uniform(6.5, highest)
-        self.put(things.trunk(self.rng, height), Kind.TRUNK, x, y)
-        self.put(things.crown(self.rng, height), Kind.VEGETATION, x, y)
+        self.put(things.trunk(self.rng, height), ObjectClass.TRUNK, x, y)
+        self.put(things.crown(self.rng, height), ObjectClass.VEGETATION, x, y)
 
     def house(self, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
         """Build a house whose front's middle is at x, y and whose front looks along yaw + 90 degrees."""
         walls, panes = things.house(self.rng, width, depth, storeys)
-        self.put(walls, Kind.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
-        self.put(panes, Kind.BUILDING, x, y, yaw, 0.06)  # glass sends little back from afar
+        self.put(walls, ObjectClass.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
+        self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)  # glass sends little back from afar
 
-    def move(self, kind: Kind, path: Path, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
+    def move(self, kind: ObjectClass, path: Route, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
         """Let something move along a path."""
         shape = body if callable(body) else lambda _: body
-        upright = kind in (Kind.MOVING_PERSON, Kind.MOVING_BICYCLIST)
+        upright = kind in (ObjectClass.MOVING_PERSON, ObjectClass.MOVING_BICYCLIST)
         reflectance = self.rng.uniform(0.12, 0.7)
         self.movers.append(Mover(kind, len(self.movers) + 1, Ride(path, schedule, upright), shape, reflectance))
 
-    def walk(self, path: Path, schedule: Schedule) -> None:
+    def walk(self, path: Route, schedule: Schedule) -> None:
         """Let a person go along a path."""
         height = self.rng.uniform(1.55, 1.9)
-        self.move(Kind.MOVING_PERSON, path, schedule, lambda way: things.person(way, height))
+        self.move(ObjectClass.MOVING_PERSON, path, schedule, lambda way: things.person(way, height))
 
 
 def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64, F64], F64]:

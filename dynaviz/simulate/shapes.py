@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from dynaviz import geometry
-from dynaviz.scan import F64
+from dynaviz.arrays import F64, I64
+from dynaviz.spatial import geometry
 
-Index = NDArray[np.int64]
+Index = I64
 
 
 @dataclass(frozen=True, eq=False)

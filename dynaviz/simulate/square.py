@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
 from dynaviz.simulate import things
-from dynaviz.simulate.classes import Kind
-from dynaviz.simulate.movers import Path, Ride, Schedule, cruise, depart
-from dynaviz.simulate.scene import Scene, rolling
+from dynaviz.simulate.classes import ObjectClass
+from dynaviz.simulate.movers import Ride, Route, Schedule, cruise, depart
+from dynaviz.simulate.scene import SimulatedScene, rolling
 from dynaviz.simulate.shapes import box, grid, join, tube
 
 HALF = 34.0  # of the square's side, metres; the street runs beyond its edge at y = -HALF
@@ -17,7 +17,7 @@ FOUNTAIN = (-3.0, 2.0)
 GATE = 26.0  # where vehicles leave the square, x in metres
 
 
-def square(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
+def square(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
     """Build a square for a sensor that stands for a third of the time and then drives across it in a bend.
 
     Args:
@@ -26,10 +26,10 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
         speed: of the sensor once it goes, m/s.
         traffic: how much of it; 1 is usual.
     """
-    route = Path(
+    route = Route(
         [(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4
     )
-    scene = Scene(rng, duration, rolling(rng, 0.002), Ride(route, depart(2.0, speed, duration / 3, 1.0)))
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Ride(route, depart(2.0, speed, duration / 3, 1.0)))
     _ground(scene)
     _houses(scene)
     _furniture(scene)
@@ -38,11 +38,11 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     return scene
 
 
-def _ground(scene: Scene) -> None:
+def _ground(scene: SimulatedScene) -> None:
     for kind, low, high, step in (
-        (Kind.SIDEWALK, -HALF, HALF + 8, 1.0),
-        (Kind.ROAD, -HALF - 9, -HALF, 1.0),
-        (Kind.TERRAIN, -HALF - 60, -HALF - 9, 3.0),
+        (ObjectClass.SIDEWALK, -HALF, HALF + 8, 1.0),
+        (ObjectClass.ROAD, -HALF - 9, -HALF, 1.0),
+        (ObjectClass.TERRAIN, -HALF - 60, -HALF - 9, 3.0),
     ):
         x, y = np.meshgrid(
             np.arange(-90, 90.1, 1.5), np.linspace(low, high, round((high - low) / step) + 1), indexing="ij"
@@ -50,7 +50,7 @@ def _ground(scene: Scene) -> None:
         scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), kind)
 
 
-def _houses(scene: Scene) -> None:
+def _houses(scene: SimulatedScene) -> None:
     """Three sides of houses, each with a lane between two of them that one looks through."""
     for side, yaw in ((0, np.pi), (1, -np.pi / 2), (2, np.pi / 2)):
         along = -HALF
@@ -63,47 +63,47 @@ def _houses(scene: Scene) -> None:
             along += width
 
 
-def _furniture(scene: Scene) -> None:
+def _furniture(scene: SimulatedScene) -> None:
     basin = tube([(0, 0, -0.2), (0, 0, 0.6)], 3.0, 20)
-    scene.put(join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]), Kind.OTHER_STRUCTURE, *FOUNTAIN)
+    scene.put(join([basin, tube([(0, 0, 0), (0, 0, 2.2)], (0.5, 0.25), 10)]), ObjectClass.OTHER_STRUCTURE, *FOUNTAIN)
     for x, y in ((-26.0, 5.0), (24.0, 20.0)):
         roof = box(4.4, 3.6, 0.15, at=(0, 0, 2.7))
-        scene.put(join([box(3.4, 2.6, 2.7), roof]), Kind.OTHER_STRUCTURE, x, y, scene.rng.uniform(0, np.pi))
+        scene.put(join([box(3.4, 2.6, 2.7), roof]), ObjectClass.OTHER_STRUCTURE, x, y, scene.rng.uniform(0, np.pi))
     for count, x in enumerate(np.arange(-30, 25, 7.5)):
         scene.tree(x + 3, 27.5 + scene.rng.uniform(-1, 1))
         if x < GATE - 7:
             scene.tree(x, -28 + scene.rng.uniform(-1, 1))
-            scene.put(things.bench(), Kind.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
+            scene.put(things.bench(), ObjectClass.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
         if count % 2:
-            scene.put(things.lamp(5, 0.8), Kind.POLE, x - 3.7, -31, np.pi / 2)
-            scene.put(things.lamp(5, 0.8), Kind.POLE, x, 24, -np.pi / 2)
+            scene.put(things.lamp(5, 0.8), ObjectClass.POLE, x - 3.7, -31, np.pi / 2)
+            scene.put(things.lamp(5, 0.8), ObjectClass.POLE, x, 24, -np.pi / 2)
     for x in np.arange(-32, GATE - 4, 2.5):
-        scene.put(tube([(0, 0, -0.2), (0, 0, 0.9)], 0.08), Kind.POLE, x, -32.8)
+        scene.put(tube([(0, 0, -0.2), (0, 0, 0.9)], 0.08), ObjectClass.POLE, x, -32.8)
     for x, y in scene.rng.uniform((-30, -20), (-24, -3), (6, 2)):
-        scene.put(things.table(), Kind.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
+        scene.put(things.table(), ObjectClass.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
     for x in np.arange(-4, 4, 0.8):
-        scene.put(things.bicycle(), Kind.PARKED_BICYCLE, x, -29.8, np.pi / 2)
+        scene.put(things.bicycle(), ObjectClass.PARKED_BICYCLE, x, -29.8, np.pi / 2)
     for x in np.arange(-60, 61, 6.5):
         if scene.rng.random() < 0.6:
-            scene.put(things.car(scene.rng), Kind.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
+            scene.put(things.car(scene.rng), ObjectClass.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
 
 
-def _crowd(scene: Scene, traffic: float) -> None:
+def _crowd(scene: SimulatedScene, traffic: float) -> None:
     """People across the square in all directions and along the house fronts; some stand first."""
     for count in range(round(28 * traffic)):
         pace = scene.rng.uniform(0.9, 1.6)
         stands = scene.duration * scene.rng.uniform(0.3, 0.7) if count % 5 == 1 else None
         scene.walk(*_way(scene, pace, stands, close_to_wall=count % 4 == 0))
     for _ in range(round(4 * traffic)):
-        scene.move(Kind.MOVING_BICYCLIST, *_way(scene, 3.5), things.cyclist)
+        scene.move(ObjectClass.MOVING_BICYCLIST, *_way(scene, 3.5), things.cyclist)
 
 
 def _way(
-    scene: Scene,
+    scene: SimulatedScene,
     pace: float,
     stands: float | None = None,
     close_to_wall: bool = False,
-) -> tuple[Path, Schedule]:
+) -> tuple[Route, Schedule]:
     """A way through the square, chosen anew until it leads nobody into the sensor."""
     while True:
         path = _walk(scene.rng, close_to_wall)
@@ -116,7 +116,7 @@ def _way(
             return path, schedule
 
 
-def _walk(rng: np.random.Generator, close_to_wall: bool) -> Path:
+def _walk(rng: np.random.Generator, close_to_wall: bool) -> Route:
     """A bent way across the open part of the square, or one half a metre to a metre from the fronts."""
     inside = HALF - 12
     if close_to_wall:
@@ -126,15 +126,15 @@ def _walk(rng: np.random.Generator, close_to_wall: bool) -> Path:
         way = rng.uniform(0, 2 * np.pi)
         ends = inside * np.array([(np.cos(way), np.sin(way)), (np.cos(way + 2.6), np.sin(way + 2.6))])
         corners = np.array([ends[0], rng.uniform(-14, 14, 2), ends[1]])
-    path = Path(corners, rounds=4)
+    path = Route(corners, rounds=4)
     if np.hypot(*(path.xy - FOUNTAIN).T).min() < 4.0:
         return _walk(rng, close_to_wall)
     return path if rng.random() < 0.5 else path.reversed()
 
 
-def _traffic(scene: Scene, traffic: float) -> None:
+def _traffic(scene: SimulatedScene, traffic: float) -> None:
     """Cars and lorries on the street, a car that leaves the square."""
-    lanes = [Path([(-88, LANES[0]), (88, LANES[0])]), Path([(88, LANES[1]), (-88, LANES[1])])]
+    lanes = [Route([(-88, LANES[0]), (88, LANES[0])]), Route([(88, LANES[1]), (-88, LANES[1])])]
     count = max(4, round(0.5 * scene.duration * traffic))
     for index in range(count):
         pace = 9.0
@@ -142,10 +142,10 @@ def _traffic(scene: Scene, traffic: float) -> None:
         schedule: Schedule = cruise(start, pace)
         lorry = index == 2
         scene.move(
-            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR,
+            ObjectClass.MOVING_TRUCK if lorry else ObjectClass.MOVING_CAR,
             lanes[index % 2],
             schedule,
             things.truck(scene.rng) if lorry else things.car(scene.rng),
         )
-    out = Path([(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
-    scene.move(Kind.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), things.car(scene.rng))
+    out = Route([(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
+    scene.move(ObjectClass.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), things.car(scene.rng))

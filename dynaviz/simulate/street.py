@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
 from dynaviz.simulate import things
-from dynaviz.simulate.classes import Kind
-from dynaviz.simulate.movers import Path, Ride, arrive, cruise, depart
-from dynaviz.simulate.scene import Scene, rolling
+from dynaviz.simulate.classes import ObjectClass
+from dynaviz.simulate.movers import Ride, Route, arrive, cruise, depart
+from dynaviz.simulate.scene import SimulatedScene, rolling
 from dynaviz.simulate.shapes import Mesh, box, grid
 
 ENDS = 85.0  # of street before and after the sensor's way, metres
@@ -32,23 +32,23 @@ class Street:
         offsets = np.stack([x, y], -1)[..., None, :] - self.middle.xy
         return self.base(x, y) + _profile(np.sqrt((offsets**2).sum(-1).min(-1)))
 
-    def lane(self, left: float) -> Path:
+    def lane(self, left: float) -> Route:
         """The way along the street this far to its left; on the right as the sensor goes, on the left against it."""
         path = self.middle.shifted(left)
         return path if left < 0 else path.reversed()
 
-    def station(self, path: Path, station: float, left: float) -> float:
+    def station(self, path: Route, station: float, left: float) -> float:
         """How far along a lane a station of the street is."""
         x, y, _ = self.middle.spot(station, left)
         return float(path.distance[np.argmin(np.hypot(path.xy[:, 0] - x, path.xy[:, 1] - y))])
 
 
-def _middle(length: float) -> Path:
+def _middle(length: float) -> Route:
     """Straight, a bend halfway, straight again."""
     stations = np.arange(0, length, 0.5)
     turned = np.clip((stations - length / 2) / (RADIUS * BEND) + 0.5, 0, 1)
     yaw = BEND * turned**2 * (3 - 2 * turned)
-    return Path(np.column_stack([np.cumsum(0.5 * np.cos(yaw)), np.cumsum(0.5 * np.sin(yaw))]))
+    return Route(np.column_stack([np.cumsum(0.5 * np.cos(yaw)), np.cumsum(0.5 * np.sin(yaw))]))
 
 
 def _profile(aside: F64) -> F64:
@@ -56,7 +56,7 @@ def _profile(aside: F64) -> F64:
     return np.where(aside < KERB, 0.06 * (1 - (aside / KERB) ** 2), STEP)
 
 
-def street(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> Scene:
+def street(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
     """Build a street for a sensor that drives along it.
 
     On its right there is a gutter below the kerb; on its left the road rises to the pavement.
@@ -69,7 +69,7 @@ def street(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     """
     road = Street(rng, duration * speed)
     lane = road.lane(-LANE)
-    scene = Scene(rng, duration, road.height, Ride(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
+    scene = SimulatedScene(rng, duration, road.height, Ride(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
     reserved = _parkers(scene, road, speed)
     _ground(scene, road)
     _fronts(scene, road)
@@ -79,15 +79,15 @@ def street(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     return scene
 
 
-def _ground(scene: Scene, road: Street) -> None:
+def _ground(scene: SimulatedScene, road: Street) -> None:
     stations = np.arange(0, road.length, 1.0)
     across = np.linspace(-KERB, KERB, 9)
-    strips = [(Kind.ROAD, across), (Kind.SIDEWALK, np.array([KERB, KERB, 7.5, WALL]))]
-    strips += [(Kind.TERRAIN, np.array([WALL, 11, 14, 18, 23, 29, 36, 44, 52]))]
+    strips = [(ObjectClass.ROAD, across), (ObjectClass.SIDEWALK, np.array([KERB, KERB, 7.5, WALL]))]
+    strips += [(ObjectClass.TERRAIN, np.array([WALL, 11, 14, 18, 23, 29, 36, 44, 52]))]
     for kind, left in strips:
         heights = _profile(np.abs(left))
         heights[0] = _profile(np.abs(left[:1]) - 1e-6)[0]  # the strip of pavement begins with the kerb's face
-        for side in (left,) if kind == Kind.ROAD else (left, -left):
+        for side in (left,) if kind == ObjectClass.ROAD else (left, -left):
             scene.add(_strip(road, stations, side, heights), kind)
 
 
@@ -96,7 +96,7 @@ def _strip(road: Street, stations: F64, left: F64, heights: F64) -> Mesh:
     return grid(np.stack([x, y, road.base(x, y) + heights], -1))
 
 
-def _fronts(scene: Scene, road: Street) -> None:
+def _fronts(scene: SimulatedScene, road: Street) -> None:
     """Row houses with gaps; on the left, halfway, there is open country with nothing behind it."""
     for side in (-1, 1):
         station, plot = 4.0, 0
@@ -116,27 +116,27 @@ def _fronts(scene: Scene, road: Street) -> None:
             station += width + 0.1
 
 
-def _garden(scene: Scene, road: Street, middle: float, width: float, side: int) -> None:
+def _garden(scene: SimulatedScene, road: Street, middle: float, width: float, side: int) -> None:
     """A gap between houses: fence or wall in front, a hedge and trees behind."""
     x, y, yaw = road.middle.spot(middle, side * (WALL + 0.2))
     if scene.rng.random() < 0.6:
-        scene.put(things.fence(width), Kind.FENCE, x, y, yaw)
+        scene.put(things.fence(width), ObjectClass.FENCE, x, y, yaw)
     else:
-        scene.put(box(width, 0.3, 1.9), Kind.OTHER_STRUCTURE, x, y, yaw)
+        scene.put(box(width, 0.3, 1.9), ObjectClass.OTHER_STRUCTURE, x, y, yaw)
     x, y, yaw = road.middle.spot(middle, side * (WALL + 9))
-    scene.put(things.bush(scene.rng, width, 1.2, 2.0), Kind.VEGETATION, x, y, yaw)
+    scene.put(things.bush(scene.rng, width, 1.2, 2.0), ObjectClass.VEGETATION, x, y, yaw)
     for along in (-0.25, 0.25):
         x, y, _ = road.middle.spot(middle + along * width, side * (WALL + scene.rng.uniform(3.5, 6.5)))
         scene.tree(x, y)
 
 
-def _open(scene: Scene, road: Street, middle: float, width: float) -> None:
+def _open(scene: SimulatedScene, road: Street, middle: float, width: float) -> None:
     for _ in range(2):
         x, y, yaw = road.middle.spot(middle + scene.rng.uniform(-width / 2, width / 2), WALL + scene.rng.uniform(2, 25))
-        scene.put(things.bush(scene.rng, 1.5, 1.5, scene.rng.uniform(0.5, 1.2)), Kind.VEGETATION, x, y, yaw)
+        scene.put(things.bush(scene.rng, 1.5, 1.5, scene.rng.uniform(0.5, 1.2)), ObjectClass.VEGETATION, x, y, yaw)
 
 
-def _kerbside(scene: Scene, road: Street, reserved: tuple[float, float]) -> None:
+def _kerbside(scene: SimulatedScene, road: Street, reserved: tuple[float, float]) -> None:
     """Parked cars, street trees, lamps, signs, bins, benches and parked bicycles."""
     for side in (-1, 1):
         for count, station in enumerate(np.arange(3.0, road.length - 3, PLACE)):
@@ -147,7 +147,7 @@ def _kerbside(scene: Scene, road: Street, reserved: tuple[float, float]) -> None
                 )
                 scene.put(
                     things.car(scene.rng),
-                    Kind.CAR,
+                    ObjectClass.CAR,
                     x,
                     y,
                     yaw + np.pi * (scene.rng.random() < 0.3),
@@ -157,21 +157,21 @@ def _kerbside(scene: Scene, road: Street, reserved: tuple[float, float]) -> None
             _furniture(scene, (count + 2 * side) % 6, x, y, yaw - side * np.pi / 2)
 
 
-def _furniture(scene: Scene, kind: int, x: float, y: float, inward: float) -> None:
+def _furniture(scene: SimulatedScene, kind: int, x: float, y: float, inward: float) -> None:
     """One of the things that stand on the edge of a pavement, looking at the carriageway."""
     if kind in (0, 3):
         scene.tree(x, y, highest=7.5)
     elif kind == 1:
-        scene.put(things.lamp(), Kind.POLE, x, y, inward)
+        scene.put(things.lamp(), ObjectClass.POLE, x, y, inward)
     elif kind == 2:
-        scene.put(things.sign(), Kind.TRAFFIC_SIGN, x, y, inward + np.pi / 2)
+        scene.put(things.sign(), ObjectClass.TRAFFIC_SIGN, x, y, inward + np.pi / 2)
     elif kind == 4:
-        scene.put(things.bicycle(), Kind.PARKED_BICYCLE, x, y, inward + np.pi / 2)
+        scene.put(things.bicycle(), ObjectClass.PARKED_BICYCLE, x, y, inward + np.pi / 2)
     else:
-        scene.put(box(0.5, 0.45, 1.1), Kind.OTHER_OBJECT, x, y, inward)
+        scene.put(box(0.5, 0.45, 1.1), ObjectClass.OTHER_OBJECT, x, y, inward)
 
 
-def _parkers(scene: Scene, road: Street, speed: float) -> tuple[float, float]:
+def _parkers(scene: SimulatedScene, road: Street, speed: float) -> tuple[float, float]:
     """One car drives in and parks, one parked car drives off; gives the stations between which they need the bays."""
     halfway = ENDS + scene.duration * speed / 2
     into = halfway + max(12.0, 0.3 * scene.duration * speed)  # ahead of the sensor while it parks
@@ -180,11 +180,11 @@ def _parkers(scene: Scene, road: Street, speed: float) -> tuple[float, float]:
     swing_in = np.interp(stations, [into - 14, into - 4], [LANE, BAY])
     path = road.middle.shifted(-_eased(swing_in))
     end = road.station(path, into, -BAY)
-    scene.move(Kind.MOVING_CAR, path, arrive(end, 6.0, 0.45 * scene.duration), things.car(scene.rng))
+    scene.move(ObjectClass.MOVING_CAR, path, arrive(end, 6.0, 0.45 * scene.duration), things.car(scene.rng))
     swing_out = np.interp(stations, [out_of + 2, out_of + 12], [BAY, LANE])
     path = road.middle.shifted(-_eased(swing_out))
     scene.move(
-        Kind.MOVING_CAR,
+        ObjectClass.MOVING_CAR,
         path,
         depart(road.station(path, out_of, -BAY), 7.0, 0.5 * scene.duration),
         things.car(scene.rng),
@@ -198,7 +198,7 @@ def _eased(left: F64) -> F64:
     return LANE + (BAY - LANE) * share**2 * (3 - 2 * share)
 
 
-def _traffic(scene: Scene, road: Street, speed: float, traffic: float) -> None:
+def _traffic(scene: SimulatedScene, road: Street, speed: float, traffic: float) -> None:
     """Oncoming cars and lorries pass the sensor at times spread over the recording; others go ahead and behind."""
     oncoming, same, edge = road.lane(LANE), road.lane(-LANE), road.lane(-3.1)
     cars, pace = max(2, round(0.2 * scene.duration * traffic)), 11.0
@@ -207,21 +207,24 @@ def _traffic(scene: Scene, road: Street, speed: float, traffic: float) -> None:
         start = road.station(oncoming, ENDS + speed * meet, LANE) - pace * meet
         lorry = count % 4 == 1
         scene.move(
-            Kind.MOVING_TRUCK if lorry else Kind.MOVING_CAR,
+            ObjectClass.MOVING_TRUCK if lorry else ObjectClass.MOVING_CAR,
             oncoming,
             cruise(start, pace),
             things.truck(scene.rng) if lorry else things.car(scene.rng),
         )
     here = road.station(same, ENDS, -LANE)
-    scene.move(Kind.MOVING_CAR, same, cruise(here + 38, speed + 1.5), things.car(scene.rng))
-    scene.move(Kind.MOVING_CAR, same, cruise(here - 24, speed), things.car(scene.rng))
+    scene.move(ObjectClass.MOVING_CAR, same, cruise(here + 38, speed + 1.5), things.car(scene.rng))
+    scene.move(ObjectClass.MOVING_CAR, same, cruise(here - 24, speed), things.car(scene.rng))
     for gap, lead in ((11, 0.8), (26, -1.0)):
         scene.move(
-            Kind.MOVING_BICYCLIST, edge, cruise(road.station(edge, ENDS + gap, -3.1), speed + lead), things.cyclist
+            ObjectClass.MOVING_BICYCLIST,
+            edge,
+            cruise(road.station(edge, ENDS + gap, -3.1), speed + lead),
+            things.cyclist,
         )
 
 
-def _people(scene: Scene, road: Street, speed: float, traffic: float) -> None:
+def _people(scene: SimulatedScene, road: Street, speed: float, traffic: float) -> None:
     """People along the walls and under the trees both ways; one crosses; one stands half of the time, then goes."""
     lefts = (7.0, -7.0, 7.7, -7.7, 8.5, -8.5)
     for count in range(max(8, round(1.5 * scene.duration * traffic))):
@@ -234,5 +237,5 @@ def _people(scene: Scene, road: Street, speed: float, traffic: float) -> None:
     halfway = ENDS + scene.duration * speed / 2
     standing = road.middle.shifted(-7.3)
     scene.walk(standing, depart(road.station(standing, halfway + 6, -7.3), 1.4, scene.duration / 2, 1.0))
-    across = Path([road.middle.spot(road.crossing, left)[:2] for left in np.linspace(8.0, -8.0, 60)])
+    across = Route([road.middle.spot(road.crossing, left)[:2] for left in np.linspace(8.0, -8.0, 60)])
     scene.walk(across, cruise(max(0.0, across.length / 2 - 1.3 * scene.duration / 2), 1.3))

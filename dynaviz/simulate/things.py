@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
 from dynaviz.simulate.shapes import Mesh, box, boxes, ellipsoid, join, layers, leaves, quads, tube
 
 Face = list[tuple[float, float, float]]

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.loop import Run, execute
+from dynaviz.arrays import F64, U8, Bool
+from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.method import Context, Method
 from dynaviz.params import resolve, to_toml
 from dynaviz.probe import SILENT, MemoryProbe, Probe
-from dynaviz.scan import F64, U8, Bool, Label, Scan
-from dynaviz.survey import Extent
+from dynaviz.scan import Label, Scan
+from dynaviz.spatial.extent import Extent
 from dynaviz.testing.world import SENSOR, InMemory, crossing, moved, turn
 
 MOVES = (  # of the world, and the percent by which SA and DA may change
@@ -44,14 +45,14 @@ def check_method(method: type[Method], params: Any = None) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Answers:
+class RunLabels:
     """A method's answers, scan by scan."""
 
     dynamic: list[Bool]
     reasons: list[U8]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Answers) and all(
+        return isinstance(other, RunLabels) and all(
             len(mine) == len(theirs) and all(map(np.array_equal, mine, theirs))
             for mine, theirs in ((self.dynamic, other.dynamic), (self.reasons, other.reasons))
         )
@@ -59,7 +60,7 @@ class Answers:
 
 def ask(
     method: type[Method], params: Any, scans: Sequence[Scan], probe: Probe = SILENT, extent: Extent | None = None
-) -> Answers:
+) -> RunLabels:
     """Run a fresh method over scans: observe all, then label and explain all."""
     running = method(params)
     _begin(running, scans, probe, extent)
@@ -77,8 +78,8 @@ def _observe(running: Method, scans: Sequence[Scan]) -> None:
         running.observe(scan)
 
 
-def _answers(running: Method, scans: Sequence[Scan]) -> Answers:
-    return Answers(
+def _answers(running: Method, scans: Sequence[Scan]) -> RunLabels:
+    return RunLabels(
         [np.asarray(running.label(scan)).copy() for scan in scans],
         [np.asarray(running.explain(scan)).copy() for scan in scans],
     )
@@ -92,7 +93,7 @@ def _replaced(scan: Scan, points: Any) -> Scan:
     return dataclasses.replace(scan, points=points)
 
 
-def _check_shapes(method: type[Method], answers: Answers, scans: Sequence[Scan]) -> None:
+def _check_shapes(method: type[Method], answers: RunLabels, scans: Sequence[Scan]) -> None:
     for scan, dynamic, reasons in zip(scans, answers.dynamic, answers.reasons, strict=True):
         assert dynamic.dtype == np.bool_, f"label() gave {dynamic.dtype}, not bool"
         assert reasons.dtype == np.uint8, f"explain() gave {reasons.dtype}, not uint8"
@@ -151,7 +152,9 @@ def knows_no_truth(method: type[Method], params: Any) -> None:
     """Labels do not depend on the ground truth."""
     scans = crossing()
     lies = [dataclasses.replace(scan, labels=1 - np.asarray(scan.labels)) for scan in scans]
-    digests = {execute(Run(method(params), InMemory(world), params)).labels_sha256 for world in (scans, lies, _bare())}
+    digests = {
+        execute(RunSpec(method(params), InMemory(world), params)).labels_sha256 for world in (scans, lies, _bare())
+    }
     assert len(digests) == 1, "labels changed with the ground truth"
 
 
@@ -200,7 +203,7 @@ def answers_in_any_order(method: type[Method], params: Any) -> None:
     _begin(running, scans)
     _observe(running, scans)
     first, backwards = _answers(running, scans), _answers(running, scans[::-1])
-    assert first == Answers(backwards.dynamic[::-1], backwards.reasons[::-1]), "asked again, it answered otherwise"
+    assert first == RunLabels(backwards.dynamic[::-1], backwards.reasons[::-1]), "asked again, it answered otherwise"
 
 
 def answers_online(method: type[Method], params: Any) -> None:
@@ -211,7 +214,7 @@ def answers_online(method: type[Method], params: Any) -> None:
     for scan in scans:
         running.observe(scan)
         answers.append(_answers(running, [scan]))
-    _check_shapes(method, Answers([a.dynamic[0] for a in answers], [a.reasons[0] for a in answers]), scans)
+    _check_shapes(method, RunLabels([a.dynamic[0] for a in answers], [a.reasons[0] for a in answers]), scans)
 
 
 def survives_few_points(method: type[Method], params: Any) -> None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.scan import F64, Label, Scan
+from dynaviz.arrays import F64
+from dynaviz.scan import Label, Scan
 from dynaviz.sensors import Sensor
 
 RINGS, ELEVATION, HEIGHT = 24, (-24.0, 10.0), 1.8  # degrees, metres

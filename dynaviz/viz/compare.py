@@ -7,13 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dynaviz.compared import Comparison, differences, names, runtimes
-from dynaviz.comparison import PLACE, Crossed, PlaceGains, Places, compare_pair, cross, place_gains, run_scores
+from dynaviz.comparison.counts import (
+    PLACE,
+    AgreementCounts,
+    SpatialCells,
+    SpatialGains,
+    compare_pair,
+    count_agreement,
+    run_scores,
+    spatial_gains,
+)
+from dynaviz.comparison.summary import Comparison, differences, names, runtimes
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import sha256
-from dynaviz.loop import Progress
-from dynaviz.result import Result
-from dynaviz.viz.reader import Recording
+from dynaviz.progress import Progress, silent
+from dynaviz.results.result import Result
+from dynaviz.viz.reader import RunRecording
 
 LETTERS = "ABCDEFGH"
 FINE = 1.0  # metres: edge of the cells that are drawn
@@ -22,7 +31,7 @@ FINE = 1.0  # metres: edge of the cells that are drawn
 def compare(
     recordings: Sequence[str | os.PathLike[str]],
     out: str | os.PathLike[str] | None = None,
-    progress: Progress = lambda phase, done, total: None,
+    progress: Progress = silent,
 ) -> Comparison:
     """Compare recordings of runs on the same points; the data set is not needed.
 
@@ -46,13 +55,13 @@ def compare(
     if not total.sum():
         raise DataError(opened[0].path, "has no labelled point to compare", hint="Run on a sequence with ground truth")
     blind = [recording for recording in opened if recording.properties["mode"] == "scores"]
-    places: list[tuple[Places, Places]] = []
+    places: list[tuple[SpatialCells, SpatialCells]] = []
     for done, recording in enumerate([] if blind else opened, 1):
         places.append(_places(recording))
         progress("places", done, len(opened))
     pairs = []
     for i, this in enumerate(crossed, 1):
-        where = place_gains(places[0][0], places[i][0], total) if places else None
+        where = spatial_gains(places[0][0], places[i][0], total) if places else None
         pair = compare_pair(this, where, (_legend(opened[0]), _legend(opened[i])))
         about = {"first": LETTERS[0], "second": LETTERS[i]}
         settings = {"differ": differences(results[0], results[i]), "runtime": runtimes(results[0], results[i])}
@@ -65,17 +74,17 @@ def compare(
     if out is not None:
         from dynaviz.viz import merge
 
-        fine: list[PlaceGains] = [place_gains(places[0][1], other[1], total) for other in places[1:]]
+        fine: list[SpatialGains] = [spatial_gains(places[0][1], other[1], total) for other in places[1:]]
         merge.write(Path(out), opened, comparison, crossed, fine, progress)
     return comparison
 
 
-def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] | None) -> list[Recording]:
+def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] | None) -> list[RunRecording]:
     if not 2 <= len(paths) <= len(LETTERS):
         raise UsageError(f"{len(paths)} recording(s) given: compare takes 2 to {len(LETTERS)} of the same sequence")
     if out is not None and any(Path(out).resolve() == Path(path).resolve() for path in paths):
         raise UsageError(f"-o {out} is one of the recordings to compare. Choose another name")
-    opened = [Recording(path) for path in paths]
+    opened = [RunRecording(path) for path in paths]
     first = opened[0].properties
     for recording in opened:
         p = recording.properties
@@ -95,38 +104,38 @@ def _data(p: dict[str, Any]) -> str:
     return f"{p['sequence']}, {p['frames']} frames, digest {p['digest'][:12]}"
 
 
-def _result(recording: Recording) -> Result:
+def _result(recording: RunRecording) -> Result:
     if recording.result is None:  # told apart before; a run that is finished has one
         raise DataError(recording.path, "holds no result", hint="Run it again")
     return recording.result
 
 
-def _cross(first: Recording, second: Recording) -> Crossed:
+def _cross(first: RunRecording, second: RunRecording) -> AgreementCounts:
     try:
-        return cross(first.answers(), second.answers())
+        return count_agreement(first.answers(), second.answers())
     except ValueError as error:
         problem = f"does not hold the same points as {first.path} ({error})"
         raise DataError(second.path, problem, hint="Run both methods again") from error
 
 
-def _places(recording: Recording) -> tuple[Places, Places]:
-    named, fine = Places(), Places(FINE)
+def _places(recording: RunRecording) -> tuple[SpatialCells, SpatialCells]:
+    named, fine = SpatialCells(), SpatialCells(FINE)
     for drawn in recording.drawn():
         for places in (named, fine):
             places.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
     return named, fine
 
 
-def _side(crossed: Sequence[Crossed], i: int) -> dict[str, float | None]:
+def _side(crossed: Sequence[AgreementCounts], i: int) -> dict[str, float | None]:
     """The scores of a run: the first's are in each pair, another's in its own."""
     return run_scores(crossed[max(i - 1, 0)].points)[min(i, 1)]
 
 
-def _legend(recording: Recording) -> dict[int, str]:
+def _legend(recording: RunRecording) -> dict[int, str]:
     return {code: reason.name for code, reason in enumerate(recording.reasons)}
 
 
-def _note(first: Recording, second: Recording) -> str:
+def _note(first: RunRecording, second: RunRecording) -> str:
     for recording in (first, second):
         if recording.properties["mode"] == "scores":
             return f"none: {recording.path} holds no coordinates (--record scores)"
@@ -134,7 +143,7 @@ def _note(first: Recording, second: Recording) -> str:
 
 
 def _run(
-    letter: str, name: str, recording: Recording, result: Result, found: dict[str, float | None]
+    letter: str, name: str, recording: RunRecording, result: Result, found: dict[str, float | None]
 ) -> dict[str, Any]:
     return {
         "letter": letter,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
-from dynaviz.scan import F64
+from dynaviz.arrays import F64
 from dynaviz.viz import paths
 from dynaviz.viz.layout import blueprint, follow, solid
 

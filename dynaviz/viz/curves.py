@@ -8,7 +8,7 @@ import rerun as rr
 
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
-from dynaviz.viz.sink import Sink
+from dynaviz.viz.sink import RecordingFile
 
 TOGETHER = 10  # frames; so many numbers of each curve are lost at most when a run is killed
 
@@ -18,7 +18,7 @@ _WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.
 class Curves:
     """Collects numbers of curves and writes them, with a name and a colour each."""
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: RecordingFile) -> None:
         self._sink = sink
         self._styled: set[str] = set()
         self._waiting: defaultdict[str, list[tuple[int, int | None, float]]] = defaultdict(list)

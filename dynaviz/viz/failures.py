@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from dynaviz import registry
-from dynaviz.answers import Answers
+from dynaviz.arrays import F32
+from dynaviz.comparison.answers import Answers
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
-from dynaviz.scan import F32, Outcome, Scan
+from dynaviz.scan import Outcome, Scan
 from dynaviz.viz import paths
-from dynaviz.viz.reader import Drawn, Recording
+from dynaviz.viz.reader import DrawnPoints, RunRecording
 
 
 def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -26,7 +27,7 @@ def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
     Raises:
         DataError: for a recording that cannot be read, has no ground truth, or has neither result nor points.
     """
-    recording = Recording(path)
+    recording = RunRecording(path)
     if not recording.properties["has_labels"]:
         raise DataError(path, "has no ground truth, so nobody knows what is wrong", hint="Give a run with ground truth")
     result = recording.result
@@ -39,7 +40,7 @@ def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
     return _found_again(recording)
 
 
-def _found_again(recording: Recording) -> dict[str, Any]:
+def _found_again(recording: RunRecording) -> dict[str, Any]:
     p = recording.properties
     metric = registry.load("metrics", "failures")(MethodInfo(p["method"], p["title"], "", recording.reasons))
     positions = {frame: parts["Transform3D:translation"][0] for frame, parts in recording.rows(paths.SENSOR)}
@@ -50,7 +51,7 @@ def _found_again(recording: Recording) -> dict[str, Any]:
     return section
 
 
-def _labelled(drawn: Drawn, answers: Answers, position: F32) -> Labelled:
+def _labelled(drawn: DrawnPoints, answers: Answers, position: F32) -> Labelled:
     """What was drawn of a frame as a labelled scan, a point for each that it stands for.
 
     All static points must count, for costs are shares of them; those that were kept have no place here, drawn or not.

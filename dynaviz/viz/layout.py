@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
+from dynaviz.arrays import F64
 from dynaviz.method import MethodInfo
 from dynaviz.probe import RangeImage, Scalar, State
-from dynaviz.scan import F64
-from dynaviz.survey import CELL, Extent
+from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.viz import paths
 
 STACK = 4  # range images in one tab

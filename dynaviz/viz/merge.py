@@ -10,14 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from dynaviz.answers import Answers
-from dynaviz.compared import Comparison, label
-from dynaviz.comparison import BOTH, FIRST, NEITHER, SECOND, Crossed, PlaceGains, frame_gains, who_is_right
+from dynaviz.arrays import F32, F64, U8, Bool
+from dynaviz.comparison.answers import Answers
+from dynaviz.comparison.counts import (
+    BOTH,
+    FIRST,
+    NEITHER,
+    SECOND,
+    AgreementCounts,
+    SpatialGains,
+    agreement,
+    frame_gains,
+)
+from dynaviz.comparison.summary import Comparison, label
 from dynaviz.io.atomic import whole_file
-from dynaviz.loop import Progress
-from dynaviz.scan import F32, F64, U8, Label
+from dynaviz.progress import Progress, silent
+from dynaviz.scan import Label
 from dynaviz.viz import compare_layout, paths
 from dynaviz.viz.compare_layout import (
     CHANGED,
@@ -32,8 +41,8 @@ from dynaviz.viz.compare_layout import (
     SIDES,
     WHERE,
 )
-from dynaviz.viz.reader import COMPARISON, Drawn, Recording
-from dynaviz.viz.tap import Tap
+from dynaviz.viz.pipe import PipeWriter
+from dynaviz.viz.reader import COMPARISON, DrawnPoints, RunRecording
 
 KEPT = (  # of each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
@@ -54,11 +63,11 @@ LARGEST = 0.98  # quantile of the gains that is drawn so large; beyond, marks gr
 
 def write(
     out: Path,
-    recordings: Sequence[Recording],
+    recordings: Sequence[RunRecording],
     comparison: Comparison,
-    crossed: Sequence[Crossed],
-    fine: Sequence[PlaceGains],
-    progress: Progress = lambda phase, done, total: None,
+    crossed: Sequence[AgreementCounts],
+    fine: Sequence[SpatialGains],
+    progress: Progress = silent,
 ) -> None:
     """Write the recording of a comparison, whole or not at all.
 
@@ -77,7 +86,7 @@ def write(
     pair = len(recordings) == 2
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     layout = (compare_layout.two if pair else compare_layout.many)(names, places)
-    with whole_file(out) as beside, Tap(beside) as tap, contextlib.ExitStack() as stack:
+    with whole_file(out) as beside, PipeWriter(beside) as tap, contextlib.ExitStack() as stack:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
         stack.callback(stream.disconnect)
         stream.save(tap.inlet, default_blueprint=layout)
@@ -98,7 +107,7 @@ def write(
             _frames(stream, *recordings)
 
 
-def _bulk(gains: PlaceGains) -> F64:
+def _bulk(gains: SpatialGains) -> F64:
     """(N, 3): the places that make up most of what changes."""
     order = gains.order()
     size = np.abs(gains.gain.sum(1))[order]
@@ -106,7 +115,7 @@ def _bulk(gains: PlaceGains) -> F64:
     return seen
 
 
-def _copy(recording: Recording, side: str, name: str, colour: paths.Colour, stream: rr.RecordingStream) -> None:
+def _copy(recording: RunRecording, side: str, name: str, colour: paths.Colour, stream: rr.RecordingStream) -> None:
     """Copy what the layout shows below ``/side``, and give curves the run's name and colour."""
     chunks = recording.store.stream().filter(content=["/" + path.removeprefix("/") for path in KEPT])
     rr.send_chunks(
@@ -147,7 +156,7 @@ def _legend(stream: rr.RecordingStream, names: Sequence[str]) -> None:
     stream.log(COMPARE, rr.AnnotationContext(legend), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
 
-def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: Crossed, comparison: Comparison) -> None:
+def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: AgreementCounts, comparison: Comparison) -> None:
     """A curve for each run, apart from 0 where it is the better one; and marks on the frames told."""
     gain = frame_gains(crossed).sum(1)
     frames = rr.TimeColumn(paths.FRAME, sequence=np.arange(len(gain)))
@@ -164,7 +173,7 @@ def _gains(stream: rr.RecordingStream, names: Sequence[str], crossed: Crossed, c
         stream.send_columns(CHANGED, indexes=[marks], columns=rr.Scalars.columns(scalars=gain[told]))
 
 
-def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording]) -> None:
+def _distances(stream: rr.RecordingStream, recordings: Sequence[RunRecording]) -> None:
     """The runs' histograms with their bars beside each other."""
     for kind in ("false_negative", "false_positive"):
         for i, recording in enumerate(recordings):
@@ -176,7 +185,7 @@ def _distances(stream: rr.RecordingStream, recordings: Sequence[Recording]) -> N
                 stream.log(f"{DISTANCE}/{kind}/{SIDES[i]}", chart, static=True)
 
 
-def _bars(recording: Recording, path: str) -> tuple[F64, F64, F64] | None:
+def _bars(recording: RunRecording, path: str) -> tuple[F64, F64, F64] | None:
     """Heights, middles and widths of a bar chart that was logged once."""
     for chunk in recording.store.stream().filter(content=f"/{path}", is_static=True):
         row = {name: values[-1] for name, values in chunk.to_record_batch().to_pydict().items()}
@@ -185,7 +194,7 @@ def _bars(recording: Recording, path: str) -> tuple[F64, F64, F64] | None:
     return None
 
 
-def _frames(stream: rr.RecordingStream, first: Recording, second: Recording) -> None:
+def _frames(stream: rr.RecordingStream, first: RunRecording, second: RunRecording) -> None:
     """Each frame's drawn points by who is right."""
     sides = zip(first.answers(), second.answers(), first.drawn(), second.drawn(), strict=True)
     for a, b, drawn_a, drawn_b in sides:
@@ -196,23 +205,23 @@ def _frames(stream: rr.RecordingStream, first: Recording, second: Recording) -> 
         stream.log(SCAN, rr.Points3D(xyz, class_ids=who.astype(np.uint16), radii=sizes))
 
 
-def _who(a: Answers, b: Answers, drawn_a: Drawn, drawn_b: Drawn) -> tuple[F32, U8, NDArray[np.bool_]]:
+def _who(a: Answers, b: Answers, drawn_a: DrawnPoints, drawn_b: DrawnPoints) -> tuple[F32, U8, Bool]:
     """The labelled points that either recording drew: where, who is right, and whether they move."""
     points, at = np.unique(np.concatenate([drawn_a.point, drawn_b.point]), return_index=True)
     truth = a.truth[points]
     labelled = truth != Label.UNLABELLED
     points, at, truth = points[labelled], at[labelled], truth[labelled]
     xyz = np.concatenate([drawn_a.xyz, drawn_b.xyz])[at]
-    return xyz, who_is_right(truth, a.dynamic[points], b.dynamic[points]), truth == Label.DYNAMIC
+    return xyz, agreement(truth, a.dynamic[points], b.dynamic[points]), truth == Label.DYNAMIC
 
 
-def _ground(stream: rr.RecordingStream, first: Recording) -> None:
+def _ground(stream: rr.RecordingStream, first: RunRecording) -> None:
     """The map once more, darker, so that marks stand out."""
     xyz = first.static(paths.MAP)["Points3D:positions"]
     stream.log(GROUND, rr.Points3D(xyz, colors=DARK, radii=rr.Radius.ui_points(1.2)), static=True)
 
 
-def _where(stream: rr.RecordingStream, fine: PlaceGains, comparison: Comparison) -> None:
+def _where(stream: rr.RecordingStream, fine: SpatialGains, comparison: Comparison) -> None:
     """Marks on the cells of the whole run, and the places told as numbered boxes."""
     gain = fine.gain.sum(1)
     changed = gain != 0

@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from dynaviz.answers import ARCHETYPE, Answers
+from dynaviz.arrays import F32, F64, I64, U8
+from dynaviz.comparison.answers import ARCHETYPE, Answers
 from dynaviz.errors import DataError
 from dynaviz.method import Cause, Reason
-from dynaviz.result import Result
-from dynaviz.scan import F32, U8
+from dynaviz.results.result import Result
 from dynaviz.viz import paths
 from dynaviz.viz.sink import of_part, part_of
 
@@ -35,7 +34,7 @@ COMPARISON = "comparison"  # properties of a comparison of runs; those of a run 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class DrawnPoints:
     """The points of a frame that were drawn.
 
     Attributes:
@@ -49,11 +48,11 @@ class Drawn:
     frame: int
     xyz: F32
     outcome: U8
-    point: NDArray[np.int64]
-    stands_for: NDArray[np.int64]
+    point: I64
+    stands_for: I64
 
 
-class Recorded:
+class AnyRecording:
     """A whole recording of dynaviz, be it of a run or of a comparison.
 
     Args:
@@ -89,7 +88,7 @@ class Recorded:
             "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
         }
 
-    def curve(self, path: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def curve(self, path: str) -> tuple[I64, F64]:
         """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
         rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
         return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
@@ -135,11 +134,11 @@ class Recorded:
         return kind, properties
 
 
-class Recording(Recorded):
+class RunRecording(AnyRecording):
     """A recording of a run.
 
     Raises:
-        DataError: as ``Recorded``, and for a comparison of runs.
+        DataError: as ``AnyRecording``, and for a comparison of runs.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -203,14 +202,14 @@ class Recording(Recorded):
                     self.path, f"damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
                 ) from error
 
-    def drawn(self) -> Iterator[Drawn]:
+    def drawn(self) -> Iterator[DrawnPoints]:
         """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
         for frame, components in self.rows(paths.SCAN):
             if "Points3D:positions" not in components:
                 continue  # a killed run's last frame, cut off within
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
-            yield Drawn(
+            yield DrawnPoints(
                 frame,
                 xyz,
                 components["Points3D:class_ids"].astype(np.uint8),
@@ -279,11 +278,11 @@ def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
     return values
 
 
-def read(path: str | os.PathLike[str]) -> Recorded:
-    """Open a recording of whatever kind: a ``Recording`` where it is of a run.
+def read(path: str | os.PathLike[str]) -> AnyRecording:
+    """Open a recording of whatever kind: a ``RunRecording`` where it is of a run.
 
     Raises:
-        DataError: as ``Recorded``.
+        DataError: as ``AnyRecording``.
     """
-    recorded = Recorded(path)
-    return Recording(path) if recorded.kind == paths.PROPERTIES else recorded
+    recorded = AnyRecording(path)
+    return RunRecording(path) if recorded.kind == paths.PROPERTIES else recorded

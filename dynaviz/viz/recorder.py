@@ -12,20 +12,20 @@ from typing import Any, get_args
 import numpy as np
 import rerun as rr
 
-from dynaviz import answers
+from dynaviz.comparison import answers
+from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import sha256
-from dynaviz.loop import Listener, Run
 from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
-from dynaviz.result import Mode, Result, environment
+from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
-from dynaviz.survey import Survey
 from dynaviz.viz import paths, sink, states, viewer
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
-from dynaviz.viz.report import Tally, before, failure_list, listed, report
-from dynaviz.viz.scene import Scene
+from dynaviz.viz.report import OutcomeCounts, before, failure_list, listed, report
+from dynaviz.viz.scene import MapDrawing
 
 STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that are drawn in the world
 
@@ -47,15 +47,15 @@ class Recorder(Listener):
         DataError: where the folder cannot be written.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mode: Mode = "errors", live: bool = False):
-        if mode not in get_args(Mode):
-            raise UsageError(f"--record {mode}: choose from {', '.join(get_args(Mode))}")
+    def __init__(self, path: str | os.PathLike[str], mode: RecordMode = "errors", live: bool = False):
+        if mode not in get_args(RecordMode):
+            raise UsageError(f"--record {mode}: choose from {', '.join(get_args(RecordMode))}")
         self.path, self.mode = Path(path), mode
         self._port = viewer.open_window() if live else None
-        self._sink: sink.Sink | None = None
+        self._sink: sink.RecordingFile | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
-        self._tally = Tally()
+        self._tally = OutcomeCounts()
 
     def __enter__(self) -> Recorder:
         return self
@@ -80,7 +80,7 @@ class Recorder(Listener):
         if name in self._states:
             self._queue.append((self._states[name], value))
 
-    def begin(self, run: Run, survey: Survey) -> None:
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write what is known of the run."""
         info = run.method.info
         self._info, drawn = info, self.mode != "scores"
@@ -88,18 +88,18 @@ class Recorder(Listener):
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
         self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
         name = run.sequence.name
-        blueprint = layout(info, survey.extent, geometry=drawn)
-        self._sink = sink.Sink(
+        blueprint = layout(info, summary.extent, geometry=drawn)
+        self._sink = sink.RecordingFile(
             self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
         )
         self._curves = Curves(self._sink)
-        self._scene = Scene(self._sink, survey.extent, self.mode == "full") if drawn else None
+        self._scene = MapDrawing(self._sink, summary.extent, self.mode == "full") if drawn else None
         params = dataclasses.asdict(run.params)
-        self._sink.properties(**self._facts(run, survey, params), complete=False)
+        self._sink.properties(**self._facts(run, summary, params), complete=False)
         self._write_legends()
         self._report(before(info, name, params, self.mode))
         self._sink.at(0, None)
-        self._say(f"{info.title} on {name}: {survey.frames} frames, {survey.points:,} points")
+        self._say(f"{info.title} on {name}: {summary.frames} frames, {summary.points:,} points")
         self._sink.flush()
 
     def observing(self, frame: int, scan: Scan) -> None:
@@ -149,12 +149,12 @@ class Recorder(Listener):
         self._sink = None
 
     @property
-    def _open(self) -> sink.Sink:
+    def _open(self) -> sink.RecordingFile:
         if self._sink is None:
             raise RuntimeError("a recorder listens from begin to finish, once")
         return self._sink
 
-    def _facts(self, run: Run, survey: Survey, params: dict[str, Any]) -> dict[str, Any]:
+    def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
         info = run.method.info
         return {
             "schema": paths.SCHEMA,
@@ -163,10 +163,10 @@ class Recorder(Listener):
             "title": info.title,
             "reasons_json": json.dumps([dataclasses.asdict(reason) for reason in info.reasons]),
             "sequence": run.sequence.name,
-            "digest": survey.digest,
+            "digest": summary.digest,
             "has_labels": run.sequence.has_labels,
-            "frames": survey.frames,
-            "points": survey.points,
+            "frames": summary.frames,
+            "points": summary.points,
             "params_json": json.dumps(params),
             "seed": run.seed,
             "online": run.online,

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.reader import MAGIC, Recorded, Recording, open_store
+from dynaviz.viz.reader import MAGIC, AnyRecording, RunRecording, open_store
 from dynaviz.viz.sink import of_part
 
 _HINT = "Give the run.rrd of a run, or the .run.rrd.part that a killed one left"
 
 
 @dataclass(frozen=True)
-class Salvage:
+class SalvagedRecording:
     """What became of a broken recording.
 
     Attributes:
@@ -42,7 +42,7 @@ class Salvage:
         return self.path is not None and self.answered == self.frames
 
 
-def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> Salvage:
+def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> SalvagedRecording:
     """Salvage a recording; the broken file stays as it is.
 
     Args:
@@ -63,16 +63,16 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
         raise UsageError(f"{target} exists already: remove it, or choose another name with -o")
     with _salvaged(broken, target) as beside:
         try:
-            kind = Recorded(beside).kind
+            kind = AnyRecording(beside).kind
         except DataError:  # not even what it was
-            return Salvage(None)
+            return SalvagedRecording(None)
         if kind != paths.PROPERTIES:
             raise UsageError(f"{broken} holds a {kind}, not a run: write it again with dynaviz compare")
         found = _salvage(beside)
         if not found.observed:
-            return Salvage(None, frames=found.frames)
+            return SalvagedRecording(None, frames=found.frames)
         os.replace(beside, target)
-    return Salvage(target, found.answered, found.observed, found.frames, found.finished)
+    return SalvagedRecording(target, found.answered, found.observed, found.frames, found.finished)
 
 
 def _check(broken: Path) -> None:
@@ -118,19 +118,19 @@ def _salvaged(broken: Path, target: Path) -> Iterator[Path]:
         ) from error
 
 
-def _salvage(path: Path) -> Salvage:
+def _salvage(path: Path) -> SalvagedRecording:
     """What a recording that opens holds of its run.
 
     Raises:
         DataError: where it is none of a run.
     """
-    recording = Recording(path)
+    recording = RunRecording(path)
     answered = 0
     with contextlib.suppress(DataError):  # of a frame that is damaged
         for answered, _ in enumerate(recording.answers(), 1):  # noqa: B007
             pass
     observed = answered or _observed(path)
-    return Salvage(path, answered, observed, int(recording.properties["frames"]), recording.complete)
+    return SalvagedRecording(path, answered, observed, int(recording.properties["frames"]), recording.complete)
 
 
 def _observed(path: Path) -> int:

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 
@@ -19,14 +19,14 @@ LISTED = 20  # failure cases in the list and in the world, at most ...
 WORTH = 0.01  # ... and of the first one's cost, at least
 
 
-class Tally:
+class OutcomeCounts:
     """What the report counts: points by outcome and reason in the run, and wrong points by frame."""
 
     def __init__(self) -> None:
         self.crossed = np.zeros((len(Outcome), 256), np.int64)
         self.frames: list[tuple[int, int, int, int]] = []  # frame, index, false negatives, false positives
 
-    def add(self, frame: int, index: int, outcome: NDArray[np.uint8], reasons: NDArray[np.uint8]) -> tuple[int, int]:
+    def add(self, frame: int, index: int, outcome: U8, reasons: U8) -> tuple[int, int]:
         """Count a frame; returns its false negatives and false positives."""
         flat = outcome.astype(np.intp) * 256 + reasons
         here = np.bincount(flat, minlength=self.crossed.size).reshape(self.crossed.shape)
@@ -48,7 +48,7 @@ def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str
     )
 
 
-def report(info: MethodInfo, result: Result, tally: Tally, mode: str) -> str:
+def report(info: MethodInfo, result: Result, tally: OutcomeCounts, mode: str) -> str:
     """The report of a finished run.
 
     Args:
@@ -155,14 +155,14 @@ def _percent(value: float | None) -> str:
     return "n/a" if value is None else f"{value:.2f} %"
 
 
-def _worst(tally: Tally) -> str:
+def _worst(tally: OutcomeCounts) -> str:
     rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in tally.worst()]
     if not rows:
         return "No wrong point in any frame." if tally.frames else ""
     return "### Look here first\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
 
 
-def _reasons(info: MethodInfo, tally: Tally) -> str:
+def _reasons(info: MethodInfo, tally: OutcomeCounts) -> str:
     outcomes = [o for o in Outcome if tally.crossed[o].any()]
     rows = []
     for code, reason in enumerate(info.reasons):

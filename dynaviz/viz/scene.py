@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from dynaviz.grid import KeySet, has_voxel, pack, thin
+from dynaviz.arrays import F32, F64, U16, Bool
 from dynaviz.metric import FrameBoxes, Labelled
-from dynaviz.scan import F32, F64, Bool, Outcome, Scan
-from dynaviz.survey import CELL, Extent
+from dynaviz.scan import Outcome, Scan
+from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.grid import KeySet, in_key_range, pack, voxel_downsample
 from dynaviz.viz import paths
-from dynaviz.viz.sink import Sink
+from dynaviz.viz.sink import RecordingFile
 
 VOXEL = 0.2  # metres: false positives of a frame, and the map, are thinned to one point per voxel of this edge
 FINE = 0.1  # metres: the same for points that move; there are few
@@ -42,7 +42,7 @@ WIRES = rr.components.FillMode.MajorWireframe  # what is in a box must stay visi
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
-class ThinMap:
+class DownsampledMap:
     """Points of a whole run, one per voxel; memory grows with the volume they fill, not with their number.
 
     Args:
@@ -64,11 +64,11 @@ class ThinMap:
         left, size = np.concatenate([np.empty((0, 3), np.float32), *self._parts]), self.size
         while len(left) > self.cap:
             size *= GROWTH
-            left = left[thin(left, size)[0]]
+            left = left[voxel_downsample(left, size)[0]]
         return left
 
 
-class Scene:
+class MapDrawing:
     """Draws what has a place in the world.
 
     Args:
@@ -77,13 +77,13 @@ class Scene:
         full: every point of every frame; else those that move or were removed, the latter thinned.
     """
 
-    def __init__(self, sink: Sink, extent: Extent, full: bool) -> None:
+    def __init__(self, sink: RecordingFile, extent: Extent, full: bool) -> None:
         self._sink, self._full = sink, full
         # Voxels are counted from the middle of the map: a world may lie far from its origin.
         self._middle: F32 = np.round(
             np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
         ).astype(np.float32)
-        self._maps = {o: ThinMap(FINE if o in MOVING else VOXEL, CAPS[o]) for o in Outcome}
+        self._maps = {o: DownsampledMap(FINE if o in MOVING else VOXEL, CAPS[o]) for o in Outcome}
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
@@ -99,7 +99,7 @@ class Scene:
         """Draw a frame's points by outcome, and remember them for the map."""
         self._trajectory.append(labelled.scan.position)
         local = labelled.scan.points - self._middle
-        finite = has_voxel(local, FINE)
+        finite = in_key_range(local, FINE)
         for outcome, thinned in self._maps.items():
             thinned.add(local[finite & (labelled.outcome == outcome)])
         if self._full:
@@ -150,7 +150,7 @@ class Scene:
             self._sink.log(paths.SCAN, rr.DynamicArchetype("dynaviz.Scan", components=details))
 
 
-def _radii(classes: NDArray[np.uint16]) -> F32:
+def _radii(classes: U16) -> F32:
     """A radius for each point, smaller the more of its class there are; negative, as the viewer takes screen sizes."""
     counts = np.bincount(classes, minlength=len(RADII))
     shrunk = RADII * (np.maximum(counts, FEW) / FEW) ** -0.25
@@ -164,7 +164,7 @@ def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, n
     chosen, stands_for = [np.flatnonzero(moving)], [np.ones(int(moving.sum()), np.intp)]
     for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
         points = np.flatnonzero(finite & (labelled.outcome == outcome))
-        first, counts = thin(local[points], VOXEL)
+        first, counts = voxel_downsample(local[points], VOXEL)
         chosen.append(points[first])
         stands_for.append(counts)
     return np.concatenate(chosen), np.concatenate(stands_for)

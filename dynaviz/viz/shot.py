@@ -13,7 +13,7 @@ from rerun.experimental import ViewerClient
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.io.atomic import write_whole
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.reader import Recorded, viewable
+from dynaviz.viz.reader import AnyRecording, viewable
 
 SIZE = (1600, 900)
 SECONDS_TO_LOAD = 120.0
@@ -45,7 +45,7 @@ def shot(
         MissingDependency: where there is nothing to draw with.
     """
     viewable(Path(recording))
-    source, out = Recorded(recording), Path(out)
+    source, out = AnyRecording(recording), Path(out)
     count = source.frames
     frames = tuple(frames) or (max(count - 1, 0),)
     if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:

@@ -15,7 +15,7 @@ import rerun as rr
 
 from dynaviz.errors import DataError
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.tap import Tap
+from dynaviz.viz.pipe import PipeWriter
 
 FLUSH_SECONDS = 60.0
 
@@ -31,7 +31,7 @@ def of_part(path: Path) -> Path | None:
     return path.with_name(name) if path == part_of(path.with_name(name)) else None
 
 
-class Sink:
+class RecordingFile:
     """An open recording.
 
     Args:
@@ -49,7 +49,7 @@ class Sink:
         self.path, self._port = path, live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._tap = Tap(part_of(path))
+            self._tap = PipeWriter(part_of(path))
         except OSError as error:
             raise self._unwritable(error) from None
         self._file = _stream(layout_id)

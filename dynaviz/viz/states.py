@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
-from dynaviz.grid import KeySet, pack
+from dynaviz.arrays import F32, F64, U8, Intp
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
-from dynaviz.scan import F32, F64, Scan
+from dynaviz.scan import Scan
+from dynaviz.spatial.grid import KeySet, pack
 from dynaviz.viz import paths
 
 NEAR = 25.0  # metres around the sensor, where only a part of a state is kept
@@ -129,7 +129,7 @@ def _picture(values: F32, state: State) -> Any:
     )
 
 
-def _coloured(values: F32, value_range: tuple[float, float] | None) -> NDArray[np.uint8]:
+def _coloured(values: F32, value_range: tuple[float, float] | None) -> U8:
     low, high = value_range or _range(values)
     at = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1) * (len(VIRIDIS) - 1)
     return np.stack([np.interp(at, np.arange(len(VIRIDIS)), channel) for channel in VIRIDIS.T], 1).astype(np.uint8)
@@ -153,7 +153,7 @@ def _near(points: F32, centre: F64, most: int | None) -> Any:
     return near[_nearest(points[near], centre, most)]
 
 
-def _nearest(points: F32, centre: F64, most: int) -> NDArray[np.intp]:
+def _nearest(points: F32, centre: F64, most: int) -> Intp:
     """The points within ``NEAR`` of a centre, at most so many of the nearest, in the order of the points."""
     local = points - centre.astype(np.float32)
     squared = np.einsum("ij,ij->i", local, local)

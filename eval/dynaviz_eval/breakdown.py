@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, I64, U8
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import F32, U8, Label, Outcome, Scan
+from dynaviz.scan import Label, Outcome, Scan
 from dynaviz_eval.confusion import Counts
-
-I64 = NDArray[np.int64]
 
 RANGES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
@@ -109,7 +107,7 @@ def heights_above_ground(points: F32) -> F32:
     Returns:
         (N,) float32, metres; NaN for points without finite coordinates.
     """
-    heights: F32 = kernels.heights.above_ground(kernels.frozen(points, np.float32), GROUND_CELL)
+    heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
     return heights
 
 

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.grid import pack
-from dynaviz.scan import F32, U8
-
-I64 = NDArray[np.int64]
+from dynaviz.arrays import F32, I64, U8, Bool, Intp
+from dynaviz.spatial.grid import pack
 
 EDGE = 0.5  # metres: points in cells that touch are of one case
 GAP = 10  # frames that a cell is remembered: what comes back later is another case
@@ -52,7 +50,7 @@ class Cases:
         self._low = self._high = np.empty((0, 3), np.int32)
         self._used = 0
 
-    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, beside: NDArray[np.bool_]) -> None:
+    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, beside: Bool) -> None:
         """Add the wrong points of a frame; frames come in order.
 
         Args:
@@ -83,7 +81,7 @@ class Cases:
         if frame % EVERY == EVERY - 1:
             self.settle(frame)
 
-    def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, NDArray[np.intp], NDArray[np.intp], I64]:
+    def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, Intp, Intp, I64]:
         """Cases of a frame, points in their order, where each case starts there, and how many cells it has."""
         self._make_room(len(points))
         of_point, first, fresh, self._used = kernels.cases.link(
@@ -130,7 +128,7 @@ class Cases:
         self.rows["case"] = new[which][keep[which]]
         self._forget(frame, old, keep, new)
 
-    def _forget(self, frame: int, old: I64, keep: NDArray[np.bool_], new: NDArray[np.intp]) -> None:
+    def _forget(self, frame: int, old: I64, keep: Bool, new: Intp) -> None:
         alive = np.flatnonzero((self._table >= 0) & (frame - self._cells[:, LAST] <= GAP))
         keys, cells = self._table[alive], self._cells[alive]
         root = kernels.cases.roots(self._parent, self._used)[cells[:, CASE]]
@@ -144,7 +142,7 @@ class Cases:
         self._table, self._cells = kernels.cases.remember(keys, cells, size)
 
 
-def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], NDArray[np.intp]]:
+def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
     """Rows that agree in some fields pooled into one, and how many each was; sorted by these fields."""
     rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
     changes = np.any([np.diff(rows[name]) != 0 for name in by], axis=0)

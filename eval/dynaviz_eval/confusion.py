@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import U8, Outcome
+from dynaviz.scan import Outcome
 
 
 @dataclass(frozen=True, slots=True)

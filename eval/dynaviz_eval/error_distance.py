@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import F32, I64, Bool
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameHistograms, Labelled
-from dynaviz.nearest import nearest_distance
-from dynaviz.scan import F32, Outcome
-from dynaviz_eval.spill import Spill
-
-I64 = NDArray[np.int64]
+from dynaviz.scan import Outcome
+from dynaviz.spatial.nearest import nearest_distance
+from dynaviz_eval.spool import PointSpool
 
 LIMIT = 2.0  # metres: beyond, only that a distance is larger
 BIN = 0.05  # metres
@@ -40,7 +38,7 @@ class ErrorDistance:
     """
 
     def __init__(self, info: MethodInfo) -> None:
-        self._spills = {outcome: Spill() for wrong, right, _ in _PAIRS.values() for outcome in (wrong, right)}
+        self._spills = {outcome: PointSpool() for wrong, right, _ in _PAIRS.values() for outcome in (wrong, right)}
         self._frames = 0
         self._by_frame: dict[str, I64] = {}
 
@@ -71,7 +69,7 @@ class ErrorDistance:
         }
 
 
-def distances(wrong: Spill, right: Spill, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
+def distances(wrong: PointSpool, right: PointSpool, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
     """Exact distances from each wrong point to the nearest right one, as histograms.
 
     The world is cut into slabs across its longest side. Right points come from a slab widened by the limit, about
@@ -99,7 +97,7 @@ def distances(wrong: Spill, right: Spill, frames: int, block: int = _BLOCK) -> t
     return fine, by_frame
 
 
-def _slabs(wrong: Spill, right: Spill, axis: int, block: int) -> list[tuple[float, float]]:
+def _slabs(wrong: PointSpool, right: PointSpool, axis: int, block: int) -> list[tuple[float, float]]:
     """Intervals along an axis that hold about as many points each, and together all of the line."""
     step = 64
     sample = np.concatenate([wrong.sample(axis, step), right.sample(axis, step)])
@@ -109,7 +107,7 @@ def _slabs(wrong: Spill, right: Spill, axis: int, block: int) -> list[tuple[floa
     return list(itertools.pairwise(edges))
 
 
-def _within(points: F32, low: F32, high: F32) -> NDArray[np.bool_]:
+def _within(points: F32, low: F32, high: F32) -> Bool:
     inside = np.ones(len(points), np.bool_)
     for axis in range(3):
         inside &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])

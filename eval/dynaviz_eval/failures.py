@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.grid import has_voxel, pack
+from dynaviz.arrays import F32, I64, Bool, Intp
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameBoxes, Labelled
-from dynaviz.scan import F32, Bool, Label, Outcome, Scan
-from dynaviz_eval.blame import causes_of, sentence, shape
+from dynaviz.scan import Label, Outcome, Scan
+from dynaviz.spatial.grid import in_key_range, pack
+from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
-
-I64 = NDArray[np.int64]
 
 SPAN = 20.0  # metres: a hole in the map is told in parts of at most this size; what moved may leave a longer trail
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
@@ -56,7 +55,7 @@ class Failures:
         self._totals["false_positive"] += int((scan.labels == Label.STATIC).sum())
         for kind, cases in self._cases.items():
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
-            wrong = wrong[has_voxel(scan.points[wrong], EDGE)]  # not those without a place
+            wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # not those without a place
             points, groups = scan.points[wrong], _groups(scan, wrong, kind)
             ranges = np.sqrt(((points - _origins(scan, wrong)) ** 2).sum(1))
             beside = _beside(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
@@ -143,7 +142,7 @@ class Failures:
         return {names[code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
 
 
-def _groups(scan: Scan, chosen: NDArray[np.intp], kind: str) -> I64:
+def _groups(scan: Scan, chosen: Intp, kind: str) -> I64:
     """Class, and for what moves the object, as one number; 0 where the data tell neither."""
     groups = np.zeros(len(chosen), np.int64)
     if scan.classes is not None:
@@ -153,7 +152,7 @@ def _groups(scan: Scan, chosen: NDArray[np.intp], kind: str) -> I64:
     return groups
 
 
-def _origins(scan: Scan, chosen: NDArray[np.intp]) -> F32:
+def _origins(scan: Scan, chosen: Intp) -> F32:
     origins = scan.origins if len(scan.origins) == 1 else scan.origins[chosen]
     return origins.astype(np.float32)
 
@@ -161,7 +160,7 @@ def _origins(scan: Scan, chosen: NDArray[np.intp]) -> F32:
 def _beside(points: F32, scan: Scan) -> Bool:
     """(N,) bool: whether something that moves lies in a point's cell, or in one that touches it, in the same scan."""
     moving = scan.points[scan.labels == Label.DYNAMIC]
-    moving = moving[has_voxel(moving, EDGE)]
+    moving = moving[in_key_range(moving, EDGE)]
     if not len(moving) or not len(points):
         return np.zeros(len(points), np.bool_)
     steps = np.arange(-1, 2)

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.grid import KeySet, has_voxel, pack
+from dynaviz.arrays import F32
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import F32, Label, Outcome
+from dynaviz.scan import Label, Outcome
+from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 EDGE = 0.2  # metres
 
@@ -39,7 +40,7 @@ class Voxelwise:
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Note the voxels of one scan."""
         if labelled.scan.labels is not None:
-            finite = has_voxel(labelled.scan.points, EDGE)
+            finite = in_key_range(labelled.scan.points, EDGE)
             keys = np.zeros(len(labelled.scan), np.int64)
             keys[finite] = pack(labelled.scan.points[finite], EDGE)
             kept = np.isin(labelled.outcome, (Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE))

@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dynaviz.arrays import U8, Bool
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.probe import Scalar, State
-from dynaviz.scan import U8, Bool, Scan
+from dynaviz.scan import Scan
 
 
 @dataclass(frozen=True)

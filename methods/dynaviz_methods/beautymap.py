@@ -28,15 +28,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F64, I32, I64, U8, Bool
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
-from dynaviz.scan import F64, U8, Bool, Scan
-
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
+from dynaviz.scan import Scan
 
 REACH = 32768  # columns to each side of the world's origin
 SLICES = 31
@@ -173,7 +170,7 @@ class BeautyMap:
         """Encode the raw map in columns; its points are not kept."""
         assert context.raw_map is not None  # as info.needs_map asks
         self._probe, p = context.probe, self.params
-        points, k = kernels.frozen(context.raw_map, np.float32), kernels.columns
+        points, k = kernels.as_readonly(context.raw_map, np.float32), kernels.columns
         low, high = k.bounds(points, REACH * p.xy_resolution)
         self._corner = np.where(np.isfinite(low), low, 0.0)
         shape = (np.nan_to_num((high - low) / p.xy_resolution, neginf=0.0) // 64).astype(np.int64) + 1
@@ -196,7 +193,7 @@ class BeautyMap:
             return
         window = self._window(sensor)
         width, middle = len(window.columns), len(window.columns) // 2
-        eye = kernels.frozen(sensor, np.float64)
+        eye = kernels.as_readonly(sensor, np.float64)
         seen, slope = kernels.columns.look(scan.points, *self._grid, self._base, p.h_res, window.first, width, eye)
         under = window.columns[middle, middle]
         base = float(self._base[under]) if under >= 0 else math.nan

@@ -23,11 +23,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.blocks import I64, VOXELS, read, voxels_of
+from dynaviz.arrays import I64, U8, Bool
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
-from dynaviz.scan import U8, Bool, Scan
-from dynaviz_methods.voids import Seen, VoidGrid
+from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import VOXELS, read, voxels_of
+from dynaviz_methods.voids import VoidGrid, VoidMarks
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class DufoMap:
         within: Bool = kernels.voids.in_range(scan.points, scan.origins, nearest, farthest)
         return within
 
-    def _show(self, seen: Seen, voxels: I64) -> None:
+    def _show(self, seen: VoidMarks, voxels: I64) -> None:
         np.bitwise_or.at(self._with_points, (voxels // VOXELS, voxels % VOXELS // 64), np.int64(1) << voxels % 64)
         known = self._with_points[seen.blocks]
         shown = {

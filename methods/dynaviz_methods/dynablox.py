@@ -28,13 +28,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.blocks import read
+from dynaviz.arrays import I64, U8, Bool
 from dynaviz.errors import UsageError
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
-from dynaviz.scan import U8, Bool, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-from dynaviz_methods.free_space import I64, Bits, FreeSpace, View
+from dynaviz.spatial.blocks import read
+from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 
 SHOWN = 25.0  # metres around the sensor
 
@@ -238,7 +239,7 @@ class Dynablox:
             emit("clusters", PointClasses(CLASS[why]))
 
 
-def view_of(params: DynabloxParams, sensor: Sensor) -> View:
+def view_of(params: DynabloxParams, sensor: Sensor) -> SensorView:
     """The range image that parameters and sensor make.
 
     Raises:
@@ -254,4 +255,4 @@ def view_of(params: DynabloxParams, sensor: Sensor) -> View:
             f"dynablox needs the rows and the height of a range image, which the sensor '{sensor.name}' does not tell: "
             "give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
         )
-    return View(rows, columns, high, low)
+    return SensorView(rows, columns, high, low)

@@ -18,13 +18,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
-from dynaviz.scan import F32, F64, U8, Bool, Scan
+from dynaviz.scan import Scan
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.tiles import laid_out, thinned
 
@@ -140,8 +140,8 @@ class _Comparison:
     """
 
     foot: F64
-    rows: NDArray[np.int32]
-    bins: NDArray[np.int32]
+    rows: I32
+    bins: I32
     why: U8
     inserted: F32
     map_height: F64
@@ -230,7 +230,7 @@ class Erasor:
         inserted = query[query_rows[of_bin[query_bins] == REMOVED]]
         return _Comparison(foot, rows, bins, why, inserted, map_height, scan_height, verdict)
 
-    def _judge(self, map_height: F64, scan_height: F64, scan_points: NDArray[np.int64]) -> U8:
+    def _judge(self, map_height: F64, scan_height: F64, scan_points: I64) -> U8:
         """The scan ratio test."""
         ratio = _ratio(map_height, scan_height)
         verdict = np.full(len(ratio), MAP_NOT_HIGHER, np.uint8)
@@ -239,13 +239,13 @@ class Erasor:
         verdict[(scan_points < self.params.min_points) | np.isnan(map_height)] = TOO_FEW
         return verdict
 
-    def _fit_ground(self, points: F64, bins: NDArray[np.int32]) -> Bool:
+    def _fit_ground(self, points: F64, bins: I32) -> Bool:
         """Region-wise ground plane fitting ; the points of a bin follow each other."""
         p = self.params
         starts = np.flatnonzero(np.diff(bins, prepend=-1, append=-1))
         ground: Bool = kernels.region_ground.fit(
-            kernels.frozen(points, np.float64),
-            kernels.frozen(starts, np.int64),
+            kernels.as_readonly(points, np.float64),
+            kernels.as_readonly(starts, np.int64),
             *(p.ground_skip, p.ground_lowest, p.ground_seed, p.ground_distance, p.ground_iterations, not p.port),
         )
         return ground

@@ -8,17 +8,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.arrays import F32, I32, I64, U64, Bool
 from dynaviz.probe import Voxels
-from dynaviz.scan import F32, Bool, Scan
-from dynaviz.survey import CELL, Extent
+from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.spatial.extent import CELL, Extent
 
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
-U64 = NDArray[np.uint64]
 Bits = tuple[I32, U64]
 
 AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # in the order of a block's neighbours
@@ -27,7 +24,7 @@ LONG_AGO = -(2**30)
 
 
 @dataclass(frozen=True)
-class View:
+class SensorView:
     """The range image: rows from the highest elevation to the lowest, columns all around the sensor.
 
     Attributes:
@@ -59,7 +56,7 @@ class FreeSpace:
         image: (rows, columns) float32, metres: the last scan's range image, 0 where nothing returned.
     """
 
-    def __init__(self, extent: Extent, params: Any, view: View) -> None:
+    def __init__(self, extent: Extent, params: Any, view: SensorView) -> None:
         self._params, self._view, self._frame = params, view, -1
         blocks = self._lay_out(extent)
         n, voxels = blocks, int(self._first[-1])

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, F64, Bool
 from dynaviz.probe import Plane
-from dynaviz.scan import F32, F64, Bool
 
 LEAST = 50  # points; fewer are not searched for a plane
 SAMPLES = 50  # at most, PCL's default
@@ -33,7 +33,11 @@ def ground_plane(points: F32, distance: float, angle: float, random: np.random.G
         return none, None
     samples = random.integers(len(points), size=(SAMPLES, 3))
     found, most = kernels.plane.from_samples(
-        kernels.frozen(points, np.float32), kernels.frozen(samples, np.int64), distance, math.cos(angle), CONFIDENCE
+        kernels.as_readonly(points, np.float32),
+        kernels.as_readonly(samples, np.int64),
+        distance,
+        math.cos(angle),
+        CONFIDENCE,
     )
     if not most:
         return none, None

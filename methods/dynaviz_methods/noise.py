@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.scan import F32, Bool
+from dynaviz.arrays import F32, Bool
 
 
 def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
@@ -22,7 +22,7 @@ def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
     neighbours = min(neighbours, len(points) - 1)
     if neighbours < 1:
         return np.zeros(len(points), np.bool_)
-    tree = kernels.neighbours.tree(kernels.frozen(points, np.float32))
+    tree = kernels.neighbours.tree(kernels.as_readonly(points, np.float32))
     distances = kernels.neighbours.mean_distances(*tree, neighbours, kernels.threads_in_use())
     far: Bool = distances > distances.mean() + stddev * distances.std(ddof=1)
     return far

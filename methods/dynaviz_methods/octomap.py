@@ -10,7 +10,8 @@ Hornung et al. 2013; the improvements are those of the benchmark (Zhang et al. 2
     a point is static if its voxel's log-odds are at least 0, or if it is ground
 
 Noise casts no ray. A ray crosses the voxels from the sensor's to the last before its point's. A voxel may be crossed
-and hit by the same scan; both then count. Log-odds are float32; only voxels near points have any (``dynaviz.blocks``).
+and hit by the same scan; both then count. Log-odds are float32; only voxels near points have any
+(``dynaviz.spatial.blocks``).
 Keys have 16 bit per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
 are not finite, are kept unjudged; from a sensor beyond that reach no ray is cast, but its points hit.
 """
@@ -24,10 +25,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
+from dynaviz.arrays import U8, Bool
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
-from dynaviz.scan import U8, Bool, Scan
+from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
 from dynaviz_methods.ground import ground_plane
 from dynaviz_methods.noise import outliers
 

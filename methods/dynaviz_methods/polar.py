@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, Bool
 from dynaviz.probe import PolarGrid
-from dynaviz.scan import F32, F64, Bool
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,7 @@ class PolarBins:
     low: float
     high: float
 
-    def locate(
-        self, points: F32, foot: F64, spans: NDArray[np.int64] | None = None, gone: Bool | None = None
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def locate(self, points: F32, foot: F64, spans: I64 | None = None, gone: Bool | None = None) -> tuple[I32, I32]:
         """Points within range, and their bins.
 
         Args:
@@ -47,13 +45,13 @@ class PolarBins:
         spans = np.array([[0, len(points)]]) if spans is None else spans
         gone = np.zeros(len(points), np.bool_) if gone is None else gone
         rows, bins = kernels.polar.locate(
-            *(kernels.frozen(points, np.float32), kernels.frozen(spans, np.int64)),
-            *(kernels.frozen(gone, np.bool_), kernels.frozen(foot, np.float64)),
+            *(kernels.as_readonly(points, np.float32), kernels.as_readonly(spans, np.int64)),
+            *(kernels.as_readonly(gone, np.bool_), kernels.as_readonly(foot, np.float64)),
             *(self.max_range, self.rings, self.sectors, self.low, self.high),
         )
         return rows, bins
 
-    def heights(self, points: F32, rows: NDArray[np.int32], bins: NDArray[np.int32]) -> tuple[F64, NDArray[np.int64]]:
+    def heights(self, points: F32, rows: I32, bins: I32) -> tuple[F64, I64]:
         """The difference between the highest and the lowest of the points that ``locate`` found in each bin.
 
         Returns:
@@ -61,7 +59,7 @@ class PolarBins:
             counts: (rings * sectors,) int64: points.
         """
         n = self.rings * self.sectors
-        heights, counts = kernels.polar.heights(kernels.frozen(points, np.float32), rows, bins, n)
+        heights, counts = kernels.polar.heights(kernels.as_readonly(points, np.float32), rows, bins, n)
         return heights, counts
 
     def grid(self, values: NDArray[np.floating]) -> PolarGrid:

@@ -7,13 +7,10 @@ pixels (Kim and Kim, IROS 2020). All images lie one after the other in one flat 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I64
 from dynaviz.probe import RangeImage
-from dynaviz.scan import F32, F64
-
-I64 = NDArray[np.int64]
 
 
 def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], azimuth: tuple[float, ...]) -> F64:
@@ -36,7 +33,7 @@ def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], az
         per_row, per_column = rows / (high - low), columns / (end - begin)
         views.append((rows, columns, high * per_row, per_row, -begin * per_column, per_column, start))
         start += rows * columns
-    return kernels.frozen(views, np.float64)
+    return kernels.as_readonly(views, np.float64)
 
 
 def chunks(spans: I64) -> I64:
@@ -44,7 +41,7 @@ def chunks(spans: I64) -> I64:
     most, (first, last) = kernels.range_image.CHUNK, spans.T
     pieces = -(-(last - first) // most)
     start = np.repeat(first - most * (np.cumsum(pieces) - pieces), pieces) + most * np.arange(pieces.sum())
-    return kernels.frozen(np.stack([start, np.minimum(start + most, np.repeat(last, pieces))], 1), np.int64)
+    return kernels.as_readonly(np.stack([start, np.minimum(start + most, np.repeat(last, pieces))], 1), np.int64)
 
 
 def whole(points: int) -> tuple[I64, np.float32]:

@@ -23,21 +23,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
-from dynaviz.scan import F32, F64, U8, Bool, Scan
+from dynaviz.scan import Scan
 from dynaviz_methods.range_images import chunks, image_views, picture, slices, whole
 from dynaviz_methods.tiles import laid_out, thinned
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
 
 SHOWN = 3  # resolutions with reasons and states of their own
 LARGEST = 200.0  # metres; the port takes a larger difference for a pixel without return
@@ -175,7 +173,7 @@ class Removert:
         self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
         assert context.raw_map is not None  # as info.needs_map asks
         self._tiles, points, self._map_points = laid_out(*thinned(context.raw_map, params.voxel))
-        self._map = kernels.frozen(points.T, np.float32)
+        self._map = kernels.as_readonly(points.T, np.float32)
         # An entry more than there are map points: raw points without one are at -1.
         self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
         self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
@@ -229,21 +227,21 @@ class Removert:
 
     def _nearest(self, scan: Scan, xyz: F32, which: I64, reach: np.float32) -> tuple[F32, I32]:
         """Ranges and indices of the points nearest to the scan's sensor, in all pixels of all images."""
-        xyz, lanes = kernels.frozen(xyz, np.float32), kernels.threads_in_use()
+        xyz, lanes = kernels.as_readonly(xyz, np.float32), kernels.threads_in_use()
         ranges, indices = kernels.range_image.nearest(xyz, which, reach, *self._camera(scan), lanes)
         return ranges, indices
 
     def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:
         """Of the images: their centre, their axes, their views, and whether border rows hold what is beyond them."""
         axes = np.eye(3) if self.params.port else scan.T_world_sensor[:3, :3].T
-        centre = kernels.frozen(scan.position, np.float64)
-        return centre, kernels.frozen(axes, np.float64), self._views, self.params.port
+        centre = kernels.as_readonly(scan.position, np.float64)
+        return centre, kernels.as_readonly(axes, np.float64), self._views, self.params.port
 
     def _judge_all(self, scan: Scan, scan_ranges: F32, which: I64, reach: np.float32) -> None:
         """Judge every map point by its own range."""
         threshold = np.float32(self.params.threshold)
         surface = np.where(np.isfinite(scan_ranges), scan_ranges, np.float32(0))
-        limits = kernels.frozen(surface - threshold * surface, np.float32)
+        limits = kernels.as_readonly(surface - threshold * surface, np.float32)
         spread = (1 + threshold) / (1 - threshold)
         camera, notes = self._camera(scan), (self._past, self._met)
         kernels.range_image.judge(self._map, which, reach, *camera, limits, spread, *notes)

@@ -34,17 +34,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.arrays import F32, I32, I64, U8, U64, Bool
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
-from dynaviz.scan import F32, U8, Bool, Scan
-from dynaviz.survey import Extent
-from dynaviz_methods.relief import Relief
-
-I64 = NDArray[np.int64]
+from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.spatial.extent import Extent
+from dynaviz_methods.ground_height import GroundHeight
 
 TALL = 3  # gaps: height of an object's cells, for rings lie farther apart than the points of one
 PROOF = 2  # scans in which it must have been judged dynamic before
@@ -151,12 +149,12 @@ class ClearGrid(BlockGrid):
             rays = np.unique((voxels * len(places) + which.ravel())[voxels >= 0])
             goals, origins = rays // len(places), places[rays % len(places)]
         centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
-        every = kernels.frozen(np.ones(len(goals), np.bool_), np.bool_)
-        ends = (kernels.frozen(centres, np.float32), kernels.frozen(origins, np.float64), every, every)
+        every = kernels.as_readonly(np.ones(len(goals), np.bool_), np.bool_)
+        ends = (kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64), every, every)
         kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch))
         return Marks(*kernels.raycast.collect(*self._scratch))
 
-    def near(self, marks: Marks, hit: NDArray[np.uint64], times: int) -> NDArray[np.uint64]:
+    def near(self, marks: Marks, hit: U64, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks in the cubes of 2 times + 1 voxels a side around those hit.
 
         Cubes grow from block to block beside it, as far as these are marked.
@@ -164,7 +162,7 @@ class ClearGrid(BlockGrid):
         sides = kernels.clearance.beside(marks.blocks, self._rows, self._blocks, *self._place)
         padded = np.zeros((len(hit) + 1, 8), np.uint64)
         padded[:-1] = hit
-        grown: NDArray[np.uint64] = kernels.clearance.grown(padded, sides, times)[:-1]
+        grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
 
 
@@ -181,7 +179,7 @@ class SeeThrough:
         """Lay out the map where points will lie."""
         self._probe = context.probe
         self._grid = ClearGrid(context.extent, self.params.resolution)
-        self._relief = Relief(self._grid.blocks, self.params.resolution)
+        self._relief = GroundHeight(self._grid.blocks, self.params.resolution)
         rows = len(self._grid) + 1  # points without a voxel, -1, read the last
         self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
         # Of each quarter of a column the last scan with a mover there, and in how many scans that one had been judged
@@ -223,11 +221,11 @@ class SeeThrough:
 
     def _located(self, scan: Scan) -> tuple[F32, I64, I64]:
         """Its points (N, 3), their voxels (N,), -1 for none, and the quarters of columns (N,) that these are in."""
-        points = kernels.frozen(scan.points, np.float32)
+        points = kernels.as_readonly(scan.points, np.float32)
         voxels = self._grid.locate(points)
         return points, voxels, self._relief.quarters(voxels)
 
-    def _judge(self, scan: Scan, points: F32, voxels: I64, places: I64, movers: NDArray[np.int32]) -> U8:
+    def _judge(self, scan: Scan, points: F32, voxels: I64, places: I64, movers: I32) -> U8:
         """(N,) uint8, codes of ``REASONS``, for an observed scan; movers: where any were, and then are."""
         params, now = self.params, self._number[scan.index]
         height = self._relief.height(points, voxels, scan.position)
@@ -248,9 +246,7 @@ class SeeThrough:
         why[~within] = OUT_OF_REACH
         return why
 
-    def _movement(
-        self, objects: NDArray[np.int32], n: int, voxels: I64, places: I64, now: int, movers: NDArray[np.int32]
-    ) -> U8:
+    def _movement(self, objects: I32, n: int, voxels: I64, places: I64, now: int, movers: I32) -> U8:
         """(N,) uint8: why points are of an object that moves, or 0; such objects leave a trail in ``movers``."""
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
@@ -267,7 +263,7 @@ class SeeThrough:
         kernels.objects.leave(objects, (why > 0) & (why != WAITED), proven, places, now, *movers)
         return verdict[objects]
 
-    def _show(self, why: U8, blocks: NDArray[np.int32], through: NDArray[np.uint64], near: NDArray[np.uint64]) -> None:
+    def _show(self, why: U8, blocks: I32, through: U64, near: U64) -> None:
         wants, emit = self._probe.wants, self._probe.emit
         for name, bits in (("clear", through & ~near), ("passed", through & near)):
             if wants(name):

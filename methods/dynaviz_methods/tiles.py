@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.scan import F32, F64
+from dynaviz.arrays import F32, F64, I32, I64
 
 TILE = 8.0  # metres
 FARTHEST = 2.0**30  # tiles from the world's origin; those beyond are one
 
 
-def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
+def thinned(points: F32, size: float) -> tuple[F32, I32]:
     """A cloud of one point per voxel.
 
     Args:
@@ -24,15 +23,15 @@ def thinned(points: F32, size: float) -> tuple[F32, NDArray[np.int32]]:
         voxels: (N,) int32: the centroid that stands for each point; -1 where it is not finite, or more than a million
             voxels from the world's origin.
     """
-    points = kernels.frozen(points, np.float32)
+    points = kernels.as_readonly(points, np.float32)
     if size > 0:
         voxels, n = kernels.centroids.number(points, size)
-        return kernels.centroids.means(points, kernels.frozen(voxels, np.int32), n), voxels
+        return kernels.centroids.means(points, kernels.as_readonly(voxels, np.int32), n), voxels
     finite = np.isfinite(points).all(1)
     return points[finite], np.where(finite, np.cumsum(finite) - 1, -1).astype(np.int32)
 
 
-def laid_out(points: F32, voxels: NDArray[np.int32]) -> tuple[Tiles, F32, NDArray[np.int32]]:
+def laid_out(points: F32, voxels: I32) -> tuple[Tiles, F32, I32]:
     """A thinned map in the order of square tiles over x and y.
 
     Args:
@@ -61,12 +60,12 @@ class Tiles:
         starts: (T,) int64: the first row of each tile.
     """
 
-    def __init__(self, points: F32, starts: NDArray[np.int64]) -> None:
+    def __init__(self, points: F32, starts: I64) -> None:
         self._ends = np.zeros(1, np.int64)  # the first row of each tile, and the one after the last
         self._low = self._high = np.empty((0, 2), np.float32)
         self._extend(points, starts)
 
-    def spans(self, centre: F64, reach: float) -> NDArray[np.int64]:
+    def spans(self, centre: F64, reach: float) -> I64:
         """(S, 2) int64: rows, from the first to before the second, of the tiles within reach of a place in x and y."""
         away = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
         near = np.concatenate([[False], (away**2).sum(1) < reach**2, [False]])
@@ -77,7 +76,7 @@ class Tiles:
         """Note points after the last row as a tile of their own, however far they spread: for few points."""
         self._extend(points, np.zeros(min(len(points), 1), np.int64))
 
-    def _extend(self, points: F32, starts: NDArray[np.int64]) -> None:
+    def _extend(self, points: F32, starts: I64) -> None:
         """Note points after the last row, of which tiles begin at ``starts``."""
         if not len(points):
             return

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.blocks import BlockGrid
-from dynaviz.grid import REACH, unpack
-from dynaviz.scan import F64, Bool, Scan
-from dynaviz.survey import CELL, Extent
-
-I64 = NDArray[np.int64]
+from dynaviz.arrays import F64, I32, I64, Bool
+from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import BlockGrid
+from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.grid import REACH, unpack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class VoidMarks:
     """What one scan saw, in the blocks of a grid.
 
     Attributes:
@@ -25,7 +23,7 @@ class Seen:
         hit, observed, void: (B, 8) int64, a bit a voxel: bit v of word w is voxel 64 w + v of the block.
     """
 
-    blocks: NDArray[np.int32]
+    blocks: I32
     hit: I64
     observed: I64
     void: I64
@@ -51,7 +49,7 @@ class VoidGrid(BlockGrid):
         self._hits = np.zeros((len(self) + 1, 8), np.int64)
         self._rows = np.zeros(len(self) + 1, np.int32)
 
-    def see(self, scan: Scan, voxels: I64, integrated: Bool) -> Seen:
+    def see(self, scan: Scan, voxels: I64, integrated: Bool) -> VoidMarks:
         """Hit, observed and void voxels of a scan.
 
         Args:
@@ -76,17 +74,17 @@ class VoidGrid(BlockGrid):
         padded = np.zeros((len(blocks) + 1, 8), np.uint64)
         padded[:-1] = observed.view(np.uint64)
         known = kernels.voids.erode(padded, beside, self._unknown_margin)[:-1].view(np.int64)
-        return Seen(blocks, hit, observed, known & ~hit)
+        return VoidMarks(blocks, hit, observed, known & ~hit)
 
-    def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, NDArray[np.int64], F64]:
+    def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, I64, F64]:
         """Rays to the centres of occupied voxels, one for each place that rays start from: goals, starts, places."""
         if len(scan.origins) == 1:
             goals = kernels.voids.distinct(voxels, integrated, self._hits)
-            return kernels.frozen(goals, np.int64), np.zeros(len(goals), np.int64), scan.origins * self._per_metre
+            return kernels.as_readonly(goals, np.int64), np.zeros(len(goals), np.int64), scan.origins * self._per_metre
         places, which = np.unique(scan.origins, axis=0, return_inverse=True)
         rays = np.unique(voxels[integrated] * len(places) + which.ravel()[integrated])
         goals, starts = rays // len(places), rays % len(places)
-        return kernels.frozen(goals, np.int64), kernels.frozen(starts, np.int64), places * self._per_metre
+        return kernels.as_readonly(goals, np.int64), kernels.as_readonly(starts, np.int64), places * self._per_metre
 
 
 def _widened(extent: Extent, around: float) -> Extent:

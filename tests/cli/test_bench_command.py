@@ -10,16 +10,17 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from dynaviz import benches
-from dynaviz.benches.plan import ParameterSet, Source
-from dynaviz.cli.watching import Live
+from dynaviz.benchmarking import bench as bench_module
+from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard, SearchResult
+from dynaviz.benchmarking.plan import BenchCell, ParameterSet, SequenceSpec
+from dynaviz.cli.bench_progress import ProgressBars
 
 Command = Callable[..., tuple[int, str, str]]
 
 
-def failed(folder: Path, error: str, variant: str = "") -> benches.Row:
+def failed(folder: Path, error: str, variant: str = "") -> BenchRow:
     what = ParameterSet("octomap", variant, {})
-    return benches.Row(benches.Cell(Source("street"), what, "", "none"), folder, error=error)
+    return BenchRow(BenchCell(SequenceSpec("street"), what, "", "none"), folder, error=error)
 
 
 def shown(what: object) -> str:
@@ -33,11 +34,11 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """The tables of the benches that are typed; none runs."""
     tables: list[dict[str, Any]] = []
 
-    def bench(table: dict[str, Any], out: Path, **how: object) -> benches.Board:
+    def bench(table: dict[str, Any], out: Path, **how: object) -> Leaderboard:
         tables.append(table)
-        return benches.Board([])
+        return Leaderboard([])
 
-    monkeypatch.setattr(benches, "bench", bench)
+    monkeypatch.setattr(bench_module, "bench", bench)
     return tables
 
 
@@ -71,7 +72,7 @@ def test_a_seed_below_zero_is_refused(dynaviz: Command, tmp_path: Path) -> None:
 
 def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     row = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]")
-    board, live = benches.Board([row]), Live()
+    board, live = Leaderboard([row]), ProgressBars()
     live.preparing("reading [/street]", 1, 2)
     live.running(row.cell, "label [/2]", 1, 2)
     texts = [shown(live._table())]
@@ -81,7 +82,7 @@ def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.Monkey
     assert all("reading [/street] 1/2" in text for text in texts[:2])
     assert "label [/2] 1/2" in texts[0]
     assert all("no [auto] at [/tmp/x]" in text for text in texts[1:])
-    monkeypatch.setattr(benches, "bench", lambda *given, **how: board)
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
     code, out, _ = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
     assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
@@ -90,8 +91,8 @@ def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.Monkey
 def test_the_file_that_tells_what_went_wrong_exists(
     dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    board = benches.Board([failed(tmp_path, "cannot be read")])
-    monkeypatch.setattr(benches, "bench", lambda *given, **how: board)
+    board = Leaderboard([failed(tmp_path, "cannot be read")])
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
     for name in ("error.json", "error.log"):
         (tmp_path / name).touch()
         assert f"{name}. The same command" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
@@ -101,6 +102,6 @@ def test_the_file_that_tells_what_went_wrong_exists(
 def test_trials_that_failed_are_told(
     dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
 ) -> None:
-    found = benches.Found(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
-    monkeypatch.setattr(benches, "bench", lambda *given, **how: benches.Board([], found=[found]))
+    found = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: Leaderboard([], found=[found]))
     assert "of 7 trials (2 failed)" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]

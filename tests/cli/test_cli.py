@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds import room
+from helpers.worlds import room
 
 from dynaviz.cli import app
 from dynaviz.io.pcd import write_pcd

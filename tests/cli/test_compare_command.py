@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from worlds import room
+from helpers.worlds import room
 
 import dynaviz as dv
 

@@ -11,10 +11,10 @@ from threading import Thread
 
 import numpy as np
 import pytest
-from worlds import room
+from helpers.worlds import room
 
-from dynaviz.convert import convert
-from dynaviz.io import fetch
+from dynaviz.datasets import fetch
+from dynaviz.datasets.convert import convert
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from dynaviz import api, precompile, simulate
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 
 
 def test_a_broken_method_is_left_out(

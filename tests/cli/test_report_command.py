@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worlds import room
+from helpers.worlds import room
 
 from dynaviz.io.pcd import write_pcd
 

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worlds import room
+from helpers.worlds import room
 
-from dynaviz import geometry
 from dynaviz.datasets import open_sequence
 from dynaviz.datasets.benchmark import BenchmarkSequence
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import read_pcd, write_pcd
 from dynaviz.scan import Scan, Sequence
 from dynaviz.sensors import load_sensor
+from dynaviz.spatial import geometry
 
 
 def xyz(points: Any) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def test_another_sensor(tmp_path: Path) -> None:
 
 
 def test_a_broken_plug_in_breaks_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = registry.Handle("datasets", "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0")
+    broken = registry.PluginHandle("datasets", "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0")
     handles = registry.handles
 
     monkeypatch.setattr(registry, "handles", lambda kind: [broken, *handles(kind)])

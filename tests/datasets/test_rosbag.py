@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import KINDS, POSES, START, XYZ, BagWriter, N, at, columns, drive
+from helpers.bags import KINDS, POSES, START, XYZ, BagWriter, N, at, columns, drive
 
 import dynaviz as dv
 from dynaviz import api

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import KINDS, POSES, XYZ, BagWriter, columns, drive
+from helpers.bags import KINDS, POSES, XYZ, BagWriter, columns, drive
 
 import dynaviz as dv
 from dynaviz.errors import DataError, MissingDependency, UsageError

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
-from dynaviz.diagnosis import Diagnosis, Sure, doctor
+from dynaviz.arrays import F32, F64
+from dynaviz.diagnosis import Confidence, Diagnosis, doctor
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import read_pcd, write_pcd
 from dynaviz.scan import Scan
@@ -22,7 +22,6 @@ from dynaviz.simulate import simulate
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing
 
-F64 = NDArray[np.float64]
 SCANS = crossing()
 
 
@@ -44,7 +43,7 @@ def in_sensor_frame(scan: Scan) -> F64:
     return (scan.points - T[:3, 3]) @ T[:3, :3]
 
 
-def placed(points: F64, T: F64) -> NDArray[np.float32]:
+def placed(points: F64, T: F64) -> F32:
     return (points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
 
 
@@ -85,7 +84,7 @@ def test_scans_placed_by_wrong_poses(kind: str) -> None:
         scans.append(changed(scan, points=placed(in_sensor_frame(scan), T), T_world_sensor=T))
     found = diagnose(scans)
     assert names(found) == [name], found
-    assert found.findings[0].sure is Sure.CERTAIN
+    assert found.findings[0].sure is Confidence.CERTAIN
 
 
 @pytest.mark.parametrize("kind", POSES)
@@ -93,7 +92,7 @@ def test_wrong_poses_beside_scans_that_are_right(kind: str) -> None:
     name, wrong = POSES[kind]
     found = diagnose([changed(scan, T_world_sensor=wrong(scan.T_world_sensor)) for scan in SCANS])
     assert names(found) == [name], found
-    assert found.findings[0].sure is Sure.LIKELY
+    assert found.findings[0].sure is Confidence.LIKELY
 
 
 def test_points_in_another_frame_than_claimed() -> None:
@@ -159,7 +158,7 @@ def test_bad_points_in_one_scan(name: str, fault: Callable[[Scan], Scan]) -> Non
     found = diagnose(scans)
     wanted = {name} | ({"not finite"} if name == "empty frame" and len(scans[4]) else set())
     assert set(names(found)) == wanted, found
-    assert all((f.frames, f.count, f.sure) == ((4,), 1, Sure.CERTAIN) for f in found.findings)
+    assert all((f.frames, f.count, f.sure) == ((4,), 1, Confidence.CERTAIN) for f in found.findings)
 
 
 @pytest.mark.parametrize(("columns", "sound"), [(2, True), (40, False)])
@@ -243,7 +242,7 @@ def test_a_world_that_lies_on_its_side_is_only_perhaps_wrong() -> None:
         for s in SCANS
     ]
     found = diagnose(scans)
-    assert [(f.name, f.sure) for f in found.findings] == [("tilted", Sure.PERHAPS)], found
+    assert [(f.name, f.sure) for f in found.findings] == [("tilted", Confidence.PERHAPS)], found
 
 
 def test_nothing_readable_is_an_error() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from installed import Python, python_with
+from helpers.installed_packages import Python, python_with
 
 from dynaviz.testing import crossing
 

@@ -13,11 +13,11 @@ import pytest
 from dynaviz.errors import DynavizError
 from dynaviz.scan import Outcome
 from dynaviz_eval.error_distance import EDGES, ErrorDistance, distances, summary
-from dynaviz_eval.spill import Spill
+from dynaviz_eval.spool import PointSpool
 
 
 def spilled(clouds):
-    spill = Spill()
+    spill = PointSpool()
     for frame, points in enumerate(clouds):
         spill.append(frame, np.asarray(points, np.float32).reshape(-1, 3))
     return spill
@@ -161,7 +161,7 @@ def test_a_full_disk_is_said():
         def write(self, data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    spill = Spill()
+    spill = PointSpool()
     spill._file = Full()
     with pytest.raises(DynavizError, match=r"No space left.*TMPDIR"):
         spill.append(0, np.zeros((5, 3), np.float32))

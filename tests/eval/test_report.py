@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.html_pages import Page, markdown_table
 from hypothesis import given
 from hypothesis import strategies as st
-from pages import Page, markdown_table
 
-from dynaviz.result import Result
-from dynaviz.study import Study, collect
+from dynaviz.reporting import Study
+from dynaviz.results.collect import collect
+from dynaviz.results.result import Result
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.report import boards
 from dynaviz_eval.report.tables import tables
@@ -166,8 +167,8 @@ COUNTS = st.tuples(*[st.integers(0, 10**9)] * 4)
 @given(st.lists(COUNTS, min_size=2, max_size=4))
 def test_all_sequences_together_are_their_points_in_one_pool(several):
     results = [result("octomap", f"s{k}", numbers) for k, numbers in enumerate(several)]
-    rows = [boards.Row("octomap", each) for each in results]
-    single = [boards.Board(f"s{k}", "mask", (row,)) for k, row in enumerate(rows)]
+    rows = [boards.ScoreRow("octomap", each) for each in results]
+    single = [boards.ScoreBoard(f"s{k}", "mask", (row,)) for k, row in enumerate(rows)]
     (combined,), notes = boards.together(Study([]), single)
     kept, removed, right, left = (sum(numbers[k] for numbers in several) for k in range(4))
     row = combined.rows[0]

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pages import Page
-from worlds import room
+from helpers.html_pages import Page
+from helpers.worlds import room
 
 import dynaviz as dv
+from dynaviz.reporting import Overview
 from dynaviz.scan import Outcome
-from dynaviz.study import Overview
 from dynaviz_eval.report import birdseye
 
 
@@ -70,7 +70,7 @@ def test_the_same_results_give_the_same_bytes(recorded, written):
 def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
     frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
     overview = Overview(np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8))
-    image = birdseye.View.of(overview).draw(overview)
+    image = birdseye.BirdsEyeView.of(overview).draw(overview)
     middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
     return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from worlds import room
+from helpers.worlds import room
 
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled

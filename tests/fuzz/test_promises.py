@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rlimits import memory_ends_after
-from subjects import bag, every_scan
+from helpers.readable_files import bag, every_scan
+from helpers.resource_limits import memory_ends_after
 from test_argoverse2 import table
-from test_files_poses import WRITERS, XYZ
+from test_scan_folder import WRITERS, XYZ
 
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
@@ -131,7 +131,7 @@ def in_little_memory(work: list[tuple[str, str, str]]) -> None:
 def test_what_cannot_be_is_refused_in_little_memory(tmp_path: Path) -> None:
     work = [(name, reader, str(path)) for name, reader, path in jobs(tmp_path)]
     tests = Path(__file__).parents[1]
-    folders = [str(folder) for folder in (tests, *(tests / name for name in ("datasets", "viz", "fuzz")))]
+    folders = [str(folder) for folder in (tests, *(tests / name for name in ("datasets", "fuzz")))]
     script = (
         f"import json, sys; sys.path[:0] = {folders!r}\n"
         "from test_promises import in_little_memory\nin_little_memory(json.load(sys.stdin))"

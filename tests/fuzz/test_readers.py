@@ -17,10 +17,10 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from damage import damaged, remove
+from helpers.damage import damaged, remove
+from helpers.readable_files import DATASETS, SUBJECTS, parts
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from subjects import DATASETS, SUBJECTS, parts
 
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError

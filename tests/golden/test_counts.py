@@ -19,8 +19,8 @@ import pytest
 
 from dynaviz import kernels, registry
 from dynaviz.datasets import open_sequence
-from dynaviz.loop import Run, execute
-from dynaviz.scan import Sequence, part
+from dynaviz.engine.loop import RunSpec, execute
+from dynaviz.scan import Sequence, select_frames
 from dynaviz.simulate.recording import simulate
 
 FILE = Path(__file__).with_name("counts.json")
@@ -35,7 +35,7 @@ METHODS = [handle.name for handle in registry.handles("methods") if handle.distr
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sequence:
     folder = tmp_path_factory.mktemp("scenes") / request.param
     frames, stride = SCENES[request.param]
-    return part(open_sequence(str(simulate(request.param, folder, frames))), stride=stride)
+    return select_frames(open_sequence(str(simulate(request.param, folder, frames))), stride=stride)
 
 
 def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]:
@@ -44,7 +44,7 @@ def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]
     params = kind.Params()
     metric = registry.load("metrics", "confusion")(kind.info)
     try:
-        result = execute(Run(kind(params), sequence, params, (metric,), threads=threads))
+        result = execute(RunSpec(kind(params), sequence, params, (metric,), threads=threads))
     finally:
         kernels.set_threads(None)
     return result.sequence["digest"], [result.counts[kind] for kind in KINDS]

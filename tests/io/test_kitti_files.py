@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dynaviz import geometry
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import Box, read_boxes
+from dynaviz.io.boxes import TrackBox, read_boxes
 from dynaviz.io.calib import matrix_of, read_calib, rigid_of
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import read_velodyne
+from dynaviz.spatial import geometry
 
 BOX = "7 3 Car 0 0 0.1 10 20 30 40 1.5 1.6 4.0 -3.0 1.7 20.0 0.25"
 
@@ -97,7 +97,7 @@ def test_roll_pitch_and_yaw_turn_as_scipys(tmp_path: Path) -> None:
 
 def test_boxes_are_read(tmp_path: Path) -> None:
     (tmp_path / "label.txt").write_text(BOX + "\n")
-    expected = Box(7, 3, "Car", (10, 20, 30, 40), (1.5, 1.6, 4.0), (-3.0, 1.7, 20.0), 0.25)
+    expected = TrackBox(7, 3, "Car", (10, 20, 30, 40), (1.5, 1.6, 4.0), (-3.0, 1.7, 20.0), 0.25)
     assert read_boxes(tmp_path / "label.txt") == [expected]
 
 

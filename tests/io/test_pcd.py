@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.resource_limits import files_end_at
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from rlimits import files_end_at
 
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import ENCODINGS, PcdWriter, read_header, read_pcd, write_pcd

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from dynaviz.blocks import BlockGrid, voxels_of
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.blocks import BlockGrid, voxels_of
+from dynaviz.spatial.extent import Extent
 
 places = arrays.arrays(
     np.float32,

@@ -11,7 +11,7 @@ from dynaviz import kernels
 
 
 def means(points, k, lanes=2):
-    tree = kernels.neighbours.tree(kernels.frozen(points, np.float32))
+    tree = kernels.neighbours.tree(kernels.as_readonly(points, np.float32))
     return kernels.neighbours.mean_distances(*tree, k, lanes)
 
 
@@ -48,7 +48,7 @@ def test_lanes_decide_nothing():
 
 def test_the_tree_holds_every_point_once_and_its_boxes_hold_them():
     points = np.random.default_rng(0).normal(size=(3001, 3)).astype(np.float32)
-    xyz, order, depth, boxes = kernels.neighbours.tree(kernels.frozen(points, np.float32))
+    xyz, order, depth, boxes = kernels.neighbours.tree(kernels.as_readonly(points, np.float32))
     np.testing.assert_array_equal(np.sort(order), np.arange(3001))
     np.testing.assert_array_equal(points[order], xyz.T)
     for leaf in range(1 << depth):

@@ -47,9 +47,9 @@ def near_borders(position, axes, view):
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("span", [((-25.0, 15.0), (-180.0, 180.0)), ((-90.0, 90.0), (-60.0, 90.0))], ids=str)
 def test_every_point_falls_into_the_pixel_of_double_precision(span, turn, clamp):
-    position, axes = kernels.frozen((311.7, -84.1, 5.3), np.float64), kernels.frozen(TURNS[turn], np.float64)
+    position, axes = kernels.as_readonly((311.7, -84.1, 5.3), np.float64), kernels.as_readonly(TURNS[turn], np.float64)
     views = image_views(RESOLUTIONS, *span)
-    xyz = kernels.frozen(near_borders(position, axes, views[0]), np.float32)
+    xyz = kernels.as_readonly(near_borders(position, axes, views[0]), np.float32)
     for k, view in enumerate(views):
         expected = pixels(xyz, position, axes, view, clamp)
         found = np.full(len(expected), -2)
@@ -66,8 +66,8 @@ def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
     random = np.random.default_rng(1)
     views = image_views(RESOLUTIONS, (-20.0, 20.0), (-180.0, 180.0))
     once = random.normal(0, (10, 10, 2), (3000, 3)).astype(np.float32)
-    xyz = kernels.frozen(np.concatenate([once, once]).T, np.float32)
-    position, axes = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64)
+    xyz = kernels.as_readonly(np.concatenate([once, once]).T, np.float32)
+    position, axes = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64)
     ranges, indices = kernels.range_image.nearest(xyz, *whole(xyz.shape[1]), position, axes, views, False, lanes)
     distance = np.linalg.norm(xyz.astype(np.float64), axis=0)
     expected = np.full(len(indices), -1)
@@ -84,7 +84,9 @@ def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
 
 def test_an_empty_cloud_makes_an_empty_image():
     views = image_views((1.0,), (-20.0, 20.0), (-180.0, 180.0))
-    camera = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64), views, False
-    ranges, indices = kernels.range_image.nearest(kernels.frozen(np.empty((3, 0)), np.float32), *whole(0), *camera, 2)
+    camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64), views, False
+    ranges, indices = kernels.range_image.nearest(
+        kernels.as_readonly(np.empty((3, 0)), np.float32), *whole(0), *camera, 2
+    )
     assert np.isinf(ranges).all()
     assert (indices == -1).all()

@@ -5,9 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz import kernels
-from dynaviz.blocks import BlockGrid, voxels_of
 from dynaviz.scan import Scan
-from dynaviz.survey import CELL, Extent
+from dynaviz.spatial.blocks import BlockGrid, voxels_of
+from dynaviz.spatial.extent import CELL, Extent
 
 RESOLUTION = 0.1
 REACH = 26  # cells of 0.8 m to each side: some super-blocks of 12.8 m

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from worlds import room
+from helpers.worlds import room
 
 from dynaviz.method import Context
 from dynaviz.scan import Label
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
 

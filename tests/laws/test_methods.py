@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hall import PLACES, SENSOR, hall, seen_through
+from helpers.static_hall import PLACES, SENSOR, hall, seen_through
 
 from dynaviz import registry
+from dynaviz.arrays import Bool
 from dynaviz.method import Context
-from dynaviz.scan import Bool, Label, Scan
-from dynaviz.survey import Extent
+from dynaviz.scan import Label, Scan
+from dynaviz.spatial.extent import Extent
 
 METHODS = [handle.name for handle in registry.handles("methods")]
 STILL = 6  # frames of a world in which nothing moves

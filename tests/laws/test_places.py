@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from dynaviz import geometry, kernels
-from dynaviz.blocks import BlockGrid, read, voxels_of
-from dynaviz.grid import REACH, has_voxel, pack, thin, unpack
-from dynaviz.nearest import Nearest, nearest_distance
+from dynaviz import kernels
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial import geometry
+from dynaviz.spatial.blocks import BlockGrid, read, voxels_of
+from dynaviz.spatial.extent import Extent
+from dynaviz.spatial.grid import REACH, in_key_range, pack, unpack, voxel_downsample
+from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.range_images import image_views, slices, whole
 
@@ -150,7 +151,7 @@ def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: i
         edge = np.nextafter(edge, np.float32(np.inf * steps), dtype=np.float32)
     points[0] = 0
     points[0, axis] = edge
-    for point, has in zip(points, has_voxel(points, size), strict=True):
+    for point, has in zip(points, in_key_range(points, size), strict=True):
         if has:
             index = unpack(pack(point[None], size))[0]
             assert (np.abs(index) <= REACH).all()
@@ -159,12 +160,12 @@ def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: i
 @some
 @given(clouds(), st.floats(0.05, 5), seeds)
 def test_thinning_keeps_one_of_each_voxel_and_all_weight(points: Any, size: float, seed: int) -> None:
-    chosen, counts = thin(points, size)
+    chosen, counts = voxel_downsample(points, size)
     assert counts.sum() == len(points)
-    again, ones = thin(points[chosen], size)
+    again, ones = voxel_downsample(points[chosen], size)
     assert again.tolist() == list(range(len(chosen)))
     assert (ones == 1).all()
-    other, _ = thin(points[shuffled(len(points), seed)], size)
+    other, _ = voxel_downsample(points[shuffled(len(points), seed)], size)
     assert len(other) == len(chosen)
 
 
@@ -299,12 +300,12 @@ def test_heights_do_not_know_where_zero_is(points: Any, lift: int) -> None:
 # Range images
 
 VIEWS = image_views((1.0, 0.4), (-25.0, 15.0), (-180.0, 180.0))
-AT, AXES = kernels.frozen((3.5, -1.25, 2.0), np.float64), kernels.frozen(np.eye(3), np.float64)
+AT, AXES = kernels.as_readonly((3.5, -1.25, 2.0), np.float64), kernels.as_readonly(np.eye(3), np.float64)
 
 
 def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
     every = whole(len(points))
-    return kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *every, AT, AXES, VIEWS, False, lanes)
+    return kernels.range_image.nearest(kernels.as_readonly(points.T, np.float32), *every, AT, AXES, VIEWS, False, lanes)
 
 
 def rays(view: Any, ranges: Any) -> Any:

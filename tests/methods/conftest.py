@@ -12,7 +12,7 @@ from dynaviz.method import Context
 from dynaviz.params import resolve
 from dynaviz.scan import Scan
 from dynaviz.sensors import load_sensor
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 
 
 class Golden:

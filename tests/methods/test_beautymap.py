@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from reference_beautymap import Reference
+from helpers.reference.beautymap import Reference
 
 from dynaviz import kernels
 from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz.testing.world import moved, turn
 from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
 

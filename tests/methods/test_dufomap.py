@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from reference_dufomap import Reference, key
+from helpers.reference.dufomap import Reference, key
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS
 from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe, Voxels
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.blocks import VOXELS
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dufomap import DufoMap, DufoMapParams
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynaviz.method import Context
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dufomap import DufoMap
 
 FAR = 50.0  # metres, as the public program's example

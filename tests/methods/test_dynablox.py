@@ -5,17 +5,17 @@ import math
 
 import numpy as np
 import pytest
-from reference_dynablox import Reference
-from worlds import pose
+from helpers.reference.dynablox import Reference
+from helpers.worlds import pose
 
 from dynaviz import kernels
-from dynaviz.blocks import read
 from dynaviz.errors import UsageError
 from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.survey import Extent
+from dynaviz.spatial.blocks import read
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dynablox import (
     BESIDE,
     FREE,
@@ -30,7 +30,7 @@ from dynaviz_methods.dynablox import (
     DynabloxParams,
     view_of,
 )
-from dynaviz_methods.free_space import View
+from dynaviz_methods.free_space import SensorView
 
 SENSOR = Sensor(rings=20, elevation=(-40.0, 50.0))
 # Coarse enough for the plain reference, and so that the few rays of the room fill the image.
@@ -291,11 +291,13 @@ def test_three_bits_a_point_are_kept(room_scans):
 
 def test_the_view_is_the_sensors_unless_given():
     vlp16 = load_sensor("vlp16")
-    assert view_of(DynabloxParams(), vlp16) == View(16, 2048, 15.0, -15.0)
-    assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == View(64, 2048, 16.5, -16.5)
+    assert view_of(DynabloxParams(), vlp16) == SensorView(16, 2048, 15.0, -15.0)
+    assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == SensorView(64, 2048, 16.5, -16.5)
     with pytest.raises(UsageError, match="image_rows"):
         view_of(DynabloxParams(), Sensor())
-    assert view_of(DynabloxParams(), load_sensor("mid360")) == View(57, 349, 52.0, -7.0)  # 19 893 pixels, 20 000 points
+    assert view_of(DynabloxParams(), load_sensor("mid360")) == SensorView(
+        57, 349, 52.0, -7.0
+    )  # 19 893 pixels, 20 000 points
 
 
 @pytest.mark.parametrize(

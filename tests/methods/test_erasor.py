@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers.reference.erasor import Reference
 from hypothesis import given
 from hypothesis import strategies as st
-from reference_erasor import Reference
 from scipy.spatial import cKDTree
 
 from dynaviz import kernels
@@ -15,7 +15,7 @@ from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods import tiles
 from dynaviz_methods.erasor import REASONS, Erasor, ErasorParams
 from dynaviz_methods.tiles import laid_out, thinned

@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from reference_octomap import Reference, key
+from helpers.reference.octomap import Reference, key
 
 from dynaviz import kernels
-from dynaviz.blocks import VOXELS
 from dynaviz.method import Context
 from dynaviz.probe import SILENT, Mask, MemoryProbe, Plane, Voxels
 from dynaviz.scan import Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.blocks import VOXELS
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF, OctoMapParams
 
 FAMILY = [OctoMap, OctoMapG, OctoMapGF]

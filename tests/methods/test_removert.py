@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from reference_removert import Reference
+from helpers.reference.removert import Reference
 from scipy.spatial.transform import Rotation
 
 from dynaviz import kernels
@@ -14,7 +14,7 @@ from dynaviz.params import resolve
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 from dynaviz_methods.range_images import image_views, picture, whole
 from dynaviz_methods.removert import REASONS, Removert, RemovertParams
 
@@ -238,9 +238,9 @@ def test_a_picture_shows_up_above_and_left_to_the_left():
     views = image_views((0.5, 0.1), (-30.0, 10.0), (-180.0, 180.0))
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
     points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
-    camera = kernels.frozen(np.zeros(3), np.float64), kernels.frozen(np.eye(3), np.float64)
+    camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64)
     every = whole(len(points))
-    flat, _ = kernels.range_image.nearest(kernels.frozen(points.T, np.float32), *every, *camera, views, False, 1)
+    flat, _ = kernels.range_image.nearest(kernels.as_readonly(points.T, np.float32), *every, *camera, views, False, 1)
     image = picture(flat, views[0]).ranges
     assert image.shape == (20, 180)
     rows, columns = np.nonzero(~np.isnan(image))

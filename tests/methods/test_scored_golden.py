@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
+from dynaviz.engine.external import ExternalMap
 from dynaviz.io.pcd import write_pcd
 from dynaviz.method import Context
 from dynaviz.scan import Scan
-from dynaviz.scoring import CleanedMap
-from dynaviz.survey import Extent
+from dynaviz.spatial.extent import Extent
 
 # SA, DA and AA of the public scripts, on the small sequence
 PRINTED = {
@@ -38,7 +38,7 @@ def test_every_labelled_point_of_erasors_map_as_by_scipy_and_open3d(golden):
     path = golden.shared / f"golden/erasor/{golden.name}.pcd"
     labelled = golden.truth < 2
     points = golden.points[labelled]
-    scored = CleanedMap(path, "erasor")
+    scored = ExternalMap(path, "erasor")
     scored.begin(Context(Extent.of(*golden.scans)))
     removed = scored.label(Scan(0, points, np.eye(4)))
     distance, _ = cKDTree(scored.points.astype(np.float64)).query(points.astype(np.float64), workers=-1)

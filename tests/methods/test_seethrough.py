@@ -7,19 +7,19 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from helpers.reference.seethrough import Reference
+from helpers.worlds import pose
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_seethrough import Reference
-from worlds import pose
 
 from dynaviz import kernels
-from dynaviz.blocks import Marks
 from dynaviz.method import Context
 from dynaviz.probe import MemoryProbe
 from dynaviz.scan import Label, Scan
-from dynaviz.survey import Extent
+from dynaviz.spatial.blocks import Marks
+from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
-from dynaviz_methods.relief import Relief
+from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
     FOLLOWED_ON,
     FOOT,
@@ -129,7 +129,7 @@ def test_reflections_below_the_ground_do_not_lower_it() -> None:
     slope = GROUND + GROUND[:, :1] * [0, 0, 0.1]
     points = np.concatenate([slope, below, [[2.0, 2.0, 1.0]]]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
     relief.add(points, voxels)
     height = relief.height(points, voxels, np.zeros(3))
     assert np.abs(height[: len(slope)][(slope[:, :2] < 12).all(1)]).max() < 0.13, (
@@ -143,7 +143,7 @@ def test_ground_under_a_roof_is_the_ground_beside_it() -> None:
     roof = plane(3.0, 7.0, 0.1, 1.4)
     points = np.concatenate([around, roof]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
     relief.add(points, voxels)
     assert (relief.height(points, voxels, np.zeros(3))[len(around) :] > 0.5).all()
 
@@ -151,7 +151,7 @@ def test_ground_under_a_roof_is_the_ground_beside_it() -> None:
 def test_where_no_ground_is_known_nothing_is_low_and_a_stray_return_costs_nothing() -> None:
     points = np.concatenate([GROUND, [[3000.0, 2500.0, 1.0], [-3000.0, 0.0, 1.0]]]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = Relief(grid.blocks, 0.1), grid.locate(points)
+    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
     assert np.isinf(relief.height(points, voxels, np.zeros(3))).all()
     relief.add(points, voxels)
     tracemalloc.start()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from dynaviz.sensors import load_sensor, sensor_names
-from dynaviz.simulate.classes import Kind
+from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.lidar import Hits, World, mounts, receive, sweep
-from dynaviz.simulate.movers import Path, Ride, cruise
-from dynaviz.simulate.scene import Scene
+from dynaviz.simulate.movers import Ride, Route, cruise
+from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.shapes import box, quads
 
 
@@ -54,9 +54,9 @@ def test_a_pattern_without_rings_never_repeats():
 
 
 def scene_with_a_wall_and_a_mover():
-    scene = Scene(np.random.default_rng(0), 1.0, flat, Ride(Path([(0, 0), (9, 0)]), cruise(0, 1)))
-    scene.add(quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), Kind.BUILDING, 0.8)
-    scene.move(Kind.MOVING_CAR, Path([(5, -4), (5, 4)]), cruise(0, 4), box(2, 2, 2))
+    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Ride(Route([(0, 0), (9, 0)]), cruise(0, 1)))
+    scene.add(quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), ObjectClass.BUILDING, 0.8)
+    scene.move(ObjectClass.MOVING_CAR, Route([(5, -4), (5, 4)]), cruise(0, 4), box(2, 2, 2))
     return scene
 
 
@@ -68,7 +68,7 @@ def test_the_nearer_of_mover_and_background_is_hit():
     for time, middle in ((0.5, -2.0), (1.0, 0.0), (1.5, 2.0)):
         hits = world.cast(rays, T, time)
         points = rays.directions * hits.range[:, None]
-        mover, wall = hits.kind == Kind.MOVING_CAR, hits.kind == Kind.BUILDING
+        mover, wall = hits.kind == ObjectClass.MOVING_CAR, hits.kind == ObjectClass.BUILDING
         assert mover.any()
         np.testing.assert_allclose(points[wall][:, 0], 10, atol=1e-3)
         assert (np.abs(points[mover] - (5, middle, 0)).max(1) < 1.001).all()
@@ -76,10 +76,10 @@ def test_the_nearer_of_mover_and_background_is_hit():
         assert set(hits.instance[mover]) == {1}
         assert not hits.instance[~mover].any()
     gone = world.cast(rays, T, 3.0)
-    assert Kind.MOVING_CAR not in gone.kind
+    assert ObjectClass.MOVING_CAR not in gone.kind
 
 
-def hits_of(count, range_, reflectance=0.8, facing=1.0, kind=Kind.BUILDING):
+def hits_of(count, range_, reflectance=0.8, facing=1.0, kind=ObjectClass.BUILDING):
     full = np.full(count, 1.0)
     return Hits(
         range_ * full, facing * full, np.full(count, kind, np.uint16), np.zeros(count, np.int32), reflectance * full
@@ -92,7 +92,7 @@ def test_ranges_are_noisy_as_the_sensor_says_and_within_its_limits():
     assert 0.9 < back.mean() < 1
     assert (distance[back] - 20).std() == pytest.approx(sensor.range_noise, rel=0.05)
     assert abs((distance[back] - 20).mean()) < 0.001
-    assert (kinds == Kind.BUILDING).all()
+    assert (kinds == ObjectClass.BUILDING).all()
     assert intensity.min() >= 0
     assert intensity.max() <= 1
     for limit in (0.5 * sensor.min_range, 1.2 * sensor.max_range, np.inf):
@@ -112,8 +112,8 @@ def test_dark_and_grazed_surfaces_return_less_from_afar():
 
 def test_detours_are_rare_lie_beyond_the_ground_and_are_marked():
     sensor = load_sensor("hdl64e")
-    distance, _, kinds, _ = receive(hits_of(100000, 20.0, kind=Kind.ROAD), sensor, np.random.default_rng(0))
-    detour = kinds == Kind.OUTLIER
+    distance, _, kinds, _ = receive(hits_of(100000, 20.0, kind=ObjectClass.ROAD), sensor, np.random.default_rng(0))
+    detour = kinds == ObjectClass.OUTLIER
     assert 0 < detour.mean() < 0.001
     assert distance[detour].min() > 22.5
-    assert (kinds[~detour] == Kind.ROAD).all()
+    assert (kinds[~detour] == ObjectClass.ROAD).all()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.simulate.movers import Path, Ride, arrive, cruise, depart
+from dynaviz.simulate.movers import Ride, Route, arrive, cruise, depart
 
 
 def flat(x, y):
@@ -29,7 +29,7 @@ def test_schedules_go_forward_and_stand_where_they_say(place, speed, time):
 
 
 def test_a_path_measures_its_length_and_cuts_corners():
-    corner = Path([(0, 0), (10, 0), (10, 10)], rounds=4)
+    corner = Route([(0, 0), (10, 0), (10, 10)], rounds=4)
     assert corner.xy[0] == pytest.approx((0, 0))
     assert corner.xy[-1] == pytest.approx((10, 10))
     assert 10 * np.sqrt(2) < corner.length < 20
@@ -39,13 +39,13 @@ def test_a_path_measures_its_length_and_cuts_corners():
 @given(st.floats(-3, 3))
 def test_beside_a_circle_is_another_circle(left):
     around = np.linspace(0, np.pi, 400)
-    circle = Path(20 * np.column_stack([np.cos(around), np.sin(around)]))
+    circle = Route(20 * np.column_stack([np.cos(around), np.sin(around)]))
     beside = circle.shifted(left)
     np.testing.assert_allclose(np.hypot(*beside.xy[1:-1].T), 20 - left, atol=1e-3)
 
 
 def test_a_ride_is_absent_beyond_its_path():
-    ride = Ride(Path([(0, 0), (10, 0)]), cruise(-5, 1))
+    ride = Ride(Route([(0, 0), (10, 0)]), cruise(-5, 1))
     assert ride.pose(4, flat) is None
     assert ride.pose(16, flat) is None
     pose = ride.pose(10, flat)
@@ -55,7 +55,7 @@ def test_a_ride_is_absent_beyond_its_path():
 
 @pytest.mark.parametrize("upright", [True, False])
 def test_wheels_lean_with_the_slope_and_people_do_not(upright):
-    pose = Ride(Path([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
+    pose = Ride(Route([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
     assert pose is not None
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)

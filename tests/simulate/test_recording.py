@@ -9,12 +9,12 @@ import tomllib
 import numpy as np
 import pytest
 
-from dynaviz import geometry
 from dynaviz.errors import DataError, UsageError
 from dynaviz.sensors import load_sensor
 from dynaviz.simulate import PRESETS, shoot, simulate
-from dynaviz.simulate.classes import CLASS_NAMES, Kind
+from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
 from dynaviz.simulate.recording import build
+from dynaviz.spatial import geometry
 
 FRAMES = 12
 
@@ -58,7 +58,12 @@ def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
             if own.any():
                 seen.add(mover.kind)
         np.testing.assert_array_equal(shot.labels == 1, shot.instances > 0)
-    assert seen == {Kind.MOVING_CAR, Kind.MOVING_TRUCK, Kind.MOVING_BICYCLIST, Kind.MOVING_PERSON}
+    assert seen == {
+        ObjectClass.MOVING_CAR,
+        ObjectClass.MOVING_TRUCK,
+        ObjectClass.MOVING_BICYCLIST,
+        ObjectClass.MOVING_PERSON,
+    }
 
 
 def standing(mover, times):
@@ -68,7 +73,8 @@ def standing(mover, times):
 
 
 @pytest.mark.parametrize(
-    ("kind", "when"), [(Kind.MOVING_PERSON, "first"), (Kind.MOVING_CAR, "first"), (Kind.MOVING_CAR, "last")]
+    ("kind", "when"),
+    [(ObjectClass.MOVING_PERSON, "first"), (ObjectClass.MOVING_CAR, "first"), (ObjectClass.MOVING_CAR, "last")],
 )
 def test_who_stands_for_a_while_is_dynamic_all_the_time(street, kind, when):
     scene, shots = street
@@ -88,7 +94,7 @@ def test_reflections_lie_below_the_ground_and_are_static(street):
     scene, shots = street
     echoes = 0
     for shot in shots:
-        odd = shot.kinds == Kind.OUTLIER
+        odd = shot.kinds == ObjectClass.OUTLIER
         x, y, z = geometry.apply(shot.T_scene_world, shot.points[odd]).T
         assert (z < scene.height(x, y)).all()
         assert not shot.labels[odd].any()
@@ -99,7 +105,7 @@ def test_reflections_lie_below_the_ground_and_are_static(street):
 def test_the_world_is_the_first_sensor_frame_above_the_ground(street):
     _, shots = street
     np.testing.assert_allclose(shots[0].T_world_sensor, np.eye(4), atol=1e-12)
-    road = shots[0].points[(shots[0].kinds == Kind.ROAD) & (np.linalg.norm(shots[0].points, axis=1) < 6)]
+    road = shots[0].points[(shots[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(shots[0].points, axis=1) < 6)]
     assert np.median(road[:, 2]) == pytest.approx(-load_sensor("vlp16").height, abs=0.1)
 
 

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from guess import record, settled
+from helpers.guessing_method import record, settled
+from helpers.worlds import InMemory, room
 from test_drawing import EYES, lab, linear
-from worlds import InMemory, room
 
 import dynaviz as dv
-from dynaviz.compared import Comparison, differences, names, runtimes
-from dynaviz.comparison import BOTH, NEITHER
+from dynaviz.comparison.counts import BOTH, NEITHER
+from dynaviz.comparison.summary import Comparison, differences, names, runtimes
 from dynaviz.errors import DataError, MissingDependency, UsageError
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 from dynaviz.scan import Scan
 from dynaviz.viz import compare_layout, merge, paths, viewer
-from dynaviz.viz.reader import Recording, read
+from dynaviz.viz.reader import RunRecording, read
 from dynaviz.viz.shot import push, shot
 
 MODES = ("full", "errors", "scores")
@@ -177,7 +177,7 @@ def test_the_merged_recording(runs: dict[str, Path], merged: dict[str, Path]) ->
     assert json.loads(recorded.properties["comparison_json"]) == json.loads(json.dumps(comparison.to_dict()))
     entities = set(recorded.entities())
     for side, path in zip("ab", pair(runs, "errors"), strict=True):
-        original = Recording(path)
+        original = RunRecording(path)
         assert {p.removeprefix(f"{side}/") for p in entities if p.startswith(f"{side}/world/scan")} == {paths.SCAN}
         for name in ("scores/SA/so_far", "scores/wrong_points/false_negatives"):
             np.testing.assert_array_equal(recorded.curve(f"{side}/{name}")[1], original.curve(name)[1])
@@ -196,7 +196,7 @@ def test_the_merged_recording(runs: dict[str, Path], merged: dict[str, Path]) ->
     assert len(recorded.static("compare/places")["Boxes3D:half_sizes"]) == 10
     assert not any("answers" in path or "octomap" in path for path in entities)
     with pytest.raises(DataError, match="holds a comparison of runs, not a run"):
-        Recording(merged["two"])
+        RunRecording(merged["two"])
 
 
 def _components(recorded: Any, side: str) -> list[str]:

@@ -6,17 +6,17 @@ import itertools
 
 import numpy as np
 import pytest
-from guess import Guess
+from helpers.guessing_method import Guess
+from helpers.worlds import pose, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import pose, room
 
-from dynaviz.grid import pack
 from dynaviz.probe import Plane, Points, PolarGrid, State, Voxels
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 from dynaviz.scan import Outcome, Scan
+from dynaviz.spatial.grid import pack
 from dynaviz.viz import paths, report, states
-from dynaviz.viz.scene import ThinMap
+from dynaviz.viz.scene import DownsampledMap
 
 # Protanopia, deuteranopia and tritanopia at full strength, on linear RGB (Machado, Oliveira and Fernandes 2009).
 EYES = {
@@ -51,7 +51,7 @@ def lab(rgb: np.ndarray) -> np.ndarray:
 def test_a_map_keeps_one_point_per_voxel_below_its_cap(seed: int, cap: int) -> None:
     random = np.random.default_rng(seed)
     points = random.uniform(-1, 1, (200, 3)).astype(np.float32)
-    roomy, tight = ThinMap(0.2, 1000), ThinMap(0.2, cap)
+    roomy, tight = DownsampledMap(0.2, 1000), DownsampledMap(0.2, cap)
     for part in np.array_split(points, 5):
         roomy.add(part)
         tight.add(part)
@@ -111,8 +111,8 @@ def test_a_picture_of_nothing_is_left_out() -> None:
     assert states.draw(empty, State("bins", PolarGrid, "bins"), room(1, 10)[0], None) is None
 
 
-def tally() -> report.Tally:
-    counted = report.Tally()
+def tally() -> report.OutcomeCounts:
+    counted = report.OutcomeCounts()
     for frame, wrong in enumerate([0, 3, 9, 1, 9, 2, 5]):
         outcome = np.array([Outcome.FALSE_NEGATIVE] * wrong + [Outcome.STATIC_KEPT] * 4, np.uint8)
         assert counted.add(frame, 100 + frame, outcome, np.ones(len(outcome), np.uint8)) == (wrong, 0)
@@ -127,7 +127,7 @@ def test_the_worst_frames_come_first() -> None:
         (1, 101),
         (5, 105),
     ]
-    assert report.Tally().worst() == []
+    assert report.OutcomeCounts().worst() == []
 
 
 def test_the_report_says_what_a_reader_needs() -> None:

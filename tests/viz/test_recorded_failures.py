@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from guess import Guess, GuessParams
-from worlds import InMemory
+from helpers.guessing_method import Guess, GuessParams
+from helpers.worlds import InMemory
 
 from dynaviz import registry
+from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import DataError
-from dynaviz.loop import Listener, Run, execute
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 from dynaviz.viz.failures import failures_of
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 
 
@@ -25,7 +25,7 @@ def record(sequence: InMemory, path: Path, mode: str = "errors", *listeners: Lis
     params = GuessParams()
     metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures"))
     with Recorder(path, mode) as recorder:
-        execute(Run(Guess(params), sequence, params, metrics), [recorder, *listeners], recorder)
+        execute(RunSpec(Guess(params), sequence, params, metrics), [recorder, *listeners], recorder)
     return path
 
 
@@ -37,7 +37,7 @@ def cut_short(sequence: InMemory, path: Path, mode: str) -> Path:
     params = GuessParams()
     metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "failures"))
     with pytest.raises(RuntimeError, match="stopped"), First(path, mode) as recorder:
-        execute(Run(Guess(params), sequence, params, metrics), [recorder], recorder)
+        execute(RunSpec(Guess(params), sequence, params, metrics), [recorder], recorder)
     (path.parent / f".{path.name}.part").rename(path)
     return path
 
@@ -47,7 +47,7 @@ def test_the_cases_of_a_run_that_ended_early_are_found_again(little_room, tmp_pa
     told = failures_of(record(little_room, tmp_path / "whole.rrd", mode))
     again = failures_of(cut_short(little_room, tmp_path / "cut.rrd", mode))
     assert told["cases"]
-    assert not Recording(tmp_path / "cut.rrd").complete
+    assert not RunRecording(tmp_path / "cut.rrd").complete
     points = [Counter({case["kind"]: case["points"] for case in section["cases"]}) for section in (told, again)]
     assert points[0] == points[1]
     costs = [sum(case["cost"] for case in section["cases"]) for section in (told, again)]
@@ -55,7 +55,7 @@ def test_the_cases_of_a_run_that_ended_early_are_found_again(little_room, tmp_pa
 
 
 def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
-    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
     cases = recording.result.failures
     boxes = dict(recording.rows(paths.FAILURES))
     assert set(boxes) == set(range(len(little_room)))
@@ -75,7 +75,7 @@ def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
 
 
 def test_the_list_names_the_frame_to_go_to(little_room, tmp_path):
-    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
     text = str(recording.static(paths.FAILURE_LIST)["TextDocument:text"][0])
     first = recording.result.failures[0]
     assert f"| {first['worst_frame']} |" in text

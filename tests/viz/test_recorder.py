@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from guess import guess_run, record
+from helpers.guessing_method import guess_run, record
+from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
-from worlds import InMemory, room
 
+from dynaviz.engine.loop import Listener, execute
 from dynaviz.errors import DataError, UsageError
-from dynaviz.grid import pack
-from dynaviz.loop import Listener, execute
 from dynaviz.metric import Labelled
 from dynaviz.probe import MemoryProbe
 from dynaviz.scan import Outcome, Scan, outcomes
-from dynaviz.survey import CELL, Extent
+from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.grid import pack
 from dynaviz.viz import paths
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 
 MODES = ("full", "errors", "scores")
@@ -60,14 +60,14 @@ def expected(sequence: InMemory) -> list[Labelled]:
     ("mode", "entities"), [(MODES[0], WORLD | STATES), (MODES[1], WORLD | STATES), (MODES[2], set())]
 )
 def test_every_entity_is_there(little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]) -> None:
-    found = set(Recording(record(little_room, tmp_path / "run.rrd", mode)).entities())
+    found = set(RunRecording(record(little_room, tmp_path / "run.rrd", mode)).entities())
     assert found - {"", "world"} == NUMBERS | entities
 
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("online", [False, True])
 def test_all_answers_survive(little_room: InMemory, tmp_path: Path, mode: str, online: bool) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd", mode, online=online))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd", mode, online=online))
     answers = list(recording.answers())
     assert [a.index for a in answers] == [10, 11, 12, 13, 14, 15]
     for a, b in zip(answers, expected(little_room), strict=True):
@@ -79,7 +79,7 @@ def test_all_answers_survive(little_room: InMemory, tmp_path: Path, mode: str, o
 
 
 def test_full_draws_every_point(little_room: InMemory, tmp_path: Path) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd", "full"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd", "full"))
     for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
         np.testing.assert_array_equal(drawn.xyz, truth.scan.points)
         np.testing.assert_array_equal(drawn.outcome, truth.outcome)
@@ -87,7 +87,7 @@ def test_full_draws_every_point(little_room: InMemory, tmp_path: Path) -> None:
 
 
 def test_errors_draws_all_that_moves_and_thins_false_positives(little_room: InMemory, tmp_path: Path) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd", "errors"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd", "errors"))
     for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
         np.testing.assert_array_equal(drawn.xyz, truth.scan.points[drawn.point])
         np.testing.assert_array_equal(drawn.outcome, truth.outcome[drawn.point])
@@ -104,7 +104,7 @@ def test_errors_draws_all_that_moves_and_thins_false_positives(little_room: InMe
 
 
 def test_the_map_keeps_what_was_kept_one_per_voxel(little_room: InMemory, tmp_path: Path) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
     kept = np.concatenate([e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)])
     xyz = recording.static(paths.MAP)["Points3D:positions"]
     middle = np.round(np.median(Extent.of(*little_room.scans).cells, axis=0) * CELL).astype(np.float32)
@@ -116,7 +116,7 @@ def test_the_map_keeps_what_was_kept_one_per_voxel(little_room: InMemory, tmp_pa
 
 
 def test_properties_tell_everything(little_room: InMemory, tmp_path: Path) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed"))
     p, result = recording.properties, recording.result
     assert result is not None
     assert recording.complete
@@ -132,7 +132,7 @@ def test_properties_tell_everything(little_room: InMemory, tmp_path: Path) -> No
 
 
 def test_curves_keep_order_and_gaps(little_room: InMemory, tmp_path: Path) -> None:
-    recording = Recording(record(little_room, tmp_path / "run.rrd", "scores"))
+    recording = RunRecording(record(little_room, tmp_path / "run.rrd", "scores"))
     frames, values = recording.curve("scores/wrong_points/false_positives")
     assert frames.tolist() == [0, 1, 2, 3, 4, 5]
     assert values.tolist() == [(e.outcome == Outcome.FALSE_POSITIVE).sum() for e in expected(little_room)]
@@ -182,7 +182,7 @@ def holey_scan(scan: Scan) -> Scan:
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 def test_odd_scans(tmp_path: Path, mode: str, change: Callable[[Scan], Scan]) -> None:
     scans = [change(scan) if i in (0, 2) else scan for i, scan in enumerate(room(4, 300).scans)]
-    recording = Recording(record(InMemory(scans), tmp_path / "run.rrd", mode))
+    recording = RunRecording(record(InMemory(scans), tmp_path / "run.rrd", mode))
     for answer, scan in zip(recording.answers(), scans, strict=True):
         dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
         np.testing.assert_array_equal(answer.outcome, outcomes(scan.labels, dynamic))
@@ -233,7 +233,7 @@ def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_pa
     with pytest.raises(RuntimeError, match="torn"):
         record(Torn(little_room.scans), tmp_path / "run.rrd")
     assert [p.name for p in tmp_path.iterdir()] == [".run.rrd.part"]
-    recording = Recording(tmp_path / ".run.rrd.part")
+    recording = RunRecording(tmp_path / ".run.rrd.part")
     assert not recording.complete
     assert recording.result is None
     assert len(list(recording.answers())) == 2
@@ -242,9 +242,9 @@ def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_pa
 KILLED = """
 import os, signal, sys
 sys.path[:0] = {folders!r}
-from worlds import room
-from guess import guess_run
-from dynaviz.loop import Listener, execute
+from helpers.worlds import room
+from helpers.guessing_method import guess_run
+from dynaviz.engine.loop import Listener, execute
 from dynaviz.viz.recorder import Recorder
 
 class Killer(Listener):
@@ -267,7 +267,7 @@ def test_kill_leaves_every_frame_that_was_flushed(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == [".run.rrd.part"]
     part = tmp_path / ".run.rrd.part"
     with pytest.raises(DataError, match=r"was cut off.*dynaviz repair"):
-        Recording(part)
+        RunRecording(part)
     frames: set[Any] = set()
     for chunk in RrdReader(part).stream().filter(content="/answers"):
         frames |= set(chunk.to_record_batch()["frame"].to_pylist())

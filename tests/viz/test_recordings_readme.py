@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
-from guess import record
-from worlds import InMemory
+from helpers.guessing_method import record
+from helpers.worlds import InMemory
 
 from dynaviz.viz import paths
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import RunRecording
 
 PAGE = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
 
@@ -32,4 +32,4 @@ def test_every_constant_path_and_every_property_is_described(little_room: InMemo
         assert getattr(paths, name) in told
     for name in ("FAILURES", "CASES", "ANSWERS", "WORST", "REPORT", "FAILURE_LIST", "LOG"):
         assert getattr(paths, name) in told
-    assert set(Recording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= told
+    assert set(RunRecording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= told

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from guess import record
+from helpers.guessing_method import record
+from helpers.worlds import InMemory, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
-from worlds import InMemory, room
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.pipe import PipeWriter
+from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.repair import repair
 from dynaviz.viz.sink import of_part, part_of
-from dynaviz.viz.tap import Tap
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -46,7 +46,7 @@ def test_a_whole_recording_is_left_alone(whole: Path, dynaviz: Command) -> None:
 
 
 def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_path: Path, dynaviz: Command) -> None:
-    answers = list(Recording(whole).answers())
+    answers = list(RunRecording(whole).answers())
     size = whole.stat().st_size
     codes, kept = set(), []
     for share in (0.02, 0.35, 0.55, 0.6, 0.65, 0.7, 0.999):
@@ -60,7 +60,7 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
             assert "Nothing to salvage" in out
             assert [path.name for path in folder.iterdir()] == [".run.rrd.part"]
             continue
-        salvaged = Recording(folder / "run.rrd")
+        salvaged = RunRecording(folder / "run.rrd")
         mine = list(salvaged.answers())
         kept.append(len(mine))
         assert (code == 0) == (len(mine) == 6)
@@ -82,7 +82,7 @@ def test_it_may_be_cut_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFa
     before = broken.read_bytes()
     found = repair(broken)
     assert found.answered <= found.observed <= 6
-    assert found.path is None or len(list(Recording(found.path).answers())) == found.answered
+    assert found.path is None or len(list(RunRecording(found.path).answers())) == found.answered
     assert broken.read_bytes() == before
     assert {path.name for path in folder.iterdir()} <= {"run.rrd", "run-repaired.rrd"}
 
@@ -121,7 +121,7 @@ def test_scores_alone_are_salvaged_too(little_room: InMemory, tmp_path: Path) ->
 
 def test_a_tap_hands_on_every_byte(tmp_path: Path) -> None:
     content = np.random.default_rng(0).bytes(5_000_000)
-    with Tap(tmp_path / "file") as tap, open(tap.inlet, "wb", buffering=0) as inlet:
+    with PipeWriter(tmp_path / "file") as tap, open(tap.inlet, "wb", buffering=0) as inlet:
         for start in range(0, len(content), 700_000):
             inlet.write(content[start : start + 700_000])
             tap.settle()
@@ -131,7 +131,7 @@ def test_a_tap_hands_on_every_byte(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_tap_tells_of_a_full_disk_and_blocks_nobody() -> None:
-    tap = Tap(Path("/dev/full"))
+    tap = PipeWriter(Path("/dev/full"))
     with open(tap.inlet, "wb", buffering=0) as inlet:
         for _ in range(40):  # more than the pipe holds
             inlet.write(bytes(100_000))

@@ -16,28 +16,28 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from guess import guess_run, record
-from nursery import FRAMES
-from rlimits import files_end_at
-from worlds import InMemory, room
+from helpers.guessing_method import guess_run, record
+from helpers.killed_runs import FRAMES
+from helpers.resource_limits import files_end_at
+from helpers.worlds import InMemory, room
 
 from dynaviz.api import _run_into
+from dynaviz.engine.loop import execute
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import sha256
-from dynaviz.loop import execute
-from dynaviz.result import Result
+from dynaviz.results.result import Result
 from dynaviz.scan import outcomes
 from dynaviz.viz import paths
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.repair import repair
 
 Command = Callable[..., tuple[int, str, str]]
-HERE = Path(__file__).parent
+HELPERS = Path(__file__).parents[1] / "helpers"
 FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
 
 
-def expected(recording: Recording, scans: list[Any]) -> None:
+def expected(recording: RunRecording, scans: list[Any]) -> None:
     """Answers are the method's, frame by frame from the first."""
     for frame, answers in enumerate(recording.answers()):
         scan = scans[frame]
@@ -53,9 +53,14 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
         moments.randint(2 * FRAMES, 3 * FRAMES) for _ in range(12)
     ]
     orders = "".join(f"{tmp_path / str(i)} {n} {moments.uniform(0, 0.01)}\n" for i, n in enumerate(steps))
-    quiet = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent)])}
+    quiet = {**os.environ, "PYTHONPATH": str(HELPERS.parent)}
     said = subprocess.run(
-        [sys.executable, HERE / "nursery.py"], input=orders, capture_output=True, text=True, check=True, env=quiet
+        [sys.executable, HELPERS / "killed_runs.py"],
+        input=orders,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=quiet,
     )
     scans, salvaged = room(FRAMES, 1000).scans, []
     for i, line in enumerate(said.stdout.splitlines()):
@@ -66,7 +71,7 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
             assert names == FINAL
             assert Result.load(folder / "result.json").recording_sha256 == sha256(folder / "run.rrd")
         if "run.rrd" in names:
-            assert Recording(folder / "run.rrd").complete
+            assert RunRecording(folder / "run.rrd").complete
             continue
         part = folder / ".run.rrd.part"
         before = part.read_bytes() if part.exists() else b""
@@ -75,7 +80,7 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
             assert found
             assert found.path == folder / "run.rrd"
             assert run["frames"] <= found.answered <= found.frames == FRAMES
-            expected(Recording(found.path), scans)
+            expected(RunRecording(found.path), scans)
             assert part.read_bytes() == before
         salvaged.append(found.answered if found else 0)
     assert len(said.stdout.splitlines()) == 20
@@ -87,8 +92,8 @@ import os, signal, sys
 sys.path[:0] = {folders!r}
 import dynaviz.api as api
 from dynaviz.cli import main
-from guess import guess_run
-from worlds import room
+from helpers.guessing_method import guess_run
+from helpers.worlds import room
 
 class Signals:
     def __init__(self, number): self.number = number
@@ -110,13 +115,13 @@ main()
     ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
 def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: int, word: str) -> None:
-    script = INTERRUPTED.format(folders=[str(HERE), str(HERE.parent)], number=int(number), out=str(tmp_path / "out"))
+    script = INTERRUPTED.format(folders=[str(HELPERS.parent)], number=int(number), out=str(tmp_path / "out"))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     part = tmp_path / "out/.run.rrd.part"
     assert (done.returncode, done.stdout) == (code, ""), done.stderr
     assert done.stderr.strip() == f"dynaviz: {word}. Salvage what was recorded with: dynaviz repair {part}."
     assert [path.name for path in part.parent.iterdir()] == [".run.rrd.part"]
-    recording = Recording(part)
+    recording = RunRecording(part)
     assert len(list(recording.answers())) == 4
     assert not recording.complete
     frames, _ = recording.curve("scores/wrong_points/false_positives")  # complete, though fewer than ten

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
-from guess import Guess, guess_run, record, settled
+from helpers.guessing_method import Guess, guess_run, record, settled
+from helpers.worlds import InMemory, room
 from rerun.experimental import ViewerClient
-from worlds import InMemory, room
 
+from dynaviz.engine.loop import Listener, execute
 from dynaviz.errors import DataError, MissingDependency, UsageError
-from dynaviz.loop import Listener, execute
 from dynaviz.viz import viewer
 from dynaviz.viz.layout import WRONG
-from dynaviz.viz.reader import Recording
+from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.shot import push, shot
 from dynaviz.viz.view import view
@@ -91,8 +91,8 @@ def test_a_viewer_may_look_on_and_go(little_room: InMemory, tmp_path: Path, monk
         execute(guess_run(little_room), [recorder, Closing()], recorder)
     assert gone
     alone = record(little_room, tmp_path / "alone.rrd")
-    assert Recording(tmp_path / "run.rrd").entities() == Recording(alone).entities()
-    assert len(list(Recording(tmp_path / "run.rrd").answers())) == 6
+    assert RunRecording(tmp_path / "run.rrd").entities() == RunRecording(alone).entities()
+    assert len(list(RunRecording(tmp_path / "run.rrd").answers())) == 6
 
 
 def test_a_viewer_that_is_not_there_is_done_without(
@@ -101,7 +101,7 @@ def test_a_viewer_that_is_not_there_is_done_without(
     monkeypatch.setattr(viewer, "open_window", viewer.free_port)
     with Recorder(tmp_path / "run.rrd", live=True) as recorder:
         execute(guess_run(little_room), [recorder], recorder)
-    assert Recording(tmp_path / "run.rrd").complete
+    assert RunRecording(tmp_path / "run.rrd").complete
 
 
 @pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="these always have a screen")
@@ -150,5 +150,5 @@ def test_files_that_are_no_recording(tmp_path: Path, make: Any, problem: str) ->
     path = tmp_path / "run.rrd"
     make(path)
     with pytest.raises(DataError, match=problem) as caught:
-        Recording(path)
+        RunRecording(path)
     assert str(caught.value).startswith(str(path))

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynaviz.arrays import F64, U8, Bool, Intp
 from dynaviz.errors import DataError
-from dynaviz.scan import F64, U8, Outcome
-from dynaviz.study import Overview, Study
-from dynaviz_eval.report.boards import Board
+from dynaviz.reporting import Overview, Study
+from dynaviz.scan import Outcome
+from dynaviz_eval.report.boards import ScoreBoard
 from dynaviz_eval.report.figures import best_of_each_method
 
 WIDE, HIGH = 640, 480  # pixels at most
@@ -28,7 +28,7 @@ _RIGHT[[Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]] = Outcome.STATIC_KEPT, 
 
 
 @dataclass(frozen=True)
-class Map:
+class MapImage:
     """A picture of a page, as base64 of a PNG."""
 
     png: str
@@ -39,7 +39,7 @@ class Map:
     alt: str
 
 
-def maps(study: Study, board: Board) -> tuple[list[Map], list[str]]:
+def maps(study: Study, board: ScoreBoard) -> tuple[list[MapImage], list[str]]:
     """The ground truth and one picture for the best run of each method.
 
     Returns:
@@ -63,7 +63,7 @@ def maps(study: Study, board: Board) -> tuple[list[Map], list[str]]:
     if not overviews:
         return [], notes
     fewest = min(overviews.values(), key=lambda overview: int((overview.outcome == Outcome.FALSE_POSITIVE).sum()))
-    view = View.of(fewest)
+    view = BirdsEyeView.of(fewest)
     truth = view.draw(Overview(fewest.points, _RIGHT[fewest.outcome]))
     alt = f"Map of {board.title} from above, with what moves in blue"
     made = [view.map(truth, "ground truth", "what a perfect method would leave and remove", alt)]
@@ -77,7 +77,7 @@ def maps(study: Study, board: Board) -> tuple[list[Map], list[str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class BirdsEyeView:
     """From above, turned so that the map lies lengthwise.
 
     Attributes:
@@ -94,7 +94,7 @@ class View:
     pixel: float
 
     @classmethod
-    def of(cls, overview: Overview) -> View:
+    def of(cls, overview: Overview) -> BirdsEyeView:
         """Of most of what has a label: the outermost points would make all others small."""
         known = np.isin(overview.outcome, (*_STATIC, *_MOVING))
         known |= not known.any()
@@ -123,7 +123,7 @@ class View:
         at, heights, inside = self._place(overview)
         shape = np.maximum(((self.high - self.low) / self.pixel).astype(int), 1)[::-1]
 
-        def splat(outcome: Outcome, reach: int) -> tuple[NDArray[np.intp], F64]:
+        def splat(outcome: Outcome, reach: int) -> tuple[Intp, F64]:
             """Pixels within reach of the points of an outcome, and the points' heights; the lowest first."""
             chosen = np.flatnonzero(inside & (overview.outcome == outcome))
             chosen = chosen[np.argsort(heights[chosen], kind="stable")]
@@ -147,10 +147,10 @@ class View:
         self._scale(picture)
         return picture
 
-    def _place(self, overview: Overview) -> tuple[NDArray[np.intp], F64, NDArray[np.bool_]]:
+    def _place(self, overview: Overview) -> tuple[Intp, F64, Bool]:
         """Row and column of each point, its height, and whether it lies in the picture."""
         points = overview.points.astype(np.float64)
-        inside: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(points), axis=1)
+        inside: Bool = np.logical_and.reduce(np.isfinite(points), axis=1)
         points[~inside] = 0
         flat = points[:, :2] @ self.turn.T
         inside &= ((flat >= self.low) & (flat < self.high)).all(1)
@@ -164,7 +164,7 @@ class View:
         if length > 0 and image.shape[0] > 20:
             image[-12:-9, 10 : 10 + length] = GREY + SHADES - 1
 
-    def map(self, image: U8, title: str, caption: str, alt: str) -> Map:
+    def map(self, image: U8, title: str, caption: str, alt: str) -> MapImage:
         """A picture of its own palette as PNG."""
         from PIL import Image
 
@@ -174,7 +174,9 @@ class View:
         picture.putpalette(palette)
         content = io.BytesIO()
         picture.save(content, "PNG")
-        return Map(base64.b64encode(content.getvalue()).decode(), image.shape[1], image.shape[0], title, caption, alt)
+        return MapImage(
+            base64.b64encode(content.getvalue()).decode(), image.shape[1], image.shape[0], title, caption, alt
+        )
 
 
 def legend() -> Sequence[tuple[str, str]]:

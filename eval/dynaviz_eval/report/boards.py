@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynaviz.result import Result
-from dynaviz.study import Cell, Study, combined
+from dynaviz.reporting import Study
+from dynaviz.results.collect import StudyRun, combined
+from dynaviz.results.result import Result
 
 UNKNOWN = "unknown"  # the cause of what no method explains
 SCORES = ("SA", "DA", "AA", "HA")
@@ -22,12 +23,12 @@ KINDS = {
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreRow:
     """A run on a board; ``cell`` is None for several sequences together."""
 
     label: str
     result: Result
-    cell: Cell | None = None
+    cell: StudyRun | None = None
 
     def score(self, name: str) -> float | None:
         """A metric in percent; None where undefined."""
@@ -41,7 +42,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Board:
+class ScoreBoard:
     """All runs that compare.
 
     Attributes:
@@ -53,7 +54,7 @@ class Board:
 
     title: str
     scoring: str
-    rows: tuple[Row, ...]
+    rows: tuple[ScoreRow, ...]
     sequences: int = 1
 
     @property
@@ -61,7 +62,7 @@ class Board:
         """Name, digest, frames and points of the sequence."""
         return self.rows[0].result.sequence
 
-    def row(self, label: str) -> Row | None:
+    def row(self, label: str) -> ScoreRow | None:
         """The row of a label."""
         return next((row for row in self.rows if row.label == label), None)
 
@@ -75,9 +76,9 @@ def _highest(values: Mapping[str, float]) -> set[str]:
     return {label for label, value in values.items() if value == max(values.values())}
 
 
-def boards(study: Study) -> list[Board]:
+def boards(study: Study) -> list[ScoreBoard]:
     """One board for each sequence and scoring, in the order in which they come."""
-    groups: dict[tuple[str, str], list[Cell]] = {}
+    groups: dict[tuple[str, str], list[StudyRun]] = {}
     for cell in study.cells:
         if cell.result is not None:
             digest = str(cell.result.sequence.get("digest"))
@@ -85,21 +86,21 @@ def boards(study: Study) -> list[Board]:
     labels = _labels(study, groups.values())
     titles = _titles(groups)
     return [
-        Board(titles[key], key[1], tuple(sorted((_row(labels[cell.file], cell) for cell in cells), key=_rank)))
+        ScoreBoard(titles[key], key[1], tuple(sorted((_row(labels[cell.file], cell) for cell in cells), key=_rank)))
         for key, cells in groups.items()
     ]
 
 
-def _row(label: str, cell: Cell) -> Row:
+def _row(label: str, cell: StudyRun) -> ScoreRow:
     assert cell.result is not None
-    return Row(label, cell.result, cell)
+    return ScoreRow(label, cell.result, cell)
 
 
-def _rank(row: Row) -> tuple[float, str]:
+def _rank(row: ScoreRow) -> tuple[float, str]:
     return row.rank
 
 
-def _titles(groups: Mapping[tuple[str, str], Sequence[Cell]]) -> dict[tuple[str, str], str]:
+def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[str, str], str]:
     """A name for each board: the sequence's; with its digest and scoring where that is not enough."""
     names = {key: " = ".join(dict.fromkeys(cell.sequence for cell in cells)) for key, cells in groups.items()}
     digests = {name: {key[0] for key in names if names[key] == name} for name in names.values()}
@@ -111,9 +112,9 @@ def _titles(groups: Mapping[tuple[str, str], Sequence[Cell]]) -> dict[tuple[str,
     return titles
 
 
-def _labels(study: Study, groups: Iterable[Sequence[Cell]]) -> dict[Path, str]:
+def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, str]:
     """A label for each cell's file: what tells the runs on every board apart, and no more than that."""
-    ways: list[Callable[[Cell], str]] = [
+    ways: list[Callable[[StudyRun], str]] = [
         lambda cell: cell.label,
         lambda cell: f"{cell.label} [{cell.given.name or cell.given}]",
         lambda cell: f"{cell.label} [{study.link(cell.folder if cell.file.name == 'result.json' else cell.file)}]",
@@ -127,7 +128,7 @@ def _labels(study: Study, groups: Iterable[Sequence[Cell]]) -> dict[Path, str]:
     return {cell.file: ways[way[cell.label]](cell) for cells in groups for cell in cells}
 
 
-def together(study: Study, every: Sequence[Board]) -> tuple[list[Board], list[str]]:
+def together(study: Study, every: Sequence[ScoreBoard]) -> tuple[list[ScoreBoard], list[str]]:
     """A board of all sequences for each scoring, by adding counts, where every method ran on every sequence.
 
     Returns:
@@ -145,15 +146,17 @@ def together(study: Study, every: Sequence[Board]) -> tuple[list[Board], list[st
             rest = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
             notes.append(f"No row for all sequences together{of}: there is no {', no '.join(absent[:3])}{rest}.")
             continue
-        rows = [Row(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels]
-        boards_of_all.append(Board(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
+        rows = [
+            ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels
+        ]
+        boards_of_all.append(ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
         differ = [row.label for row in rows if _parameters_differ([board.row(row.label) for board in alike])]
         if differ:
             notes.append(f"All sequences together{of}: {', '.join(differ)} had other parameters on some sequences.")
     return boards_of_all, notes
 
 
-def _parameters_differ(rows: Sequence[Row | None]) -> bool:
+def _parameters_differ(rows: Sequence[ScoreRow | None]) -> bool:
     return any(
         row is not None and rows[0] is not None and row.result.parameters != rows[0].result.parameters for row in rows
     )
@@ -174,7 +177,7 @@ class Losses:
     by_reason: bool = False
 
 
-def losses(rows: Sequence[Row], kind: str) -> Losses:
+def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
     """What the errors of a kind cost in some rows of one method.
 
     Args:
@@ -205,9 +208,9 @@ def _largest(pair: tuple[str, int]) -> tuple[int, str]:
     return -pair[1], pair[0]
 
 
-def by_method(every: Iterable[Board]) -> dict[tuple[str, str], list[Row]]:
+def by_method(every: Iterable[ScoreBoard]) -> dict[tuple[str, str], list[ScoreRow]]:
     """Rows of all boards by label and scoring."""
-    groups: defaultdict[tuple[str, str], list[Row]] = defaultdict(list)
+    groups: defaultdict[tuple[str, str], list[ScoreRow]] = defaultdict(list)
     for board in every:
         for row in board.rows:
             groups[row.label, board.scoring].append(row)
@@ -226,7 +229,7 @@ def setting(result: Result) -> str:
     return ", ".join(part for part in parts if part) or "unknown machine"
 
 
-def fastest(board: Board) -> set[str]:
+def fastest(board: ScoreBoard) -> set[str]:
     """Labels of the rows with the least runtime, as printed, among those of the same setting; none without a rival.
 
     Runtimes while states were recorded do not count.

@@ -6,7 +6,8 @@ import csv
 import io
 import json
 
-from dynaviz.study import Cell, Study
+from dynaviz.reporting import Study
+from dynaviz.results.collect import StudyRun
 from dynaviz_eval.report.boards import n_parameters
 
 _COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
@@ -30,7 +31,7 @@ def csv_report(study: Study) -> str:
     return text.getvalue()
 
 
-def _line(study: Study, cell: Cell) -> dict[str, object]:
+def _line(study: Study, cell: StudyRun) -> dict[str, object]:
     result = cell.result
     head: dict[str, object] = dict.fromkeys(COLUMNS)
     head |= {"sequence": cell.sequence, "method": cell.method, "variant": cell.variant, "error": cell.error}

@@ -41,7 +41,7 @@ WIDTHS = {1: 6.0, 2: 11.0, 3: 12.0, 4: 12.5}  # inches, by panels across
 POINTS = 98  # of the page, an inch
 
 
-class Looks:
+class Palette:
     """A colour, a marker and a dash for each method, the same in all figures of a report."""
 
     def __init__(self, methods: Sequence[str]) -> None:

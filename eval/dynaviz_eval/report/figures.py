@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dynaviz_eval.error_distance import BIN, LIMIT
-from dynaviz_eval.report.boards import KINDS, Board, Row, by_method, losses
-from dynaviz_eval.report.drawing import FAINT, INK, Looks, panels, style, svg
+from dynaviz_eval.report.boards import KINDS, ScoreBoard, ScoreRow, by_method, losses
+from dynaviz_eval.report.drawing import FAINT, INK, Palette, panels, style, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +21,7 @@ FEW = 100  # points below which an accuracy is drawn hollow
 
 
 @dataclass(frozen=True)
-class Picture:
+class ReportFigure:
     """A figure of a page: the element, and what it tells."""
 
     name: str
@@ -29,7 +29,7 @@ class Picture:
     caption: str
 
 
-def scores(boards: Sequence[Board], looks: Looks) -> Picture | None:
+def scores(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
     """SA against DA, with lines of equal AA."""
     drawn = [board for board in boards if any(row.score("AA") is not None for row in board.rows)]
     if not drawn:
@@ -56,10 +56,10 @@ def scores(boards: Sequence[Board], looks: Looks) -> Picture | None:
             "Static against dynamic accuracy: the best corner is top right. Thin lines join points of equal AA; "
             "the best method of each sequence is named."
         )
-        return Picture("scores", svg(figure, "scores", caption), caption)
+        return ReportFigure("scores", svg(figure, "scores", caption), caption)
 
 
-def speed(boards: Sequence[Board], looks: Looks) -> Picture | None:
+def speed(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
     """Runtime against AA."""
     drawn = [board for board in boards if _timed(board)]
     if not drawn:
@@ -81,10 +81,10 @@ def speed(boards: Sequence[Board], looks: Looks) -> Picture | None:
             else ""
         )
         caption = "Runtime against AA: the best corner is top left." + hollow_note
-        return Picture("speed", svg(figure, "speed", caption), caption)
+        return ReportFigure("speed", svg(figure, "speed", caption), caption)
 
 
-def ranges(board: Board, name: str, looks: Looks) -> Picture | None:
+def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     """SA and DA by range from the sensor."""
     drawn = [row for row in best_of_each_method(board) if row.result.sections.get("breakdown", {}).get("range")]
     if not drawn:
@@ -111,10 +111,10 @@ def ranges(board: Board, name: str, looks: Looks) -> Picture | None:
         _legend(figure, drawn, looks)
         caption = f"Accuracy against range on {board.title}. Hollow marks stand for fewer than {FEW} points."
         caption += BEST * (len(drawn) < len(board.rows))
-        return Picture(name, svg(figure, name, caption), caption)
+        return ReportFigure(name, svg(figure, name, caption), caption)
 
 
-def distances(board: Board, name: str, looks: Looks) -> Picture | None:
+def distances(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     """How far wrong points lie from right ones, a line of bars a method (paper, Fig. 5)."""
     drawn = [row for row in best_of_each_method(board) if row.result.sections.get("error_distance")]
     if not drawn:
@@ -145,10 +145,10 @@ def distances(board: Board, name: str, looks: Looks) -> Picture | None:
             "Right: how many points."
         )
         caption += BEST * (len(drawn) < len(board.rows))
-        return Picture(name, svg(figure, name, caption), caption)
+        return ReportFigure(name, svg(figure, name, caption), caption)
 
 
-def _ridge(axes: Axes, base: float, row: Row, kind: str, looks: Looks) -> None:
+def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) -> None:
     section = row.result.sections["error_distance"].get(kind, {})
     histogram, number = (
         section.get("histogram"),
@@ -168,7 +168,7 @@ def _ridge(axes: Axes, base: float, row: Row, kind: str, looks: Looks) -> None:
     axes.text(LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK)
 
 
-def causes(boards: Sequence[Board], order: Sequence[str]) -> Picture | None:
+def causes(boards: Sequence[ScoreBoard], order: Sequence[str]) -> ReportFigure | None:
     """What each cause costs each method, as bars."""
     groups = by_method(boards)
     several = len({scoring for _, scoring in groups}) > 1
@@ -222,7 +222,7 @@ def causes(boards: Sequence[Board], order: Sequence[str]) -> Picture | None:
         figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, handleheight=1.1)
         caption = "What each cause costs, over all sequences that a method ran on; short bars are good."
         caption += BEST * (len(keys) < len(groups))
-        return Picture("causes", svg(figure, "causes", caption), caption)
+        return ReportFigure("causes", svg(figure, "causes", caption), caption)
 
 
 _FILLS = (
@@ -231,9 +231,9 @@ _FILLS = (
 )  # fmt: skip
 
 
-def pareto(board: Board, name: str, looks: Looks) -> Picture | None:
+def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     """Variants of each method that has several: SA against DA and AA against runtime, the front marked."""
-    variants: dict[str, list[Row]] = {}
+    variants: dict[str, list[ScoreRow]] = {}
     for row in board.rows:
         if row.score("AA") is not None:
             variants.setdefault(row.result.method, []).append(row)
@@ -241,7 +241,7 @@ def pareto(board: Board, name: str, looks: Looks) -> Picture | None:
     if not drawn:
         return None
     timed = {method: [row for row in rows if row.result.runtime.get("mean_s")] for method, rows in drawn.items()}
-    views: list[tuple[str, list[Row], str, str, Callable[[Row], float], Callable[[Row], float]]] = []
+    views: list[tuple[str, list[ScoreRow], str, str, Callable[[ScoreRow], float], Callable[[ScoreRow], float]]] = []
     for method, rows in drawn.items():
         views.append((method, rows, "SA [%]", "DA [%]", lambda r: r.score("SA") or 0.0, lambda r: r.score("DA") or 0.0))
         if len(timed[method]) > 1:
@@ -275,7 +275,7 @@ def pareto(board: Board, name: str, looks: Looks) -> Picture | None:
             f"Variants on {board.title}. Filled and joined: those that no other variant beats in both; "
             "hollow: the others."
         )
-        return Picture(name, svg(figure, name, caption), caption)
+        return ReportFigure(name, svg(figure, name, caption), caption)
 
 
 def _front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -283,15 +283,15 @@ def _front(points: Sequence[tuple[float, float]]) -> list[int]:
     return [k for k, (a, b) in enumerate(points) if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)]
 
 
-def best_of_each_method(board: Board) -> list[Row]:
+def best_of_each_method(board: ScoreBoard) -> list[ScoreRow]:
     """One row a method, that with the best AA; the best method first."""
-    best: dict[str, Row] = {}
+    best: dict[str, ScoreRow] = {}
     for row in board.rows:
         best.setdefault(row.result.method, row)
     return list(best.values())
 
 
-def _timed(board: Board) -> list[Row]:
+def _timed(board: ScoreBoard) -> list[ScoreRow]:
     return [row for row in board.rows if row.result.runtime.get("mean_s") and row.score("AA") is not None]
 
 
@@ -326,7 +326,7 @@ def _log(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _legend(figure: Figure, rows: Sequence[Row], looks: Looks, lines: bool = True) -> None:
+def _legend(figure: Figure, rows: Sequence[ScoreRow], looks: Palette, lines: bool = True) -> None:
     """One legend of methods above all panels, with their lines or with their marks alone."""
     from matplotlib.lines import Line2D
 

@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Sequence
 from importlib import resources
 
-from dynaviz.study import Study
+from dynaviz.reporting import Study
 from dynaviz_eval.report import birdseye, figures
-from dynaviz_eval.report.drawing import Looks
+from dynaviz_eval.report.drawing import Palette
 from dynaviz_eval.report.tables import Column, tables
 
 
@@ -17,7 +17,7 @@ def html_report(study: Study) -> str:
     from jinja2 import Environment, StrictUndefined
 
     made = tables(study)
-    looks = Looks([cell.method for cell in study.cells])
+    looks = Palette([cell.method for cell in study.cells])
     labels = list(dict.fromkeys(row.label for board in [*made.combined, *made.boards] for row in board.rows))
     steps, parts = 2 * len(made.boards) + 1, []
     overall = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 
-from dynaviz.study import Study
+from dynaviz.reporting import Study
 from dynaviz_eval.report.tables import Column, Table, Value, tables
 
 WIDE = 17  # columns that fit across a page in small print; more go into a further table

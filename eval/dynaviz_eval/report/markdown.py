@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dynaviz.study import Study
+from dynaviz.reporting import Study
 from dynaviz_eval.report.tables import Column, Table, Value, tables
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|])")

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from dynaviz.result import Result
-from dynaviz.study import Study
+from dynaviz.reporting import Study
+from dynaviz.results.result import Result
 from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
     KINDS,
     SCORES,
     UNKNOWN,
-    Board,
     Losses,
-    Row,
+    ScoreBoard,
+    ScoreRow,
     boards,
     by_method,
     fastest,
@@ -78,8 +78,8 @@ class Tables:
     """
 
     headline: Sequence[str]
-    boards: Sequence[Board]
-    combined: Sequence[Board]
+    boards: Sequence[ScoreBoard]
+    combined: Sequence[ScoreBoard]
     first: Table
     tables: Sequence[Table]
     public: dict[str, Table]
@@ -132,12 +132,12 @@ def named(label: str) -> Value:
     return Value(label, label)
 
 
-def _order(single: Sequence[Board], combined: Sequence[Board]) -> list[str]:
+def _order(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
     """Labels: as on the board of all sequences where there is one, else as they come, the first board's best first."""
     return list(dict.fromkeys(row.label for board in [*combined, *single] for row in board.rows))
 
 
-def _headline(study: Study, single: Sequence[Board], combined: Sequence[Board]) -> list[str]:
+def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
     methods = {cell.method for cell in study.cells}
     known = {board.facts.get("name") for board in single}
     sequences = {board.facts.get("digest") for board in single} | {
@@ -162,7 +162,7 @@ def _many(number: int, thing: str) -> str:
     return f"{number} {thing}{'s' * (number != 1)}"
 
 
-def _glance(single: Sequence[Board], combined: Sequence[Board]) -> Table:
+def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """Which method is best where, and what each fails on most."""
     groups, order = by_method(single), _order(single, combined)
     several = len({board.scoring for board in single}) > 1
@@ -202,7 +202,7 @@ def worst(found: dict[str, Losses]) -> str:
     return f"{DID[kind]}: {reason}{cause} (−{cost:.1f} {KINDS[kind][0]})"
 
 
-def _accuracy(every: Sequence[Board], notes: Sequence[str]) -> Table:
+def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
     """The paper's first table, with HA beside."""
     columns = [Column("method", number=False)]
     for board in every:
@@ -224,7 +224,7 @@ def _accuracy(every: Sequence[Board], notes: Sequence[str]) -> Table:
     return Table("accuracy", "Accuracy", columns, rows, notes)
 
 
-def _runtime(single: Sequence[Board], combined: Sequence[Board]) -> Table:
+def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """The paper's second table; a machine and number of threads of its own for each block of rows."""
     timed = [row.result for board in single for row in board.rows if row.result.runtime.get("mean_s") is not None]
     settings = sorted({setting(result) for result in timed})
@@ -262,13 +262,13 @@ def _where(result: Result) -> str:
     return "" if result.runtime.get("mean_s") is None else setting(result)
 
 
-def match(board: Board) -> Match | None:
+def match(board: ScoreBoard) -> Match | None:
     """The public sequence that a board may be of."""
     rows = board.rows[0].result.sections.get("breakdown", {}).get("frame", [])
     return matching(board.facts, [row["index"] for row in rows])
 
 
-def _public(board: Board, number: int) -> Table | None:
+def _public(board: ScoreBoard, number: int) -> Table | None:
     """Published numbers beside ours."""
     known = match(board)
     if known is None:
@@ -300,7 +300,7 @@ def _public(board: Board, number: int) -> Table | None:
     return Table(f"published-{number}", f"Published for {known.name}, beside {board.title}", columns, rows, notes)
 
 
-def _failures(single: Sequence[Board], combined: Sequence[Board]) -> Table:
+def _failures(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """What each method's errors cost, by cause."""
     groups = by_method(single)
     several = len({scoring for _, scoring in groups}) > 1
@@ -346,7 +346,7 @@ def _failed(study: Study) -> Table:
     return Table("failed", "Failed runs", columns, rows)
 
 
-def _runs(study: Study, single: Sequence[Board]) -> Table:
+def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
     """Every run with its counts, and where its recording is."""
     names = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
     columns = [Column("method", number=False), Column("sequence", number=False), Column("scoring", number=False)]
@@ -375,5 +375,5 @@ def _runs(study: Study, single: Sequence[Board]) -> Table:
     return Table("runs", "All runs", columns, rows, notes)
 
 
-def _pairs(single: Iterable[Board]) -> Iterable[tuple[Board, Row]]:
+def _pairs(single: Iterable[ScoreBoard]) -> Iterable[tuple[ScoreBoard, ScoreRow]]:
     return ((board, row) for board in single for row in board.rows)

@@ -13,9 +13,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz.arrays import F64
 from dynaviz.datasets.files import holds, numbered
 from dynaviz.errors import DataError
-from dynaviz.scan import F64, Scan
+from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz.grid import has_voxel, pack, unpack
+from dynaviz.arrays import I64, U8, Bool
 from dynaviz.method import Cause, Context, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
-from dynaviz.scan import U8, Bool, Scan
+from dynaviz.scan import Scan
+from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Seldom:
 
     def observe(self, scan: Scan) -> None:
         """Count one more scan for each voxel that holds a point of it."""
-        near = has_voxel(scan.points, self.params.resolution)
+        near = in_key_range(scan.points, self.params.resolution)
         here = np.unique(pack(scan.points[near], self.params.resolution))
         merged = np.union1d(self._keys, here)
         scans = np.zeros(len(merged), np.int64)
@@ -86,12 +86,12 @@ class Seldom:
 
     def explain(self, scan: Scan) -> U8:
         """(N,) uint8, positions in ``info.reasons``."""
-        near = has_voxel(scan.points, self.params.resolution)
+        near = in_key_range(scan.points, self.params.resolution)
         reasons = np.full(len(scan), NO_VOXEL, np.uint8)
         counts = self._count(pack(scan.points[near], self.params.resolution))
         reasons[near] = np.where(counts < self.params.min_scans, SELDOM, OFTEN)
         return reasons
 
-    def _count(self, keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _count(self, keys: I64) -> I64:
         """Scans of voxels that were all observed."""
         return self._scans[np.searchsorted(self._keys, keys)]

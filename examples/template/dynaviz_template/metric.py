@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dynaviz.grid import KeySet, has_voxel, pack
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
 from dynaviz.scan import Outcome
+from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 EDGE = 0.2  # metres
 KINDS = {"ghosts": Outcome.FALSE_NEGATIVE, "holes": Outcome.FALSE_POSITIVE}
@@ -28,7 +28,7 @@ class GhostVolume:
         volumes = {}
         for kind, outcome in KINDS.items():
             points = labelled.scan.points[labelled.outcome == outcome]
-            self._voxels[kind].add(pack(points[has_voxel(points, EDGE)], EDGE))
+            self._voxels[kind].add(pack(points[in_key_range(points, EDGE)], EDGE))
             volumes[f"ghost_volume/{kind}"] = self._volume(kind)
         return volumes
 

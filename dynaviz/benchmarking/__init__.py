@@ -1,0 +1,1 @@
+"""Benchmarks: methods x sequences x parameter sets, one folder per cell, resumed after an interruption."""

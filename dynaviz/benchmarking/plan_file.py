@@ -1,0 +1,276 @@
+"""A bench's plan from a TOML file or from flags, with every mistake told before anything runs."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+from dynaviz import params, registry
+from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec, variant
+from dynaviz.datasets import known
+from dynaviz.errors import UsageError
+from dynaviz.registry import suggest
+from dynaviz.results.result import RecordMode
+
+RECORDS = (*get_args(RecordMode), "none")
+KEYS: dict[str, dict[str, Any]] = {
+    "bench": {"methods": list, "sequences": list, "variants": list, "grid": dict, "search": dict, "holdout": list,
+              "record": str, "workers": int, "timing": bool},
+    "sequences": {"path": str, "simulate": str, "name": str, "frames": (str, int), "stride": int, "sensor": str,
+                  "seed": int, "poses": str, "points_in": str, "deskew": bool},
+    "variants": {"method": str, "name": str, "preset": str, "config": str, "set": dict, "online": bool, "seed": int},
+    "search": {"kind": str, "trials": int, "seed": int, "ranges": dict},
+}  # fmt: skip
+"""The keys of a bench's TOML file and of its tables, with the types of their values."""
+
+
+def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
+    """Check a table as ``read`` gives it.
+
+    Args:
+        table: keys and values as in the file.
+        place: where it comes from, for errors.
+
+    Raises:
+        UsageError: for an unknown key, a wrong type, or a method, parameter, scene or sensor that does not exist.
+    """
+    table = checked(table, "bench", place)
+    search = _search(table["search"], f"{place} [search]") if table.get("search") else None
+    sources = [_source(entry, f"{place} [[sequences]] {n}") for n, entry in _numbered(table, "sequences")]
+    held = [_held(entry, sources) for entry in table.get("holdout", [])]
+    sources += [source for source in held if source not in sources]
+    record, workers, timing = table.get("record"), table.get("workers", 1), table.get("timing", False)
+    plan = BenchPlan(
+        tuple(_sets(table, search, place)),
+        tuple(sources),
+        frozenset(source.name for source in held),
+        search,
+        record or ("none" if timing else "errors"),
+        workers,
+        timing,
+    )
+    _check(plan, place)
+    return plan
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a bench's TOML file; paths in it are relative to its folder.
+
+    Raises:
+        DataError: where it cannot be read or is not TOML.
+        UsageError: for an unknown key.
+    """
+    table, base = checked(params.read_toml(path), "bench", os.fspath(path)), path.parent
+
+    def here(entry: Any, key: str) -> Any:
+        if isinstance(entry, str):
+            return anchored(entry, base)
+        if isinstance(entry, dict) and isinstance(entry.get(key), str):
+            return {**entry, key: anchored(entry[key], base)}
+        return entry
+
+    table["sequences"] = [here(entry, "path") for entry in table.get("sequences", [])]
+    for entry in table["sequences"]:
+        if isinstance(entry, dict) and isinstance(entry.get("poses"), str) and (base / entry["poses"]).is_file():
+            entry["poses"] = os.path.abspath(base / entry["poses"])  # else it is a topic or frame of a bag
+    table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
+    return table
+
+
+def anchored(text: str, base: Path) -> str:
+    """A sequence's path made absolute; a ``FORMAT:`` before it stays, a scene to simulate is none."""
+    prefix, colon, rest = text.partition(":")
+    if not colon or not prefix.isidentifier() or (base / text).exists():
+        return os.path.abspath(base / text)
+    return text if prefix == "simulate" else f"{prefix}:{os.path.abspath(base / rest)}"
+
+
+def checked(table: Mapping[str, Any], kind: str, place: str) -> dict[str, Any]:
+    """A table all whose keys are known, with values of the right types.
+
+    Raises:
+        UsageError: for any other, naming the nearest known key.
+    """
+    for key, value in table.items():
+        if key not in KEYS[kind]:
+            raise UsageError(f"{place}: unknown key '{key}'. {suggest(key, KEYS[kind])}")
+        wanted = KEYS[kind][key]
+        if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
+            names = " or ".join(kind.__name__ for kind in (wanted if isinstance(wanted, tuple) else (wanted,)))
+            raise UsageError(f"{place}: {key} = {value!r}: give a value of type {names}")
+    return dict(table)
+
+
+def assignment(text: str, flag: str) -> tuple[str, str, str]:
+    """Split ``METHOD.PARAM=VALUES``."""
+    found = re.fullmatch(r"\s*([\w]+)\.(\w+)\s*=(.+)", text)
+    if not found:
+        raise UsageError(f"{flag} {text}: write METHOD.PARAM=VALUES, for example {flag} octomap.resolution="
+                         + ("0.1,0.2" if flag == "--grid" else "0.05:0.4"))  # fmt: skip
+    return found[1], found[2], found[3]
+
+
+def values_of(text: str) -> list[Any]:
+    """Values between commas, as in TOML; what is none is a string."""
+    try:
+        parsed: list[Any] = tomllib.loads(f"values = [{text}]")["values"]
+    except tomllib.TOMLDecodeError:
+        return [part.strip() for part in text.split(",")]
+    return parsed
+
+
+def _numbered(table: Mapping[str, Any], key: str) -> Iterable[tuple[int, Any]]:
+    return enumerate(table.get(key, []), 1)
+
+
+def _source(entry: Any, place: str) -> SequenceSpec:
+    """A sequence from a string (PATH, FORMAT:PATH or simulate:SCENE[:FRAMES[:SEED]]) or from a table."""
+    if isinstance(entry, str):
+        prefix, *rest = entry.split(":")
+        if prefix != "simulate":
+            return _source({"path": anchored(entry, Path())}, place)
+        try:
+            scene, frames, seed = [*rest, None, None][:3]
+            numbers = {key: int(text) for key, text in (("frames", frames), ("seed", seed)) if text is not None}
+        except ValueError:
+            raise UsageError(f"{entry}: write simulate:SCENE[:FRAMES[:SEED]], as simulate:demo:20") from None
+        return _source({"simulate": scene, **numbers}, entry)
+    if not isinstance(entry, dict):
+        raise UsageError(f"{place}: {entry!r}: give a path, or a table with a path or a scene to simulate")
+    entry = checked(entry, "sequences", place)
+    if ("path" in entry) == ("simulate" in entry):
+        raise UsageError(f"{place}: give either path or simulate")
+    source = _simulated(entry, place) if "simulate" in entry else _recorded(entry, place)
+    if source.name != re.sub(r"[/\\:\s]", "", source.name) or source.name in ("", ".", "..", "sequences"):
+        raise UsageError(f"{place}: name = {source.name!r} names no folder: give another")
+    if source.sensor:
+        from dynaviz.sensors import load_sensor
+
+        load_sensor(source.sensor)
+    return source
+
+
+def _simulated(entry: Mapping[str, Any], place: str) -> SequenceSpec:
+    from dynaviz.simulate.presets import PRESETS
+
+    scene, frames, seed = entry["simulate"], entry.get("frames"), entry.get("seed", 0)
+    if scene not in PRESETS:
+        raise UsageError(f"{place}: no scene '{scene}'. {suggest(scene, PRESETS)}")
+    if told := {"poses", "points_in", "deskew"} & entry.keys():
+        raise UsageError(f"{place}: {min(told)} is for a sequence with a path, not for a scene to simulate")
+    if isinstance(frames, str):
+        raise UsageError(f"{place}: frames = {frames!r}: a simulated scene takes a number of frames")
+    name = entry.get("name") or scene + (f"-{frames}" if frames else "") + (f"-seed{seed}" if seed else "")
+    return SequenceSpec(name, "", frames, entry.get("stride", 1), entry.get("sensor"), scene, seed)
+
+
+def _recorded(entry: Mapping[str, Any], place: str) -> SequenceSpec:
+    if "seed" in entry:
+        raise UsageError(f"{place}: seed is for a scene to simulate")
+    frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
+    name = entry.get("name") or Path(entry["path"].rpartition(":")[2]).name
+    known: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
+    return SequenceSpec(name, entry["path"], frames, entry.get("stride", 1), **known)
+
+
+def _held(entry: Any, sources: list[SequenceSpec]) -> SequenceSpec:
+    """A sequence that is held out: by its name or path, or a further one."""
+    if named := next((source for source in sources if source.name == entry), None):
+        return named
+    other = _source(entry, "holdout")
+    if other in sources:
+        return other
+    if other.path and not known(other.path):  # not opened: that is for the end
+        names = ", ".join(source.name for source in sources)
+        raise UsageError(f"holdout: {entry} is no sequence, nor the name of one here: {names}")
+    return other
+
+
+def _sets(table: Mapping[str, Any], search: SearchSpec | None, place: str) -> Iterable[ParameterSet]:
+    """Every method with its defaults, then the variants, then the grids."""
+    grids = table.get("grid", {})
+    variants = [
+        checked(entry, "variants", f"{place} [[variants]] {n}") if isinstance(entry, dict) else {}
+        for n, entry in _numbered(table, "variants")
+    ]
+    named = [*grids, *(entry.get("method", "") for entry in variants), *(search.ranges if search else ())]
+    methods = table.get("methods") or list(dict.fromkeys(named)) or list(registry.loadable("methods"))
+    base = {method: ParameterSet.of(str(method)) for method in dict.fromkeys(methods)}
+    yield from base.values()
+    for n, entry in enumerate(variants, 1):
+        with _told(f"{place} [[variants]] {n}"):
+            yield _variant(entry)
+    for method, axes in grids.items():
+        with _told(f"{place} [grid.{method}]"):
+            yield from _grid(ParameterSet.of(method), axes)
+
+
+def _variant(entry: Mapping[str, Any]) -> ParameterSet:
+    rest = {key: entry.get(key) for key in ("preset", "config", "online", "seed")}
+    if "method" not in entry or not any(key in entry for key in ("set", *rest)):
+        raise UsageError("give a method, and what is special: preset, config, set, online or seed")
+    values = entry.get("set", {})
+    special = [entry.get("preset"), variant(values) if values else "", "online" if entry.get("online") else ""]
+    name = entry.get("name") or "-".join(filter(None, special))
+    if not re.fullmatch(r"[\w.=,+\[\]-]+", name):
+        raise UsageError("give the variant a name of letters, digits and -_.=,+")
+    return ParameterSet.of(entry["method"], name, values, **rest)
+
+
+def _grid(base: ParameterSet, axes: Any) -> Iterable[ParameterSet]:
+    if not isinstance(axes, dict) or not all(isinstance(values, list) and values for values in axes.values()):
+        raise UsageError("give each parameter a list of values")
+    for values in itertools.product(*axes.values()):
+        yield base.changed(dict(zip(axes, values, strict=True)))
+
+
+@contextlib.contextmanager
+def _told(place: str) -> Iterator[None]:
+    """Say in which table a wrong parameter stands."""
+    try:
+        yield
+    except UsageError as error:
+        raise UsageError(f"{place}: {str(error).removeprefix('--set: ')}") from None
+
+
+def _search(table: Mapping[str, Any], place: str) -> SearchSpec:
+    table = checked(table, "search", place)
+    kinds = ("random", "bayes")
+    if table.get("kind") not in kinds:
+        raise UsageError(f"{place}: kind = {table.get('kind')!r}. {suggest(str(table.get('kind')), kinds)}")
+    if table.get("trials", 0) < 1 or not table.get("ranges"):
+        raise UsageError(
+            f"{place}: give trials, at least 1, and ranges, as --trials 30 --range octomap.resolution=0.05:0.4"
+        )
+    if not 0 <= table.get("seed", 0) < 2**32:
+        raise UsageError(f"{place}: seed = {table['seed']}: give one of 0 or more, below 2^32")
+    if not all(isinstance(axes, dict) for axes in table["ranges"].values()):
+        raise UsageError(f'{place}: give ranges as METHOD.PARAM = "LOW:HIGH"')
+    ranges = {method: {name: str(text) for name, text in axes.items()} for method, axes in table["ranges"].items()}
+    return SearchSpec(table["kind"], table["trials"], ranges, table.get("seed", 0))
+
+
+def _check(plan: BenchPlan, place: str) -> None:
+    learning = [source for source in plan.sources if source.name not in plan.holdout]
+    if not learning:
+        raise UsageError(f"{place}: give at least one sequence that is not held out: -s SEQ or [[sequences]]")
+    if plan.record not in RECORDS:
+        raise UsageError(f"{place}: record = {plan.record!r}. {suggest(plan.record, RECORDS)}")
+    if plan.workers < 1:
+        raise UsageError(f"{place}: workers = {plan.workers}: give at least 1")
+    if plan.timing and (plan.workers > 1 or plan.record != "none"):
+        raise UsageError(f"{place}: timing runs one cell at a time and records nothing: leave out workers and record")
+    if plan.holdout and not plan.search:
+        raise UsageError(f"{place}: holdout keeps sequences from a search: add --search bayes --trials N")
+    for kind, names in (
+        ("sequences", [source.name for source in plan.sources]),
+        ("variants", ["-".join([what.method, what.variant]) for what in plan.sets]),
+    ):
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise UsageError(f"{place}: two {kind} are called '{twice.rstrip('-')}': give one another name")

@@ -1,0 +1,99 @@
+"""The lossless part of a recording: each point's answer, truth, reason and range band, packed small, frame by frame."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.arrays import U8, Bool
+from dynaviz.metric import Labelled
+from dynaviz.scan import Label, Scan, outcomes
+
+BANDS = (10.0, 20.0, 30.0, 50.0)  # metres from the ray's origin: 0-10, 10-20, 20-30, 30-50, 50+
+BAND_NAMES = ("0-10 m", "10-20 m", "20-30 m", "30-50 m", "50+ m")
+ARCHETYPE = "dynaviz.Answers"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answers:
+    """The answers of one frame, in the order of the scan's points.
+
+    Attributes:
+        frame: position in the run.
+        index: number of the frame in its data set.
+        dynamic: (N,) bool, the method's answer.
+        truth: (N,) uint8, a ``Label`` per point.
+        reasons: (N,) uint8, the method's reason codes.
+        bands: (N,) uint8, range from the sensor as an index into ``BAND_NAMES``.
+    """
+
+    frame: int
+    index: int
+    dynamic: Bool
+    truth: U8
+    reasons: U8
+    bands: U8
+
+    def __len__(self) -> int:
+        return len(self.dynamic)
+
+    @property
+    def outcome(self) -> U8:
+        """(N,) uint8, an ``Outcome`` per point."""
+        return outcomes(self.truth, self.dynamic)
+
+    @classmethod
+    def of(cls, labelled: Labelled) -> Answers:
+        """The answers of a labelled scan."""
+        scan = labelled.scan
+        truth = np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels
+        return cls(labelled.frame, scan.index, labelled.dynamic, truth, labelled.reasons, range_bands(scan))
+
+    def packed(self) -> dict[str, NDArray[np.generic]]:
+        """Components of the recording: two numbers, and four (bytes,) uint8 arrays as compressed by zlib."""
+        return {
+            "index": np.array([self.index], np.int64),
+            "points": np.array([len(self)], np.int64),
+            "predicted": _squeeze(np.packbits(self.dynamic)),
+            "truth": _squeeze(self.truth),
+            "reasons": _squeeze(self.reasons),
+            "bands": _squeeze(self.bands),
+        }
+
+    @classmethod
+    def unpacked(cls, frame: int, components: dict[str, NDArray[np.generic]]) -> Answers:
+        """The inverse of ``packed``.
+
+        Raises:
+            ValueError, zlib.error: where the components do not fit together.
+        """
+        n = int(components["points"][0])
+        bits = np.unpackbits(_swell(components["predicted"], (n + 7) // 8), count=n)
+        truth, reasons, bands = (_swell(components[name], n) for name in ("truth", "reasons", "bands"))
+        return cls(frame, int(components["index"][0]), bits.astype(np.bool_), truth, reasons, bands)
+
+
+def range_bands(scan: Scan) -> U8:
+    """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``; the last if not finite."""
+    offset = scan.points - scan.origins.astype(np.float32)
+    squared = np.einsum("ij,ij->i", offset, offset)
+    bands = np.zeros(len(squared), np.uint8)
+    for limit in BANDS:
+        bands += ~(squared < limit * limit)  # written so that NaN counts as far
+    return bands
+
+
+def _squeeze(array: U8) -> U8:
+    """Neighbours mostly agree, so runs are all that is worth looking for; that is small, and a few times faster."""
+    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
+    return np.frombuffer(packer.compress(array.tobytes()) + packer.flush(), np.uint8)
+
+
+def _swell(blob: NDArray[np.generic], n: int) -> U8:
+    array = np.frombuffer(zlib.decompress(blob.tobytes()), np.uint8)
+    if len(array) != n:
+        raise ValueError(f"{len(array)} values instead of {n}")
+    return array

@@ -1,0 +1,243 @@
+"""Any folder of scans with a file of poses."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynaviz.arrays import F32, I32, I64, U8, U16
+from dynaviz.datasets.pose_matching import MatchedPoses, frame_of, match
+from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING, UNSURE
+from dynaviz.errors import DataError
+from dynaviz.io.npy import loaded
+from dynaviz.io.pcd import Pcd, read_header
+from dynaviz.io.points import read_points
+from dynaviz.io.poses import find_poses, nanoseconds
+from dynaviz.io.semantic_label import read_semantic_labels
+from dynaviz.io.velodyne import read_velodyne
+from dynaviz.scan import Label, Scan
+from dynaviz.sensors import Sensor
+from dynaviz.spatial import geometry
+
+SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
+_PLAIN = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")  # names that say nothing more
+_NO_POSES = (
+    "Give them with --poses FILE: 12 numbers a line (KITTI), time x y z qx qy qz qw (TUM), or CSV with a header; "
+    "any odometry, for example KISS-ICP, writes such a file"
+)
+
+
+@dataclass(frozen=True)
+class ScanFolderSequence:
+    """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a file of poses.
+
+    The poses come from ``--poses FILE``, or ``poses.txt``, ``trajectory.txt``, ``*.tum``, ``poses.csv`` ... beside the
+    scans or their folder, or from the VIEWPOINT of PCD files. Labels, where there are any: ``labels/NAME.label``
+    (SemanticKITTI; its classes 0 and 1 are unlabelled) or ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
+    """
+
+    layout: ClassVar[str] = "scans 000000.bin, .pcd, .ply, .npy, .npz, .las or .laz with poses.txt, *.tum or poses.csv"
+    fallback: ClassVar[bool] = True
+
+    folder: Path
+    sensor: Sensor
+    scans: tuple[Path, ...]
+    indices: tuple[int, ...]
+    matched: MatchedPoses
+    points_in: str
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a folder, or its only folder with such files, holds scans by their names."""
+        return path.is_dir() and _scans_in(path) is not None
+
+    @classmethod
+    def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
+        """Open a folder.
+
+        Args:
+            path: of the scans, or of the one folder with scans.
+            poses: file of poses; None looks for one beside the scans.
+            points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
+
+        Raises:
+            DataError: where there are no scans, no poses, or they do not fit together.
+            UsageError: for another ``points_in``.
+        """
+        frame = frame_of(points_in)
+        folder = _scans_in(path) if path.is_dir() else None
+        if folder is None:
+            kinds = ", ".join(sorted({f.suffix or f.name for f in path.iterdir()})[:6]) if path.is_dir() else ""
+            problem = f"holds no scans but {kinds}" if kinds else "holds no scans" if path.is_dir() else "is no folder"
+            raise DataError(
+                path, problem, hint=f"Scans end in {', '.join(SUFFIXES)} and have a number or stamp as name"
+            )
+        scans, numbers, stamps = _sorted(folder)
+        beside = folder.parent if folder != path or folder.name.lower() in _PLAIN else folder
+        file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(beside)
+        matched = match(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+        kept = matched.positions.tolist()
+        indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
+        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame)
+
+    @property
+    def name(self) -> str:
+        """That of the folder, or of the one around it where it only says what the files are."""
+        return (self.folder.parent if self.folder.name.lower() in _PLAIN else self.folder).name or "scans"
+
+    @cached_property
+    def has_labels(self) -> bool:
+        """Whether any scan has labels; looked for once, for it asks for the files of every scan."""
+        return any(self._label_file(scan) is not None for scan in self.scans)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Where the poses come from, and how they were matched."""
+        return {"poses": self.matched.how, "points in": f"{self.points_in} frame"}
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def __getitem__(self, position: int) -> Scan:
+        path, T_world_sensor = self.scans[position], self.matched.poses[position]
+        xyz = _points(path)
+        labels, classes, instances = self._labels(path, len(xyz))
+        stamps = self.matched.stamps
+        return Scan(
+            index=self.indices[position],
+            points=xyz if self.points_in == "world" else geometry.transform(T_world_sensor, xyz),
+            T_world_sensor=T_world_sensor,
+            stamp_ns=None if stamps is None else int(stamps[position]),
+            labels=labels,
+            classes=classes,
+            instances=instances,
+            class_names=CLASS_NAMES if classes is not None else {},
+        )
+
+    def _label_file(self, scan: Path) -> Path | None:
+        for folder in (self.folder / "labels", self.folder.parent / "labels"):
+            for suffix in (".label", ".npy"):
+                if (file := folder / f"{scan.stem}{suffix}").is_file():
+                    return file
+        return None
+
+    def _labels(self, scan: Path, points: int) -> tuple[U8 | None, U16 | None, I32 | None]:
+        """Labels, classes and instances of a scan; all unlabelled where only others have labels."""
+        file = self._label_file(scan)
+        if file is None:
+            return (np.full(points, Label.UNLABELLED, np.uint8) if self.has_labels else None), None, None
+        if file.suffix == ".npy":
+            return _label_array(file, points), None, None
+        classes, instances = read_semantic_labels(file, points)
+        labels = np.where((classes >= MOVING.start) & (classes < MOVING.stop), Label.DYNAMIC, Label.STATIC).astype(
+            np.uint8
+        )
+        labels[np.isin(classes, UNSURE)] = Label.UNLABELLED
+        return labels, classes, instances.astype(np.int32)
+
+
+def _entries(folder: Path) -> list[Path]:
+    """What is in a folder; nothing in one that cannot be read, such as a disk's lost+found."""
+    with contextlib.suppress(OSError):
+        return list(folder.iterdir())
+    return []
+
+
+def _numbered(folder: Path) -> list[Path]:
+    """Files that look like scans: a known suffix, and a number at the end of their name."""
+    return [path for path in _entries(folder) if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
+
+
+def _scans_in(path: Path) -> Path | None:
+    """The folder with the scans: the given one, or the only one in it that holds any."""
+    if _numbered(path):
+        return path
+    inside = [folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _numbered(folder)]
+    return inside[0] if len(inside) == 1 else None
+
+
+def _sorted(folder: Path) -> tuple[list[Path], I64, I64 | None]:
+    """The scans in their order, their numbers, and their stamps where the names are stamps: ten digits or a point.
+
+    Raises:
+        DataError: for files of several kinds, or two with the same number.
+    """
+    files = _numbered(folder)
+    kinds = Counter(path.suffix.lower() for path in files)
+    if len(kinds) > 1:
+        counts = ", ".join(f"{suffix} ({count})" for suffix, count in kinds.most_common())
+        raise DataError(folder, f"holds scans of several kinds: {counts}", hint="Keep those of one kind in a folder")
+    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # it ends in a digit
+    stamped = all("." in text or len(text) >= 10 for text in texts)
+    keys = [nanoseconds(text) if stamped else int(text.replace(".", "")) for text in texts]
+    order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
+    for a, b in pairwise(order):
+        if keys[a] == keys[b]:
+            raise DataError(files[b], f"has the same number as {files[a].name}", hint="Remove one of them")
+    try:
+        numbers = np.array([keys[k] for k in order], np.int64)
+    except OverflowError:
+        raise DataError(
+            files[order[-1]], "has a number beyond any time", hint="Name scans by number or stamp"
+        ) from None
+    return [files[k] for k in order], numbers, numbers if stamped else None
+
+
+def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> MatchedPoses:
+    """Poses from the VIEWPOINT of PCD files.
+
+    Raises:
+        DataError: where there are none, or all say the same nothing.
+    """
+    poses = []
+    for path in scans:
+        header = read_header(path) if path.suffix.lower() == ".pcd" else None
+        T_world_sensor = None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
+        if T_world_sensor is None:
+            raise DataError(folder, "has no poses", hint=_NO_POSES)
+        poses.append(T_world_sensor)
+    if all(np.array_equal(T, np.eye(4)) for T in poses):
+        raise DataError(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
+    return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
+
+
+def _points(path: Path) -> F32:
+    """(N, 3) float32, metres, in the file's frame."""
+    suffix = path.suffix.lower()
+    if suffix == ".bin":
+        return read_velodyne(path)[:, :3]
+    return _npz(path) if suffix == ".npz" else read_points(path)
+
+
+def _npz(path: Path) -> F32:
+    """The array ``points`` or ``xyz`` of an NPZ file, or its only one with a row a point."""
+    hint = "Save points = (N, 3) float32, metres, with numpy.savez"
+    with loaded(path, "NPZ file", hint) as arrays:
+        fitting = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
+    named = [fitting[name] for name in ("points", "xyz") if name in fitting] or list(fitting.values())
+    if not named or (len(named) > 1 and not {"points", "xyz"} & set(fitting)) or named[0].dtype.kind not in "fiu":
+        raise DataError(path, f"holds {len(named) or 'no'} arrays (N, 3 or more) and none called points", hint=hint)
+    with np.errstate(over="ignore"):  # beyond float32 is infinite
+        xyz: F32 = named[0][:, :3].astype(np.float32)
+    return xyz
+
+
+def _label_array(path: Path, points: int) -> U8:
+    """Labels from an NPY file."""
+    hint = f"Save ({points},) integers: 0 static, 1 dynamic, 255 unlabelled"
+    with loaded(path, "NPY file", hint) as labels:
+        pass
+    if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
+        raise DataError(path, f"holds {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
+    if not np.isin(labels, [*Label]).all():
+        raise DataError(path, f"holds {labels[~np.isin(labels, [*Label])][0]}, which is no label", hint=hint)
+    return labels.astype(np.uint8)

@@ -1,0 +1,1 @@
+"""Runs a method on a sequence: the loop, its outputs, and answers of other programs."""

@@ -1,0 +1,129 @@
+"""The files of a run beside its recording: labels.npz, static_map.pcd, dynamic_points.pcd, config.toml, result.json."""
+
+from __future__ import annotations
+
+import contextlib
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.packed_bits import PackedBits
+from dynaviz.engine.summary import SequenceSummary
+from dynaviz.io.atomic import remove, whole_file, write_whole
+from dynaviz.io.pcd import PcdWriter
+from dynaviz.metric import Figure, Labelled
+from dynaviz.params import to_toml
+from dynaviz.results.result import Result
+
+FILES = ("labels.npz", "static_map.pcd", "dynamic_points.pcd")
+"""What the listeners here write."""
+
+
+class LabelsFile(Listener):
+    """A listener that writes ``labels.npz``.
+
+    ``dynamic``: one bit per point in the order of the sequence, 1 where the method removed it
+    (``np.unpackbits(z["dynamic"])[: z["points"].sum()]``); ``points``: (frames,) int64 points of each frame;
+    ``frames``: (frames,) int64 numbers of the frames; ``reasons``: (points,) uint8 codes; ``reason_names``: their
+    legend; ``sequence_digest`` and ``labels_sha256``: what the labels belong to, and their own digest.
+    """
+
+    def __init__(self, folder: Path):
+        self._path, self._stack = folder / "labels.npz", contextlib.ExitStack()
+        self._bits = PackedBits()
+        self._points: list[int] = []
+        self._frames: list[int] = []
+
+    def __enter__(self) -> LabelsFile:
+        with contextlib.ExitStack() as stack:
+            beside = stack.enter_context(whole_file(self._path))
+            self._zip = stack.enter_context(zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
+        """Store what is known, and open the array of reasons, which is written frame by frame."""
+        self._put("sequence_digest", np.array(summary.digest))
+        self._put("reason_names", np.array([reason.name for reason in run.method.info.reasons]))
+        self._reasons: IO[bytes] = self._stack.enter_context(self._zip.open("reasons.npy", "w", force_zip64=True))
+        head = {"descr": "|u1", "fortran_order": False, "shape": (summary.points,)}
+        np.lib.format.write_array_header_1_0(self._reasons, head)
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Append a frame."""
+        self._bits.append(labelled.dynamic)
+        self._points.append(len(labelled.scan))
+        self._frames.append(labelled.scan.index)
+        self._reasons.write(labelled.reasons.tobytes())
+
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
+        """Append the labels."""
+        self._reasons.close()
+        self._put("dynamic", self._bits.packed())
+        self._put("points", np.array(self._points, np.int64))
+        self._put("frames", np.array(self._frames, np.int64))
+        self._put("labels_sha256", np.array(result.labels_sha256))
+
+    def _put(self, name: str, array: Any) -> None:
+        with self._zip.open(f"{name}.npy", "w") as file:
+            np.lib.format.write_array(file, array, allow_pickle=False)
+
+
+class RemoveStaleOutputs(Listener):
+    """A listener that goes before those that write: at the end of a run it takes away what an earlier one left there.
+
+    These are the files whose absence says something: ``result.json`` and ``config.toml``, which come back last, if at
+    all; and ``run.rrd`` where this run's recording is elsewhere. Until then all is as it was, so a run that fails takes
+    nothing from the one before.
+    """
+
+    def __init__(self, folder: Path, recording: Path | None):
+        own = recording is not None and recording.resolve() == (folder / "run.rrd").resolve()
+        self._paths = [folder / name for name in ("result.json", "config.toml", *(() if own else ("run.rrd",)))]
+
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
+        """Remove them."""
+        for path in self._paths:
+            remove(path)
+
+
+class MapFiles(Listener):
+    """A listener that writes ``static_map.pcd`` (what the method kept) and ``dynamic_points.pcd`` (the rest)."""
+
+    def __init__(self, folder: Path):
+        kinds = dict.fromkeys("xyz", np.float32)
+        self._kept = PcdWriter(folder / "static_map.pcd", kinds, np.eye(4))
+        self._removed = PcdWriter(folder / "dynamic_points.pcd", kinds, np.eye(4))
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> MapFiles:
+        self._stack.enter_context(self._kept)
+        self._stack.enter_context(self._removed)
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Append a frame's points to the one or the other."""
+        for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
+            writer.append(**dict(zip("xyz", labelled.scan.points[chosen].T, strict=True)))
+
+
+def write_summary(folder: Path, run: RunSpec, result: Result) -> None:
+    """Write ``config.toml`` and ``result.json``; the latter last, so that its presence says the run is whole.
+
+    What another program wrote has no configuration here.
+    """
+    if not run.external:
+        write_whole(
+            folder / "config.toml", to_toml(result.method, run.params, {"online": run.online, "seed": run.seed})
+        )
+    result.save(folder / "result.json")

@@ -1,0 +1,44 @@
+"""The first pass over a sequence: extent, number of points, and a digest of the content."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dynaviz.scan import Sequence, stream
+from dynaviz.spatial.extent import Extent, GrowingExtent
+
+
+@dataclass(frozen=True)
+class SequenceSummary:
+    """What one pass over a sequence finds: extent, number of frames and points, and a digest of the content.
+
+    The digest covers points, poses, ray origins and labels of all frames in order: two runs can be compared point by
+    point exactly if their digests agree.
+    """
+
+    extent: Extent
+    frames: int
+    points: int
+    digest: str
+
+
+def summarize(sequence: Sequence, progress: Callable[[int], None] = lambda done: None) -> SequenceSummary:
+    """Read a sequence once, frame by frame.
+
+    Args:
+        sequence: never held in memory as a whole.
+        progress: called with the number of frames done.
+
+    Raises:
+        DynavizError: for points or ray origins farther than ``dynaviz.spatial.extent.FAR`` from the world's origin.
+    """
+    growing, digest, points = GrowingExtent(), hashlib.sha256(), 0
+    for done, scan in enumerate(stream(sequence), 1):
+        growing.add(scan)
+        for array in (scan.points, scan.T_world_sensor, scan.origins, scan.labels):
+            digest.update(b"-" if array is None else array.tobytes())
+        points += len(scan)
+        progress(done)
+    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest())

@@ -1,0 +1,116 @@
+"""Reports on many results, in any installed format."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dynaviz import registry
+from dynaviz.arrays import F32, U8
+from dynaviz.errors import UsageError
+from dynaviz.io.atomic import write_whole
+from dynaviz.progress import Progress, silent
+from dynaviz.results.collect import HINT, StudyRun, collect
+
+SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to those that are a format's name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """The map of a whole run with its wrong points, thinned.
+
+    Attributes:
+        points: (N, 3) float32, metres, world frame.
+        outcome: (N,) uint8, an ``Outcome`` per point.
+    """
+
+    points: F32
+    outcome: U8
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a report is made of.
+
+    Attributes:
+        cells: in the order of their folders.
+        home: the folder in which the report will lie; links are relative to it.
+        progress: to be told a phase, and how much of how much is done.
+    """
+
+    cells: Sequence[StudyRun]
+    home: Path = Path()
+    progress: Progress = silent
+
+    def link(self, path: Path) -> str:
+        """A path relative to the report, with forward slashes."""
+        return Path(os.path.relpath(path, self.home)).as_posix()
+
+    def overview(self, cell: StudyRun) -> Overview | None:
+        """The map of a run from its recording; None where there is no recording, or none with points.
+
+        Raises:
+            DataError: for a recording that cannot be read.
+        """
+        if cell.recording is None:
+            return None
+        from dynaviz.viz import paths
+        from dynaviz.viz.reader import RunRecording
+
+        recording = RunRecording(cell.recording)
+        parts = [recording.static(path) for path in (paths.MAP, paths.REMOVED, paths.REMOVED_WRONG, paths.MAP_WRONG)]
+        drawn = [part for part in parts if "Points3D:positions" in part]
+        if not drawn:
+            return None
+        return Overview(
+            np.concatenate([part["Points3D:positions"] for part in drawn]),
+            np.concatenate([part["Points3D:class_ids"].astype(np.uint8) for part in drawn]),
+        )
+
+
+def report(
+    *paths: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None = None,
+    format: str | None = None,
+    progress: Progress = silent,
+) -> str:
+    """Write tables and figures of one or many results.
+
+    Args:
+        paths: folders with results in them, or ``result.json`` files.
+        out: the file to write; None writes none.
+        format: ``html``, ``md``, ``latex``, ``csv`` or another that is installed (``dynaviz.reports``); by default
+            that of the suffix of ``out``, or ``md`` without one.
+        progress: called with a phase, and how much of how much is done.
+
+    Returns:
+        The report.
+
+    Raises:
+        UsageError: for no path, or a format that is not installed.
+        DataError: for paths without results, files that cannot be read, or one that cannot be written.
+    """
+    if not paths:
+        raise UsageError(f"no results. {HINT}")
+    render = registry.load("reports", format or _format(out))
+    home = Path() if out is None else Path(out).parent
+    text: str = render(Study(collect(paths), home, progress))
+    if out is not None:
+        write_whole(out, text.encode())
+    return text
+
+
+def _format(out: str | os.PathLike[str] | None) -> str:
+    """The format that a file's suffix stands for."""
+    if out is None:
+        return "md"
+    suffix = Path(out).suffix.lower().removeprefix(".")
+    known = [handle.name for handle in registry.handles("reports")]
+    name = SUFFIXES.get(suffix, suffix)
+    if name not in known:
+        raise UsageError(f"{os.fspath(out)} does not tell its format by its suffix: give --format {'|'.join(known)}")
+    return name

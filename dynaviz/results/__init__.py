@@ -1,0 +1,1 @@
+"""Results of runs: saved, shown, collected, and checked against a baseline."""

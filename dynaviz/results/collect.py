@@ -1,0 +1,150 @@
+"""Finds results in folders, and combines results of several sequences by adding counts."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from dynaviz import registry
+from dynaviz.errors import DataError, DynavizError
+from dynaviz.io.atomic import opened
+from dynaviz.results.result import Result, label
+
+HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o FOLDER' writes one)"
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """One run of a study, or what became of it.
+
+    Attributes:
+        file: its ``result.json`` or ``error.json``.
+        result: None where it failed.
+        error: why it failed; None where it did not.
+        method, sequence, variant: what was to run on what.
+        given: the path that a user named and in which it was found.
+    """
+
+    file: Path
+    result: Result | None
+    error: str | None
+    method: str
+    sequence: str
+    variant: str
+    given: Path
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are."""
+        return self.file.parent
+
+    @property
+    def label(self) -> str:
+        """The method, and what sets this run of it apart."""
+        return label(self.method, self.variant, self.result is not None and self.result.online)
+
+    @property
+    def recording(self) -> Path | None:
+        """The run's recording, where there is one."""
+        path = self.folder / "run.rrd"
+        return path if path.is_file() else None
+
+
+def collect(paths: Sequence[str | os.PathLike[str]]) -> list[StudyRun]:
+    """Find all results, and all failures of a bench, in folders and below them.
+
+    Args:
+        paths: folders, or ``result.json`` files by whatever name.
+
+    Returns:
+        One cell a folder, sorted by folder within each path; what two paths hold is found once.
+
+    Raises:
+        DataError: for a path that does not exist or holds no result, and for a file that is none.
+    """
+    cells: dict[Path, StudyRun] = {}
+    for given in map(Path, paths):
+        found = list(_found(given))
+        if not found:
+            raise DataError(given, "holds no result.json, nor does any folder in it", hint=HINT)
+        for file in found:
+            cells.setdefault(file.resolve(), _cell(file, given))
+    return list(cells.values())
+
+
+def combined(results: Sequence[Result]) -> Result:
+    """Results of one method on several sequences as one: each metric combines its own sections, by adding counts.
+
+    Args:
+        results: at least one, of the same method and parameters.
+
+    Raises:
+        DynavizError: where they were scored in different ways.
+    """
+    first = results[0]
+    if len({result.scoring for result in results}) > 1:
+        raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
+    sections: dict[str, Any] = {}
+    for metric in registry.loadable("metrics").values():
+        if combine := getattr(metric, "combine", None):
+            sections |= combine([result.sections for result in results])
+    total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
+    digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))
+    return replace(
+        first,
+        sequence={"name": f"all {len(results)}", "digest": digest, **total},
+        sections=sections,
+        runtime=_runtime([result.runtime for result in results]),
+        labels_sha256=None,
+        recording_sha256=None,
+        record=None,
+        instrumented=any(result.instrumented for result in results),
+        command="",
+    )
+
+
+def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and deviation over the frames of all sequences; none where a map of another program is among them."""
+    if any(runtime.get("mean_s") is None for runtime in runtimes):
+        return {}
+    frames = sum(runtime["frames"] for runtime in runtimes)
+    mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames
+    square = sum(runtime["frames"] * (runtime["std_s"] ** 2 + runtime["mean_s"] ** 2) for runtime in runtimes) / frames
+    return {"mean_s": mean, "std_s": math.sqrt(max(0.0, square - mean**2)), "frames": frames}
+
+
+def _found(given: Path) -> Iterator[Path]:
+    """The files that stand for cells: of a folder's two, its result."""
+    if given.is_file():
+        yield given
+        return
+    if not given.is_dir():
+        raise DataError(given, "does not exist", hint=HINT)
+    for folder in sorted({file.parent for name in ("result.json", "error.json") for file in given.rglob(name)}):
+        result = folder / "result.json"
+        yield result if result.is_file() else folder / "error.json"
+
+
+def _cell(file: Path, given: Path) -> StudyRun:
+    if file.name == "error.json":
+        return _failed(file, given)
+    result = Result.load(file)
+    name = str(result.sequence.get("name", ""))
+    return StudyRun(file, result, None, result.method, name, result.variant, given)
+
+
+def _failed(file: Path, given: Path) -> StudyRun:
+    hint = "Remove it, or run its bench again"
+    with opened(file, hint) as content:
+        try:
+            facts = json.load(content)
+            method, sequence, error = (str(facts[key]) for key in ("method", "sequence", "error"))
+            variant = str(facts.get("variant") or "")
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise DataError(file, "does not tell which run failed, and why", hint=hint) from None
+    return StudyRun(file, None, error, method, sequence, variant, given)

@@ -1,0 +1,1 @@
+"""Poses, voxel grids, nearest neighbours and extents."""

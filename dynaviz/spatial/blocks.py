@@ -1,0 +1,152 @@
+"""A grid of voxels with state only near points, and the marks that rays leave in it: the numpy face of its kernels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.scan import Scan
+from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.grid import REACH, unpack
+
+VOXELS = 8**3  # in a block
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marks:
+    """What the rays of one scan met, in the blocks of a grid.
+
+    Attributes:
+        blocks: (B,) int32, numbers of the touched blocks, each once, in no particular order.
+        bits: (B, 16) int64: for each block 512 bits of crossed voxels, then 512 of hit ones; bit v of word w is voxel
+            64 w + v of the block.
+    """
+
+    blocks: I32
+    bits: I64
+
+
+class BlockGrid:
+    """Voxels of a given edge, in blocks of 8^3 that exist where an extent says that points lie.
+
+    Voxel k spans [k, k + 1) * resolution per axis. It is known by one number: block * 512 + place in the block. State
+    is kept by the caller, as arrays of ``len(grid)`` rows; memory so grows with the mapped area. Blocks are found
+    through a directory of super-blocks of 16^3 blocks, dense over the bounds, so that maps of kilometres fit.
+
+    Like OctoMap's keys of 16 bit, the grid reaches 32768 voxels to each side of the world's origin. Points beyond,
+    points that are not finite and points outside the extent have no voxel.
+
+    Args:
+        extent: where points and ray origins will lie.
+        resolution: the voxel's edge, metres.
+
+    Raises:
+        ValueError: for a resolution that is not positive.
+    """
+
+    def __init__(self, extent: Extent, resolution: float) -> None:
+        if not resolution > 0:
+            raise ValueError(f"resolution must be positive, not {resolution}")
+        self.resolution = resolution
+        self._per_metre = 1.0 / resolution
+        reach = kernels.blocks.REACH // 128  # super-blocks
+        exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)
+        bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
+        self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
+        self._blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
+        self._place = (self._base, self._shape, *kernels.blocks.directory(self._blocks, self._base, self._shape))
+        lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
+        # Rows are written from the first on, so what a scan does not need is never backed by memory.
+        slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
+        self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
+
+    def __len__(self) -> int:
+        """Number of blocks."""
+        return len(self._blocks)
+
+    def locate(self, points: F32) -> I64:
+        """The voxel of each point.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+
+        Returns:
+            (N,) int64, voxel numbers; -1 for a point without a voxel.
+        """
+        found: I64 = kernels.blocks.locate(kernels.as_readonly(points, np.float32), self._per_metre, *self._place)
+        return found
+
+    def keys(self, voxels: I64) -> I32:
+        """(N, 3) int32 indices, from the world's origin, of voxels given by number."""
+        keys: I32 = kernels.blocks.keys_of(kernels.as_readonly(voxels, np.int64), self._blocks)
+        return keys
+
+    def mark(self, scan: Scan, casts: Bool, hits: Bool) -> Marks:
+        """Walk the rays of a scan.
+
+        Args:
+            scan: where rays start and end.
+            casts: (N,) bool: points whose rays mark voxels as crossed, from the origin's to the last before their own.
+            hits: (N,) bool: points that mark their own voxel as hit.
+
+        Returns:
+            The marks; a voxel may be both crossed and hit. Rays from outside the grid's reach mark nothing.
+        """
+        kernels.raycast.mark(
+            kernels.as_readonly(scan.points, np.float32),
+            kernels.as_readonly(scan.origins, np.float64),
+            kernels.as_readonly(casts, np.bool_),
+            kernels.as_readonly(hits, np.bool_),
+            *(self._per_metre, *self._place, *self._scratch),
+        )
+        return Marks(*kernels.raycast.collect(*self._scratch))
+
+
+def voxels_of(blocks: I32, bits: I64) -> I64:
+    """Numbers of the voxels whose bit is set; blocks (B,), bits (B, 8) of those blocks."""
+    voxels: I64 = kernels.blocks.voxels_of(kernels.as_readonly(blocks, np.int32), kernels.as_readonly(bits, np.int64))
+    return voxels
+
+
+def read(bits: NDArray[Any], voxels: I64) -> Bool:
+    """Look up bits of voxels.
+
+    Args:
+        bits: (B, 8 or more) int64 or uint64, a row a block: bit v of word w is voxel 64 w + v of the block.
+        voxels: (N,) int64, voxel numbers.
+
+    Returns:
+        (N,) bool; False for -1.
+    """
+    found: Bool = kernels.blocks.read(voxels, bits.view(np.uint64))
+    return found
+
+
+def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
+    """(B, 3): all blocks that a float32 point in one of the cells can lie in, within bounds of super-blocks (2, 3)."""
+    low = _lowest(cells.astype(np.int64))
+    high = np.nextafter(_lowest(cells.astype(np.int64) + 1), np.float32(-np.inf))
+    # The products are formed as for points: as these grow, so do they, and no rounding can lead out of the range.
+    first, last = (np.floor(p.astype(np.float64) * per_metre).astype(np.int64) >> 3 for p in (low, high))
+    spans = [range(s + 1) for s in (last - first).max(0, initial=0)]
+    packed: list[I64] = [np.empty(0, np.int64)]
+    for shift in product(*spans):
+        blocks = np.minimum(first + np.array(shift), last)
+        blocks = blocks[((blocks >> 4 >= bounds[0]) & (blocks >> 4 <= bounds[1])).all(1)]
+        packed.append(((blocks + REACH) << np.array([42, 21, 0])).sum(1))
+    return unpack(np.unique(np.concatenate(packed)))
+
+
+def _lowest(cells: I64) -> F32:
+    """The lowest float32 whose cell is the given one."""
+    guess = (cells * CELL).astype(np.float32)
+    below = np.floor(guess.astype(np.float64) * (1.0 / CELL)) < cells
+    guess = np.where(below, np.nextafter(guess, np.float32(np.inf)), guess)
+    lower = np.nextafter(guess, np.float32(-np.inf))
+    return np.where(np.floor(lower.astype(np.float64) * (1.0 / CELL)) >= cells, lower, guess).astype(np.float32)

@@ -1,0 +1,69 @@
+"""Where the points of a sequence lie: bounds, and the coarse cells that contain points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz.arrays import F64, I32
+from dynaviz.errors import DynavizError
+from dynaviz.scan import Scan
+from dynaviz.spatial.grid import KeySet, pack, unpack
+
+CELL = 0.8  # metres: 8 voxels of 0.1 m, the block that most grids are built of
+FAR = 100_000.0  # metres; voxels of 0.1 m have keys up to there
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where the points of a sequence lie.
+
+    Attributes:
+        low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
+        cells: (C, 3) int32: cubes of ``CELL`` metres that contain at least one point; cube k spans [k, k + 1) * CELL.
+    """
+
+    low: F64
+    high: F64
+    cells: I32
+
+    @classmethod
+    def of(cls, *scans: Scan) -> Extent:
+        """The extent of scans in memory."""
+        growing = GrowingExtent()
+        for scan in scans:
+            growing.add(scan)
+        return growing.extent()
+
+
+class GrowingExtent:
+    """The extent of the scans added so far."""
+
+    def __init__(self) -> None:
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._cells = KeySet()
+
+    def add(self, scan: Scan) -> None:
+        """Include a scan.
+
+        Raises:
+            DynavizError: for points or ray origins farther than ``FAR`` from the world's origin.
+        """
+        finite = scan.points if np.isfinite(scan.points).all() else scan.points[np.isfinite(scan.points).all(1)]
+        for xyz in (finite, scan.origins):
+            if len(xyz):
+                columns = [xyz[:, axis] for axis in range(3)]  # much faster than along rows
+                self._low = np.minimum(self._low, [column.min() for column in columns])
+                self._high = np.maximum(self._high, [column.max() for column in columns])
+        farthest = max(-self._low.min(), self._high.max())
+        if farthest > FAR:
+            raise DynavizError(
+                f"frame {scan.index}: a point or sensor position is {farthest / 1000:.3g} km from the world's origin, "
+                "where float32 is too coarse. Move the origin to where the sensor starts, or remove such points."
+            )
+        self._cells.add(pack(finite, CELL))
+
+    def extent(self) -> Extent:
+        """Bounds and cells of all scans added so far."""
+        return Extent(self._low, self._high, unpack(self._cells.keys()))

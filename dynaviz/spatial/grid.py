@@ -1,0 +1,89 @@
+"""Voxel keys and sets of them: the numpy face of the grid kernels.
+
+A voxel of edge ``size`` has integer indices floor(p / size) per axis. Indices are packed into one int64 of three times
+21 bits, so a world may span a million voxels to each side of its origin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, Bool, Intp
+
+REACH = 1 << 20  # voxels to each side of the origin
+
+
+def pack(points: F32 | F64, size: float) -> I64:
+    """Packed voxel keys.
+
+    Args:
+        points: (N, 3) float, metres; finite.
+        size: the voxel's edge, metres.
+
+    Returns:
+        (N,) int64.
+
+    Raises:
+        ValueError: for points that are not finite, or farther than ``REACH`` voxels from the origin.
+    """
+    keys, ok = kernels.voxels.pack(kernels.as_readonly(points, np.float32), float(size))
+    if not ok:
+        raise ValueError(
+            f"points must be finite and within {REACH * size:.0f} m of the world's origin for {size} m voxels"
+        )
+    return keys  # type: ignore[no-any-return]
+
+
+def in_key_range(points: F32 | F64, size: float) -> Bool:
+    """(N,) bool: whether each of (N, 3) points, metres, is finite and near enough to have a voxel of this edge."""
+    limit, near = REACH * size, np.ones(len(points), np.bool_)
+    for axis in range(3):  # by columns, which is far quicker than along the rows
+        near &= np.abs(points[:, axis]) < limit
+    return near
+
+
+def unpack(keys: I64) -> I32:
+    """(N, 3) int32 voxel indices of packed keys."""
+    shifts = np.array([42, 21, 0], np.int64)
+    return ((keys[:, None] >> shifts & (2 * REACH - 1)) - REACH).astype(np.int32)
+
+
+class KeySet:
+    """A growing set of packed keys; memory grows with the number of different keys."""
+
+    def __init__(self) -> None:
+        self._slots = np.full(1024, -1, np.int64)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, keys: I64) -> Bool:
+        """Add keys; (N,) bool: True where a key is new, at its first place."""
+        room = 2 * (self._count + len(keys))
+        if room > len(self._slots):
+            self._slots = kernels.voxels.rehash(self._slots, 1 << int(room).bit_length())
+        new: Bool = kernels.voxels.insert(self._slots, kernels.as_readonly(keys, np.int64))
+        self._count += int(new.sum())
+        return new
+
+    def keys(self) -> I64:
+        """(len,) int64, sorted."""
+        return np.sort(self._slots[self._slots >= 0])
+
+
+def voxel_downsample(points: F32, size: float) -> tuple[Intp, Intp]:
+    """One point per voxel.
+
+    Args:
+        points: (N, 3) float32, metres; finite.
+        size: the voxel's edge, metres.
+
+    Returns:
+        chosen: (M,) the first point of each voxel, in the order of the points.
+        counts: (M,) how many points it stands for.
+    """
+    _, first, counts = np.unique(pack(points, size), return_index=True, return_counts=True)
+    order = np.argsort(first)
+    return first[order], counts[order]

@@ -1,0 +1,164 @@
+"""Where the sensor was at any time, and sweeps straightened by it: each point is placed by the pose of its own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaviz.arrays import F32, F64, I64
+from dynaviz.spatial import geometry
+
+FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "offset_ns")
+"""What the drivers of sensors call the time of a point."""
+
+TICK = 10_000
+"""Nanoseconds; in half of them a car at 30 m/s goes 0.15 mm."""
+
+_SHORTEST, _LONGEST = 2e6, 2e9  # nanoseconds that a sweep lasts, a factor of 1000 apart: one unit alone fits
+_SAME_CLOCK = 1e10  # nanoseconds between a sweep's stamp and its points' times, where both tell the time of day
+
+
+class PosesOverTime(Protocol):
+    """Poses over time."""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, nanoseconds."""
+        ...
+
+    def at(self, times: ArrayLike) -> F64:
+        """(N, 4, 4) float64, metres: the poses at (N,) int64 nanoseconds."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses at some times. Between them rotations go at constant rate about one axis, positions along a line.
+
+    Before and after them the first and last step go on. A single pose is that of something that stands still.
+
+    Attributes:
+        times: (K,) int64, nanoseconds, strictly increasing, K at least 1.
+        poses: (K, 4, 4) float64, metres.
+    """
+
+    times: I64
+    poses: F64
+
+    @classmethod
+    def of(cls, times: ArrayLike, poses: ArrayLike) -> Trajectory:
+        """Sort by time; of poses at the same time the last one counts."""
+        all_times, all_poses = np.asarray(times, np.int64), np.asarray(poses, np.float64)
+        latest_first = slice(None, None, -1)
+        unique, row = np.unique(all_times[latest_first], return_index=True)
+        return cls(unique, all_poses[latest_first][row])
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, nanoseconds; without end for a single pose."""
+        if len(self.times) == 1:
+            return -np.inf, np.inf
+        return float(self.times[0]), float(self.times[-1])
+
+    def at(self, times: ArrayLike) -> F64:
+        """Poses at any times; at a time of its own exactly its pose.
+
+        Args:
+            times: (N,) int64, nanoseconds.
+
+        Returns:
+            (N, 4, 4) float64, metres.
+        """
+        from scipy.spatial.transform import Rotation
+
+        moments = np.asarray(times, np.int64)
+        last = len(self.times) - 1
+        before = np.clip(np.searchsorted(self.times, moments, "right") - 1, 0, last)
+        poses: F64 = self.poses[before]  # a copy
+        exact = (self.times[before] == moments) | (last == 0)
+        step = np.minimum(before, last - 1)[~exact]
+        if len(step):
+            share = (moments[~exact] - self.times[step]) / (self.times[step + 1] - self.times[step])
+            start = self.poses[step]
+            turned = Rotation.from_rotvec(share[:, None] * self._turns[step]).as_matrix()
+            start[:, :3, :3] = geometry.compose(start[:, :3, :3], turned)
+            start[:, :3, 3] += share[:, None] * (self.poses[step + 1, :3, 3] - self.poses[step, :3, 3])
+            poses[~exact] = start
+        return poses
+
+    @cached_property
+    def _turns(self) -> F64:
+        """(K - 1, 3) rotation vectors from each pose to the next, in the frame of the former."""
+        from scipy.spatial.transform import Rotation
+
+        R = self.poses[:, :3, :3]
+        turns: F64 = Rotation.from_matrix(geometry.compose(np.swapaxes(R[:-1], 1, 2), R[1:])).as_rotvec()
+        return turns
+
+
+def deskew(points: NDArray[np.floating[Any]], times: I64, path: PosesOverTime) -> tuple[F32, F64]:
+    """Place each point by the pose of its own time, to the nearest ``TICK``.
+
+    Args:
+        points: (N, 3) float, metres, sensor frame at the point's own time.
+        times: (N,) int64, nanoseconds.
+        path: T_world_sensor over time.
+
+    Returns:
+        points: (N, 3) float32, metres, world frame.
+        origins: (N, 3) float64, metres, world frame: where the sensor was when it measured each point.
+    """
+    ticks, of = np.unique((times + TICK // 2) // TICK, return_inverse=True)
+    T = path.at(ticks * TICK)
+    world = np.empty((len(points), 3))
+    x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
+    for axis in range(3):
+        a, b, c, d = (T[:, axis, column][of] for column in range(4))
+        world[:, axis] = a * x + b * y + c * z + d
+    return world.astype(np.float32), T[of, :3, 3]
+
+
+def unit_of(values: NDArray[Any]) -> float | None:
+    """Nanoseconds a count of per-point times: s, ms, us or ns, told by how long the sweep lasts.
+
+    Args:
+        values: (N,) of any number type, as the driver wrote them.
+
+    Returns:
+        1e9, 1e6, 1e3 or 1; None where they do not span a sweep (2 ms to 2 s in one of the units).
+    """
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return None
+    span = float(values.max() - values.min())
+    return next((unit for unit in (1e9, 1e6, 1e3, 1.0) if _SHORTEST < span * unit <= _LONGEST), None)
+
+
+def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
+    """When each point was measured.
+
+    Args:
+        values: (N,) of any number type: offsets from the sweep's stamp, or times of day. Of another clock than the
+            stamp's, the first point is taken to be measured at the stamp.
+        unit: nanoseconds a count.
+        stamp_ns: the sweep's stamp.
+
+    Returns:
+        (N,) int64, nanoseconds, on the stamp's clock; the stamp where a value is not finite.
+    """
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.full(len(values), stamp_ns, np.int64)
+    first = values[finite].min()
+    start = int(first) if unit == 1 else round(float(first) * unit)
+    if abs(start) < _SAME_CLOCK:
+        start += stamp_ns
+    elif abs(start - stamp_ns) > _SAME_CLOCK:
+        start = stamp_ns
+    times = np.full(len(values), stamp_ns, np.int64)
+    times[finite] = start + np.round((values[finite] - first).astype(np.float64) * unit).astype(np.int64)
+    return times

@@ -1,0 +1,77 @@
+"""The ground under a map that grows scan by scan, column by column."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I64
+
+SLOPE = 0.2  # metres a metre: steeper is no ground but a thing that stands on it
+WIDE = 1024  # columns to each side of the sensor: beyond them nothing is told, for a stray return may be anywhere
+PIT = 0.3  # metres: what lies so far below most around it is no ground but a reflection
+
+
+class GroundHeight:
+    """Heights above the ground, which is what is densest near the lowest points, and nowhere steeper than ``SLOPE``.
+
+    A column is 8 voxels a side and as high as the map; where all of it stands on no ground that was seen, as inside a
+    car, the ground beside it counts. Few points far below do no harm: ground holds a share of
+    a column's points, and is no pit among the columns around.
+
+    Args:
+        blocks: (B, 3) int64, keys of a grid's blocks of 8^3 voxels, sorted.
+        resolution: edge of a voxel, metres.
+    """
+
+    def __init__(self, blocks: I64, resolution: float) -> None:
+        self._blocks, self._edge, self._step = blocks, 8 * resolution, SLOPE * 8 * resolution
+        turns = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
+        self._starts = np.append(turns, len(blocks))
+        self._columns = blocks[turns, :2].astype(np.int64)
+        self._column = np.append(np.repeat(np.arange(len(turns)), np.diff(self._starts)), len(turns))  # the last: none
+        self._number, self._height = np.zeros((len(blocks), 8), np.int32), np.zeros((len(blocks), 8), np.int64)
+        self._floor, self._stale = np.full(len(turns), np.inf), np.zeros(len(turns) + 1, np.bool_)
+
+    def __len__(self) -> int:
+        """Number of columns."""
+        return len(self._columns)
+
+    def add(self, points: F32, voxels: I64) -> None:
+        """Learn from the points of a scan, (N, 3) float32, metres, in their voxels, (N,) int64, -1 for none."""
+        kernels.relief.add(voxels, kernels.as_readonly(points, np.float32), self._number, self._height)
+        self._stale[self._column[voxels >> 9]] = True
+
+    def height(self, points: F32, voxels: I64, position: F64) -> F32:
+        """(N,) float32: metres above the ground.
+
+        Infinite where no ground is known around the scan, for points without a voxel, and ``WIDE`` from the sensor.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+            voxels: (N,) int64, -1 for none.
+            position: (3,) float64, metres, world frame: the sensor.
+        """
+        stale = np.flatnonzero(self._stale[:-1])
+        kernels.relief.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
+        self._stale[:] = False
+        place = (voxels, self._column, self._columns)
+        low, high = kernels.relief.spanned(*place)
+        middle = np.floor(position[:2] / self._edge).astype(np.int64)
+        low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
+        if (low > high).any():
+            return np.full(len(points), np.inf, np.float32)
+        near = slice(*np.searchsorted(self._columns[:, 0], (low[0], high[0] + 1)))
+        xy, floor = self._columns[near], self._floor[near]
+        inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
+        surface = np.full(high - low + 1, np.inf)
+        surface[xy[inside, 0] - low[0], xy[inside, 1] - low[1]] = floor[inside]
+        surface[kernels.relief.pits(surface, PIT)] = np.inf
+        kernels.relief.lower(surface, self._step)
+        height: F32 = kernels.relief.heights(kernels.as_readonly(points, np.float32), *place, low, surface)
+        return height
+
+    def quarters(self, voxels: I64) -> I64:
+        """(N,) int64: which of four quarters of which column each voxel is in; those of -1 are after all others."""
+        quarters: I64 = self._column[voxels >> 9] * 4 + (voxels >> 8 & 1) * 2 + (voxels >> 5 & 1)
+        return quarters

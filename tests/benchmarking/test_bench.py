@@ -1,0 +1,261 @@
+"""Benches: which cells run, what becomes of those that fail or die, and what adds up."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.toy_method import Here, gone, who, write_room
+from rich.console import Console
+
+from dynaviz import api
+from dynaviz.benchmarking.bench import bench
+from dynaviz.benchmarking.cells import difference
+from dynaviz.benchmarking.leaderboard import Leaderboard
+from dynaviz.cli import main
+from dynaviz.errors import DataError
+from dynaviz.io.pcd import write_pcd
+from dynaviz.results.collect import combined
+from dynaviz.results.result import Result
+from dynaviz.simulate import recording
+
+MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
+NONE = {"methods": ["toy"], "record": "none"}
+
+
+def shown(board: Leaderboard) -> str:
+    console = Console(width=150, file=io.StringIO())
+    console.print(board)
+    return console.file.getvalue()
+
+
+def states(board: Leaderboard) -> dict[str, str]:
+    return {row.cell.path.as_posix(): "failed" if row.error else "kept" if row.kept else "ran" for row in board.rows}
+
+
+@pytest.fixture(scope="module")
+def mixed(toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Leaderboard, Path]:
+    """A real bench of two workers: cells that go well, one that fails, and one that is killed."""
+    out = tmp_path_factory.mktemp("mixed")
+    table = {"methods": ["beautymap", "toy"], "sequences": [str(rooms[0])], "record": "scores", "workers": 2}
+    return bench({**table, "grid": {"toy": {"act": ["raise", "die"]}}}, out), out
+
+
+def test_a_cell_that_fails_or_dies_is_a_row_and_the_others_go_on(mixed: tuple[Leaderboard, Path]) -> None:
+    board, out = mixed
+    assert list(states(board).values()) == ["ran", "ran", "failed", "failed"]
+    errors = {row.cell.what.variant: row.error for row in board.failed}
+    assert errors["act=raise"] == "ValueError: this method cannot"
+    assert "SIGKILL" in errors["act=die"]
+    facts = json.loads((out / "one/toy-act=raise/error.json").read_text())
+    assert facts == {"method": "toy", "sequence": "one", "variant": "act=raise", "error": errors["act=raise"]}
+    assert "Traceback" in (out / "one/toy-act=raise/error.log").read_text()
+    text = shown(board)
+    assert "toy-act=raise" in text
+    assert "this method cannot" in text
+
+
+def test_a_cell_holds_all_files_of_a_run(mixed: tuple[Leaderboard, Path]) -> None:
+    board, out = mixed
+    files = {path.name for path in (out / "one/toy").iterdir()}
+    assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
+    assert not [path for path in (out / "one/toy-act=die").iterdir() if path.name == "result.json"]
+    result = Result.load(out / "one/toy/result.json")
+    assert (result.variant, result.record) == ("", "scores")
+    assert result == board.rows[1].result
+
+
+def test_the_command_of_a_cell_gives_the_same_labels(
+    mixed: tuple[Leaderboard, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = mixed[0].rows[1].result
+    assert result
+    monkeypatch.setattr(sys, "argv", [*shlex.split(result.command), "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
+    assert Result.load(tmp_path / "result.json").labels_sha256 == result.labels_sha256
+
+
+def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
+    mixed: tuple[Leaderboard, Path], rooms: list[Path], tmp_path: Path
+) -> None:
+    (timed,) = bench({"methods": ["beautymap"], "sequences": [str(rooms[0])], "timing": True}, tmp_path).results
+    shared = mixed[0].results[0]
+    assert (timed.method, timed.labels_sha256) == (shared.method, shared.labels_sha256)
+    assert timed.counts["dynamic_removed"] + timed.counts["static_removed"] > 0
+    assert timed.runtime["threads"] == os.cpu_count()
+    assert shared.runtime["threads"] == max(1, (os.cpu_count() or 1) // 2)
+    assert (timed.record, shared.record) == (None, "scores")
+    assert not timed.instrumented
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_a_bench_that_was_ended_goes_on_with_the_rest(
+    toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals
+) -> None:
+    out, gate = tmp_path / "out", tmp_path / "gate"
+    typed = ["bench", "-m", "toy", "-s", rooms[0], "-o", out, "--record", "none", "--grid", f"toy.act=wait:{gate}"]
+    begun = subprocess.Popen([*MAIN, *map(str, typed)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    pid, _ = who(gate)
+    begun.send_signal(end)
+    _, err = begun.communicate()
+    assert gone(pid), "the process of the cell outlived the bench"
+    done = sorted(out.glob("one/*/result.json"))
+    assert [path.parent.name for path in done] == ["toy"]
+    assert not list(out.glob("one/*/error.json")), "a cell that was interrupted has not failed"
+    before = [path.stat().st_mtime_ns for path in done]
+    if end == signal.SIGINT:
+        assert begun.returncode == 130
+        assert "Traceback" not in err
+        return
+    gate.touch()
+    table = {**NONE, "sequences": [str(rooms[0])], "grid": {"toy": {"act": [f"wait:{gate}"]}}}
+    assert list(states(bench(table, out)).values()) == ["kept", "ran"]
+    assert [path.stat().st_mtime_ns for path in done] == before
+
+
+def test_only_what_changed_runs_again(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+    one, two = (write_room(tmp_path / "data" / name, frames=2, rays=300, seed=len(name)) for name in ("one", "three"))
+    table = {**NONE, "sequences": [str(one), str(two)], "grid": {"toy": {"height": [0.3]}}}
+    out = tmp_path / "out"
+    assert set(states(bench(table, out)).values()) == {"ran"}
+    assert set(states(bench(table, out)).values()) == {"kept"}
+    assert here.ran == []
+
+    bench({**table, "grid": {"toy": {"height": [0.7]}}}, out)
+    assert here.ran == ["one/toy-height=0.7", "three/toy-height=0.7"]
+
+    for name, change in {
+        "one/toy": lambda text: text[:-20],
+        "one/toy-height=0.3": lambda text: text.replace('"seed": 0', '"seed": 1'),
+        "three/toy": lambda text: text.replace('"numpy": "', '"numpy": "0.'),
+        "three/toy-height=0.3": lambda text: text.replace('"height": 0.3', '"height": 0.4'),
+    }.items():
+        path = out / name / "result.json"
+        before = path.read_text()
+        path.write_text(change(before))
+        assert path.read_text() != before
+        bench(table, out)
+        assert here.ran == [name]
+
+    write_room(two, frames=2, rays=300, seed=99)
+    bench(table, out)
+    assert here.ran == ["three/toy", "three/toy-height=0.3"]
+    bench(table, out, fresh=True)
+    assert len(here.ran) == 4
+
+
+def test_a_recording_that_is_asked_for_must_be_there(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+    table = {"methods": ["toy"], "sequences": [str(rooms[0])], "record": "scores"}
+    bench(table, tmp_path)
+    bench(table, tmp_path)
+    assert here.ran == []
+    with (tmp_path / "one/toy/run.rrd").open("ab") as file:
+        file.write(b"x")
+    bench(table, tmp_path)
+    assert here.ran == ["one/toy"]
+    (tmp_path / "one/toy/run.rrd").unlink()
+    bench(table, tmp_path)
+    assert here.ran == ["one/toy"]
+    bench({**table, "record": "none"}, tmp_path)
+    assert here.ran == ["one/toy"]
+    assert not (tmp_path / "one/toy/run.rrd").exists()
+
+
+def test_sequences_add_up_by_counts(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+    few = write_room(tmp_path / "few", frames=1, rays=50)
+    board = bench(
+        {**NONE, "sequences": [str(rooms[0]), str(few)], "grid": {"toy": {"act": ["raise"]}}}, tmp_path / "out"
+    )
+    (total,) = board.totals()  # the variant that fails has none
+    kept = removed = 0
+    for row in board.rows[::2]:
+        with np.load(row.folder / "labels.npz") as z:
+            dynamic = np.unpackbits(z["dynamic"])[: z["points"].sum()].astype(bool)
+        sequence = api.open(row.cell.source.path)
+        truth = np.concatenate([sequence[k].labels for k in range(len(sequence))])
+        kept += int((~dynamic & (truth == 0)).sum())
+        removed += int((dynamic & (truth == 0)).sum())
+    assert (total.counts["static_kept"], total.counts["static_removed"]) == (kept, removed)
+    assert total.metrics["SA"] == pytest.approx(100 * kept / (kept + removed))
+    means = [result.metrics["SA"] for result in board.results]
+    assert total.metrics["SA"] != pytest.approx(sum(means) / 2, abs=1e-3)
+    assert total.runtime["frames"] == 3
+    assert total.sequence["points"] == 1650
+    assert "all 2" in shown(board)
+
+
+def test_runtimes_add_up_as_if_all_frames_were_one_run() -> None:
+    frames = [np.array([0.1, 0.3, 0.2]), np.array([1.0, 2.0])]
+    parts = [
+        Result("m", {}, {"name": str(k)}, {"counts": {}}, {"mean_s": f.mean(), "std_s": f.std(), "frames": len(f)})
+        for k, f in enumerate(frames)
+    ]
+    total, whole = combined(parts).runtime, np.concatenate(frames)
+    assert total == pytest.approx({"mean_s": whole.mean(), "std_s": whole.std(), "frames": 5})
+
+
+def test_data_that_cannot_be_read_are_rows_and_what_is_not_there_is_told_at_once(
+    here: type[Here], rooms: list[Path], tmp_path: Path
+) -> None:
+    far = write_room(tmp_path / "far", frames=2, rays=300)
+    write_pcd(far / "pcd/000011.pcd", dict.fromkeys("xyz", np.full(300, 1e7, np.float32)), np.eye(4))
+    with pytest.raises(DataError, match="absent"):
+        bench({**NONE, "sequences": [str(rooms[0]), str(tmp_path / "absent")]}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    board = bench({**NONE, "sequences": [{"path": str(rooms[0]), "frames": "0:1"}, str(far)]}, tmp_path / "out")
+    assert list(states(board).values()) == ["ran", "failed"]
+    assert "km from the world's origin" in board.failed[0].error
+    assert not board.totals()
+
+
+def test_scenes_are_simulated_once(here: type[Here], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated = []
+
+    def simulate(scene: str, out: Path, frames: int, seed: int, progress: object) -> None:
+        simulated.append((scene, frames, seed))
+        write_room(out, frames=1, rays=99, seed=seed)
+        facts = {"preset": scene, "frames": frames, "seed": seed, "generator": recording.VERSION}
+        (out / "sequence.toml").write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in facts.items()))
+
+    monkeypatch.setattr(recording, "simulate", simulate)
+    table = {**NONE, "sequences": ["simulate:hall_vlp16:1"]}
+    assert [[*states(bench(table, tmp_path)).values()] for _ in range(2)] == [["ran"], ["kept"]]
+    other = {"simulate": "hall_vlp16", "frames": 1, "seed": 5, "name": "hall_vlp16-1"}
+    assert list(states(bench({**table, "sequences": [other]}, tmp_path)).values()) == ["ran"]
+    assert simulated == [("hall_vlp16", 1, 0), ("hall_vlp16", 1, 5)]
+    (tmp_path / "sequences/hall_vlp16-1/sequence.toml").write_text('name = "mine"')
+    board = bench({**table, "sequences": [other]}, tmp_path)
+    assert "is no simulated scene" in board.failed[0].error
+    assert (tmp_path / "sequences/hall_vlp16-1/pcd").exists(), "nobody's data are removed"
+
+
+def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
+    here: type[Here], rooms: list[Path], tmp_path: Path
+) -> None:
+    row = bench({**NONE, "sequences": [str(rooms[0])]}, tmp_path).rows[0]
+    assert row.result
+    timed = replace(row.cell, timing=True)
+    for runtime, instrumented, says in (
+        ({"threads": os.cpu_count()}, False, None),
+        ({"threads": 999}, False, "threads is 999"),
+        ({"threads": os.cpu_count()}, True, "states recorded"),
+    ):
+        problem = difference(timed, replace(row.result, runtime=runtime, instrumented=instrumented), row.folder)
+        assert problem is None if says is None else says in str(problem)
+
+
+def test_a_folder_that_cannot_be_made_is_named(rooms: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match=r"file/bench: cannot be made .* Choose another folder with -o"):
+        bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")

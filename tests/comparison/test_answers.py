@@ -1,0 +1,58 @@
+"""The lossless part of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers.worlds import pose
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from dynaviz.comparison.answers import BAND_NAMES, Answers, range_bands
+from dynaviz.metric import Labelled
+from dynaviz.scan import Label, Scan
+
+
+@settings(deadline=None)
+@given(n=st.integers(0, 200), data=st.data())
+def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
+    u8 = arrays(np.uint8, n)
+    answers = Answers(
+        3,
+        4390,
+        data.draw(arrays(bool, n)),
+        data.draw(u8),
+        data.draw(u8),
+        data.draw(arrays(np.uint8, n, elements=st.integers(0, 4))),
+    )
+    back = Answers.unpacked(3, answers.packed())
+    assert (back.frame, back.index, len(back)) == (3, 4390, n)
+    for name in ("dynamic", "truth", "reasons", "bands"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(answers, name))
+        assert getattr(back, name).dtype == getattr(answers, name).dtype
+
+
+def test_a_cut_blob_is_an_error() -> None:
+    answers = Answers(0, 0, np.ones(50, bool), *(np.zeros(50, np.uint8) for _ in range(3)))
+    short = answers.packed() | {"truth": Answers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]}
+    with pytest.raises(ValueError, match="9 values instead of 50"):
+        Answers.unpacked(0, short)
+
+
+def test_bands_measure_from_where_each_ray_started() -> None:
+    ranges = np.array([0, 9.9, 10, 19.9, 20, 29.9, 30, 49.9, 50, 500, np.nan], np.float32)
+    points = np.zeros((len(ranges), 3), np.float32)
+    points[:, 1] = ranges
+    scan = Scan(0, points + np.float32([5, 0, 1]), pose(5.0))
+    assert range_bands(scan).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 4]
+    assert range_bands(scan).max() == len(BAND_NAMES) - 1
+    many = Scan(0, points, pose(0.0), origins=points.astype(np.float64))
+    assert range_bands(many)[:-1].tolist() == [0] * 10
+
+
+def test_without_ground_truth_every_point_is_unlabelled() -> None:
+    scan = Scan(0, np.zeros((3, 3), np.float32), pose(0.0))
+    answers = Answers.of(Labelled.of(0, scan, np.array([True, False, True]), np.zeros(3, np.uint8)))
+    assert answers.truth.tolist() == [Label.UNLABELLED] * 3
+    assert answers.outcome.tolist() == [5, 4, 5]

@@ -1,0 +1,65 @@
+"""A run's answers as SemanticKITTI's label files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.datasets.convert import convert
+from dynaviz.datasets.export import export_labels
+from dynaviz.errors import DataError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of frames that do not fill whole bytes of the packed answers, and its data."""
+    path = tmp_path_factory.mktemp("run")
+    convert(room(frames=4, rays=1003), path / "room")
+    dv.run("octomap", path / "room", out=path / "run", record="none", threads=1)
+    return path
+
+
+def test_each_frame_has_a_file_with_a_number_for_each_point(folder: Path, tmp_path: Path) -> None:
+    removed = export_labels(folder / "run", dv.open(folder / "room"), tmp_path / "labels")
+    with np.load(folder / "run/labels.npz") as z:  # the answers, unpacked in one go
+        answers = np.unpackbits(z["dynamic"])[: z["points"].sum()]
+    files = sorted((tmp_path / "labels").iterdir())
+    assert [file.name for file in files] == [f"{index:06d}.label" for index in (10, 11, 12, 13)]
+    words = np.concatenate([np.fromfile(file, "<u4") for file in files])
+    np.testing.assert_array_equal(words, np.where(answers, 251, 9))
+    assert 0 < removed == answers.sum() < len(answers)
+    assert all(file.stat().st_size == 4 * 1003 for file in files)
+
+
+def test_the_files_are_labels_of_the_sweeps(folder: Path, tmp_path: Path) -> None:
+    """Beside the sweeps of SemanticKITTI, they are read as its ground truth."""
+    run, data = folder / "run", tmp_path / "sequences/08"
+    whole = dv.open(folder / "room")
+    (data / "velodyne").mkdir(parents=True)
+    for scan in whole:
+        local = np.column_stack([scan.points - scan.position.astype(np.float32), np.zeros(len(scan), np.float32)])
+        local.astype("<f4").tofile(data / f"velodyne/{scan.index:06d}.bin")
+    pose = "1 0 0 0 0 1 0 0 0 0 1 0"
+    (data / "calib.txt").write_text(f"Tr: {pose}\n")
+    (data / "poses.txt").write_text(f"{pose}\n" * 14)
+    export_labels(run, whole, data / "labels")
+    with np.load(run / "labels.npz") as z:
+        answers = np.unpackbits(z["dynamic"])[: z["points"].sum()]
+    np.testing.assert_array_equal(np.concatenate([scan.labels for scan in dv.open(data)]), answers)
+
+
+def test_labels_and_data_must_belong_together(folder: Path, tmp_path: Path) -> None:
+    whole, part = dv.open(folder / "room"), dv.open(folder / "room", frames="0:2")
+    with pytest.raises(DataError, match="belongs to other data"):
+        export_labels(folder / "run/labels.npz", part, tmp_path / "out")
+    with pytest.raises(DataError, match=r"room: has no labels\.npz"):
+        export_labels(folder / "room", whole, tmp_path / "out")
+    with pytest.raises(DataError, match=r"absent: cannot be read"):
+        export_labels(tmp_path / "absent", whole, tmp_path / "out")
+    with pytest.raises(DataError, match="exists already"):
+        export_labels(folder / "run", whole, folder / "run")
+    assert not list(tmp_path.iterdir())

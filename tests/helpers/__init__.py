@@ -1,0 +1,1 @@
+"""What several tests share: small worlds, files on disk, plain reference implementations."""

@@ -1,0 +1,333 @@
+"""Everything that reads files: how to make a small valid example, and how to read all of it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from test_kitti import sweep
+from test_kitti_raw import odometry as kitti_odometry
+from test_scan_folder import POSES, STAMPS, kitti, scans, tum
+
+from dynaviz.api import _run_into, run
+from dynaviz.benchmarking.plan_file import plan_of, read
+from dynaviz.cli import main
+from dynaviz.datasets import open_sequence
+from dynaviz.engine.external import PrecomputedLabels
+from dynaviz.errors import DynavizError
+from dynaviz.io.boxes import read_boxes
+from dynaviz.io.calib import read_calib
+from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
+from dynaviz.io.points import read_points
+from dynaviz.io.poses import read_poses
+from dynaviz.params import resolve
+from dynaviz.registry import load
+from dynaviz.results.regression import read_baseline, write_baseline
+from dynaviz.results.result import Result
+from dynaviz.scan import Scan
+from dynaviz.simulate.recording import simulate
+from helpers.bags import BagWriter, at, columns
+from helpers.guessing_method import guess_run, record
+from helpers.worlds import room
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Something that reads.
+
+    Attributes:
+        make: writes a valid example into an empty folder; or the name of a fixture that does.
+        read: reads all of it, given what ``make`` returned.
+        target: which files are to be damaged, as a glob below the folder.
+    """
+
+    make: Callable[[Path], Path] | str
+    read: Callable[[Path], Any]
+    target: str = "*"
+
+
+def every_scan(name: str) -> Callable[[Path], None]:
+    """Open a sequence by a format's name and read all its scans."""
+
+    def read(path: Path) -> None:
+        sequence = open_sequence(f"{name}:{path}")
+        assert len(sequence) > 0
+        for position in range(len(sequence)):
+            scan = sequence[position]
+            assert isinstance(scan, Scan)
+            R = scan.T_world_sensor[:3, :3]
+            assert np.isfinite(scan.T_world_sensor).all(), "a pose is not finite"
+            assert np.abs(R @ R.T - np.eye(3)).max() < 0.1, "a pose is no rotation"
+            assert scan.stamp_ns is None or abs(scan.stamp_ns) < 1 << 63
+        _ = sequence.name, sequence.has_labels, getattr(sequence, "facts", {})
+
+    return read
+
+
+def clouds(suffix: str, **more: Any) -> Subject:
+    """Scans of one format in a folder with poses."""
+
+    def make(folder: Path) -> Path:
+        scans(folder, suffix)
+        for path in sorted(folder.iterdir())[2:]:
+            path.unlink()
+        return next(iter(sorted(folder.iterdir())))
+
+    return Subject(make, read_points, f"*{suffix}", **more)
+
+
+def pcd(encoding: str) -> Subject:
+    def make(folder: Path) -> Path:
+        random = np.random.default_rng(0)
+        fields = {axis: random.normal(size=40).astype(np.float32) for axis in "xyz"}
+        write_pcd(folder / "a.pcd", {**fields, "label": np.zeros((40, 2), np.uint8)}, at(1, 2, 3, 0.5), encoding)
+        return folder / "a.pcd"
+
+    def read(path: Path) -> None:
+        cloud = read_pcd(path)
+        assert len(cloud.xyz) == cloud.header.points
+        _ = cloud.T_world_sensor
+
+    return Subject(make, read)
+
+
+def posed(suffix: str, poses: str) -> Subject:
+    """A folder of scans with poses, whatever the data set."""
+
+    def make(folder: Path) -> Path:
+        names = None if poses == "poses.txt" else [str(stamp) for stamp in STAMPS]
+        scans(folder, suffix, names)
+        if poses == "poses.txt":
+            kitti(folder / poses)
+            (folder / "labels").mkdir()
+            np.save(folder / "labels/000001.npy", np.zeros(40, np.uint8))
+            np.zeros(40, "<u4").tofile(folder / "labels/000002.label")
+        elif poses == "poses.tum":
+            tum(folder / poses, STAMPS, POSES)
+        else:
+            rows = [
+                f"{t},{k},{x},{y},{z},0,0,0,1"
+                for k, (t, (x, y, z)) in enumerate(zip(STAMPS, POSES[:, :3, 3], strict=True))
+            ]
+            (folder / poses).write_text("\n".join(["timestamp [ns],index,x,y,z,qx,qy,qz,qw", *rows]) + "\n")
+        return folder
+
+    return Subject(make, every_scan("files"), "**/*")
+
+
+def bag(kind: str) -> Subject:
+    def make(folder: Path) -> Path:
+        xyz = np.random.default_rng(0).uniform(-20, 20, (3, 15, 3))
+        with BagWriter(folder / "drive", kind) as writer:
+            writer.transform(0, "base", "lidar", at(0, 0, 1), static=True)
+            for k in range(3):
+                more = {"time": np.linspace(0, 0.1, 15).astype("f4")}
+                writer.cloud(k / 10, columns(xyz[k], **more))
+                writer.odometry(k / 10, at(k), child="base")
+        return writer.path
+
+    return Subject(make, every_scan("rosbag"), "**/*")
+
+
+def paper_frames(folder: Path) -> Path:
+    """Sequence 02 of SemanticKITTI with the frames of the papers, a few points each."""
+    root = folder / "sequences/02"
+    for frame in range(860, 951):
+        sweep(root / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (2, 2, 0)])
+    (root / "calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    (root / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 951)
+    (root / "labels").mkdir()
+    np.array([40, 252], "<u4").tofile(root / "labels/000900.label")
+    return root
+
+
+def tiny_demo(folder: Path) -> Path:
+    sequence = simulate("demo", folder / "demo", 2)
+    for path in sorted((sequence / "pcd").iterdir()):
+        cloud = read_pcd(path)
+        write_pcd(path, {axis: cloud[axis][::300] for axis in (*"xyz", "intensity")}, cloud.T_world_sensor)
+    clouds = [read_pcd(path) for path in sorted((sequence / "pcd").iterdir())]
+    rows = {axis: np.concatenate([cloud[axis] for cloud in clouds]) for axis in (*"xyz", "intensity")}
+    labels = {"intensity": np.zeros(len(rows["x"]), np.float32), "class": np.zeros(len(rows["x"]), np.uint16)}
+    write_pcd(sequence / "gt_cloud.pcd", {**rows, **labels, "instance": np.zeros(len(rows["x"]), np.int32)})
+    return sequence
+
+
+def finished(folder: Path) -> Path:
+    """The files of a run."""
+    _run_into(folder / "out", folder / "out/run.rrd", "errors", guess_run(room(3, 300)), False, lambda *_: None)
+    return folder / "out"
+
+
+def command(*words: object) -> Callable[[Path], None]:
+    """Run a command on what ``make`` returned, in this process: it ends with 0, 1 or 2, and says one line at 2."""
+
+    def read(path: Path) -> None:
+        before, out, err = sys.argv, io.StringIO(), io.StringIO()
+        sys.argv = ["dynaviz", *(str(path / word[1:]) if str(word).startswith("@") else str(word) for word in words)]
+        try:
+            with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+                main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        finally:
+            sys.argv = before
+        assert code in (0, 1, 2, 3), f"exit code {code}: {err.getvalue()}"
+        assert code != 2 or (err.getvalue().count("\n") == 1 and err.getvalue()[:-1].isprintable()), err.getvalue()
+
+    return read
+
+
+def each(*reads: Callable[[Path], Any]) -> Callable[[Path], None]:
+    """Several reads of the same; each is made, though one before it refused."""
+
+    def read(path: Path) -> None:
+        refused = None
+        for one in reads:
+            try:
+                one(path)
+            except DynavizError as error:
+                refused = error
+        if refused:
+            raise refused
+
+    return read
+
+
+def scored(folder: Path) -> Path:
+    """The result of a run with all metrics."""
+    run("octomap", room(4, 600), out=folder / "out", record="none")
+    return folder / "out"
+
+
+def answers(path: Path) -> None:
+    """What the labels of a run say of its sequence."""
+    labels = PrecomputedLabels(path, "labels")
+    for scan in room(3, 300).scans:
+        assert len(labels.label(scan)) == len(labels.explain(scan)) == len(scan)
+
+
+def baseline(folder: Path) -> Path:
+    out = scored(folder)
+    write_baseline(out / "baseline.json", [Result.load(out / "result.json")])
+    return out
+
+
+BENCH = """
+methods = ["octomap"]
+record = "none"
+workers = 2
+[[sequences]]
+simulate = "demo"
+frames = 3
+[[sequences]]
+path = "somewhere"
+name = "there"
+frames = "0:9"
+[[variants]]
+method = "erasor"
+name = "fine"
+set = { max_range = 60.0 }
+[grid]
+octomap = { resolution = [0.1, 0.2] }
+[search]
+kind = "random"
+trials = 3
+[search.ranges]
+octomap = { resolution = [0.05, 0.4] }
+"""
+
+
+def bench(folder: Path) -> Path:
+    (folder / "bench.toml").write_text(BENCH)
+    return folder / "bench.toml"
+
+
+def config(folder: Path) -> Path:
+    (folder / "config.toml").write_text("[run]\nonline = true\nseed = 3\n[octomap]\nresolution = 0.2\n")
+    return folder / "config.toml"
+
+
+def text(name: str, content: str, read: Callable[[Path], Any]) -> Subject:
+    def make(folder: Path) -> Path:
+        (folder / name).write_text(content)
+        return folder / name
+
+    return Subject(make, read)
+
+
+def two_runs(folder: Path) -> Path:
+    for name in ("run.rrd", "other.rrd"):
+        record(room(3, 200), folder / name, "errors")
+    return folder
+
+
+DATASETS = {
+    "argoverse2": "log",
+    "benchmark": tiny_demo,
+    "files": posed(".bin", "poses.txt").make,
+    "kitti_odometry": kitti_odometry,
+    "kitti_raw": "drive",
+    "kitti_tracking": "training",
+    "nuscenes": "root",
+    "rosbag": bag("ros1").make,
+    "semantickitti": "odometry",
+    "semantickitti_50m": "odometry",
+    "semantickitti_paper": paper_frames,
+}
+"""By name in the registry."""
+
+SUBJECTS: dict[str, Subject] = {
+    **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
+    **{f"files{suffix}": posed(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
+    "files-csv": posed(".bin", "poses.csv"),
+    **{f"rosbag-{kind}": bag(kind) for kind in ("sqlite3", "mcap")},
+    **{f"pcd-{encoding}": pcd(encoding) for encoding in ENCODINGS},
+    **{f"points{suffix}": clouds(suffix) for suffix in (".npy", ".ply", ".las", ".laz")},
+    "poses": text("a.txt", "".join(f"{t / 1e9} 1 2 3 0 0 0 1\n" for t in STAMPS), read_poses),
+    "calib": text("a.txt", "P2: 1 0 0 0 0 1 0 0 0 0 1 0\nR: 1 0 0 0 1 0 0 0 1\n", read_calib),
+    "boxes": text("a.txt", "0 0 Car 0 0 0 0 0 9 9 2 2 4 1 1.7 9 0\n0 -1 DontCare -1 -1 -10 " + "-1 " * 11, read_boxes),
+    "config.toml": Subject(config, lambda path: resolve(load("methods", "octomap"), config=path)),
+    "bench.toml": Subject(bench, lambda path: plan_of(read(path), str(path))),
+    "result.json": Subject(
+        scored,
+        each(
+            lambda out: str(Result.load(out / "result.json")),
+            command("info", "@/result.json"),
+            command("failures", "@/result.json"),
+            command("check", "@/result.json", "--min", "AA=50", "--baseline", "@/result.json"),
+            *(command("report", "@/result.json", "--format", format) for format in ("md", "csv", "latex")),
+        ),
+        "out/result.json",
+    ),
+    "baseline.json": Subject(
+        baseline,
+        each(
+            lambda out: read_baseline(out / "baseline.json"),
+            command("check", "@/result.json", "--baseline", "@/baseline.json"),
+        ),
+        "out/baseline.json",
+    ),
+    "labels.npz": Subject(finished, lambda out: answers(out / "labels.npz"), "out/labels.npz"),
+    "run.rrd": Subject(
+        two_runs,
+        each(
+            command("info", "@/run.rrd"),
+            command("failures", "@/run.rrd"),
+            command("compare", "@/run.rrd", "@/other.rrd"),
+            command("repair", "@/run.rrd", "-o", "@/mended.rrd"),
+        ),
+        "run.rrd",
+    ),
+}
+
+
+def parts(folder: Path, target: str) -> Iterator[Path]:
+    """The files of an example that may be damaged."""
+    yield from sorted(path for path in folder.glob(target) if path.is_file())

@@ -1,0 +1,1 @@
+"""Methods written plainly, point by point, to compare the fast ones with."""

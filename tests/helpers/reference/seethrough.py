@@ -1,0 +1,179 @@
+"""SeeThrough slowly and plainly: dicts of voxels, sets of neighbours, and a flood fill."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from fractions import Fraction
+from itertools import product
+
+import numpy as np
+
+from dynaviz.scan import Scan
+from dynaviz_methods.ground_height import PIT, SLOPE
+from dynaviz_methods.seethrough import (
+    FEW,
+    LATELY,
+    PASSED,
+    PROOF,
+    SELDOM,
+    STANDS_OUT,
+    TALL,
+    WAITED_FOR,
+    SeeThroughParams,
+)
+from helpers.reference.octomap import Key, key, walk
+
+
+class Reference:
+    def __init__(self, params: SeeThroughParams):
+        self.params = params
+        self.hits: Counter[Key] = Counter()
+        self.passed: Counter[Key] = Counter()
+        self.clear: Counter[Key] = Counter()
+        self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
+        # By place the last scan with a mover, and how often that one was judged dynamic by then: when labels are asked
+        # for, and while scans are observed. And the last scans with anything that is not low, and with what is dynamic.
+        self.movers: dict[tuple[int, int], tuple[int, int]] = {}
+        self.so_far: dict[tuple[int, int], tuple[int, int]] = {}
+        self.seen: dict[tuple[int, int], int] = {}
+        self.dynamic: dict[tuple[int, int], int] = {}
+        self.observed = self.labelled = 0
+
+    def observe(self, scan: Scan) -> None:
+        size, reach = self.params.resolution, round(self.params.guard / self.params.resolution)
+        goals = {key(p, size) for p in scan.points if np.isfinite(p).all()}
+        crossed: set[Key] = set()
+        for goal in goals:
+            centre = ((np.array(goal, np.int32) + 0.5) * size).astype(np.float32)
+            crossed.update(walk(scan.origins[0], centre, size))
+        for k in goals:
+            self.hits[k] += 1
+        near = {near for k in goals for near in product(*(range(c - reach, c + reach + 1) for c in k))}
+        self.passed.update(crossed - goals)
+        self.clear.update(crossed - near)
+        for p in scan.points:
+            if np.isfinite(p).all():
+                x, y, z = key(p, size)
+                self.layers.setdefault((x >> 3, y >> 3), {}).setdefault(z, []).append(round(float(p[2]) * 1000))
+        _, places, dynamic = self.judge(scan, self.observed, self.so_far)
+        self.seen |= dict.fromkeys(places, self.observed)
+        self.dynamic |= dict.fromkeys(dynamic, self.observed)
+        self.observed += 1
+
+    def floor(self, column: tuple[int, int]) -> float:
+        layers = self.layers.get(column, {})
+        least = max(3, int(0.03 * sum(map(len, layers.values()))))
+        pairs = {z: layers[z] + layers.get(z - 1, []) for z in layers}
+        # A layer of its own may end a pair, too.
+        pairs |= {z + 1: layers[z] for z in layers if z + 1 not in layers}
+        enough = [z for z in sorted(pairs) if len(pairs[z]) >= least]
+        if not enough:
+            return math.inf
+        best = max(range(enough[0], enough[0] + 4), key=lambda z: (len(pairs.get(z, [])), -z))
+        return sum(pairs[best]) / len(pairs[best]) / 1000
+
+    def surface(self, columns: set[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        low, high = np.min(list(columns), 0), np.max(list(columns), 0)
+        cells = list(product(range(low[0], high[0] + 1), range(low[1], high[1] + 1)))
+        floor = {c: self.floor(c) for c in cells}
+        steady = {}
+        for x, y in cells:
+            window = [floor.get((x + i, y + j), math.inf) for i in range(-2, 3) for j in range(-2, 3)]
+            known = [f for f in window if f < math.inf]
+            pit = 4 * sum(f <= floor[x, y] + PIT for f in known) < len(known)
+            steady[x, y] = math.inf if pit else floor[x, y]
+        step, pressed = SLOPE * 8 * self.params.resolution, {}
+        for x, y in cells:  # the least of all cells plus what the way to them may rise: straight and slanting steps
+            ways = (
+                f + step * (abs(abs(i - x) - abs(j - y)) + math.sqrt(2) * min(abs(i - x), abs(j - y)))
+                for (i, j), f in steady.items()
+            )
+            pressed[x, y] = min(ways)
+        return pressed
+
+    def label(self, scan: Scan) -> np.ndarray:
+        dynamic, _, _ = self.judge(scan, self.labelled, self.movers)
+        self.labelled += 1
+        return dynamic
+
+    def judge(
+        self, scan: Scan, now: int, movers: dict
+    ) -> tuple[np.ndarray, set[tuple[int, int]], set[tuple[int, int]]]:
+        """Answers, and the places of points that are not low, and of those of objects that move by themselves."""
+        params, size, points = self.params, self.params.resolution, scan.points
+        inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
+        voxel = {i: key(points[i], size) for i in inside}
+        surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
+        ground = {i: surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
+        height = {i: float(points[i, 2]) - g if g < np.inf else np.inf for i, g in ground.items()}
+        up = [i for i in inside if not height[i] <= params.ground_height]
+        dynamic = np.zeros(len(points), bool)
+        whole: set[int] = set()
+        moving: set[tuple[int, int]] = set()
+        left: dict[tuple[int, int], tuple[int, int]] = {}
+        for members in self.objects(points, up):
+            votes = sum(self.votes(voxel[i]) for i in members)
+            having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
+            trail = [movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
+            recent = [proof for last, proof in trail if last >= now - LATELY]
+            proof = max(recent, default=0)
+            touched = sum(self.clear[voxel[i]] > 0 for i in members)
+            moves = votes > 1000 * params.share * params.votes * having and having >= FEW
+            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0
+            waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
+            if moves or follows or (waited and touched > WAITED_FOR * len(members)):
+                whole.update(members)
+            if moves:
+                moving.update(self.quarter(voxel[i]) for i in members)
+            if moves or follows:
+                for i in members:
+                    place = self.quarter(voxel[i])
+                    left[place] = (now, max(left.get(place, (now, 0))[1], proof + moves))
+        for i in whole:
+            dynamic[i] = True
+        cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
+        for i in inside:
+            k = voxel[i]
+            near = self.passed[k] - self.clear[k]
+            if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k] + near:
+                dynamic[i] = True
+            x, y = (math.floor(float(c) / (4 * size)) for c in points[i, :2])
+            under = any((x + a, y + b) in cells for a in (-1, 0, 1) for b in (-1, 0, 1))
+            empty = self.passed[k] > PASSED * self.hits[k] or self.clear[k] >= self.hits[k] <= SELDOM
+            if i not in up and under and (height[i] > STANDS_OUT or empty):
+                dynamic[i] = True
+        movers |= left
+        return dynamic, {self.quarter(voxel[i]) for i in up}, moving
+
+    def left(self, place: tuple[int, int], now: int) -> bool:
+        """Whether the last that was seen in a place is a dynamic object that is there now or later."""
+        last = self.dynamic.get(place, -99)
+        return last >= now and self.seen.get(place, -99) <= last + LATELY
+
+    def votes(self, k: Key) -> int:
+        """Of a voxel, in thousandths of a scan."""
+        against = Fraction(self.hits[k], 3) + self.passed[k] - self.clear[k]
+        return math.floor(1000 * min(self.clear[k], self.params.votes) * min(self.clear[k] / against, 1))
+
+    @staticmethod
+    def quarter(k: Key) -> tuple[int, int]:
+        return k[0] >> 2, k[1] >> 2
+
+    def objects(self, points: np.ndarray, chosen: list[int]) -> list[list[int]]:
+        edges = (self.params.gap, self.params.gap, TALL * self.params.gap)
+        cells: dict[Key, list[int]] = {}
+        for i in chosen:
+            cell = tuple(math.floor(float(c) / e) for c, e in zip(points[i], edges, strict=True))
+            cells.setdefault(cell, []).append(i)
+        found, left = [], set(cells)
+        while left:
+            stack, members = [left.pop()], []
+            while stack:
+                cell = stack.pop()
+                members += cells[cell]
+                around = {tuple(np.add(cell, d)) for d in product((-1, 0, 1), repeat=3)} & left
+                left -= around
+                stack += around
+            found.append(members)
+        return found

@@ -1,0 +1,77 @@
+"""A hall where nothing moves, and a box in it that is elsewhere in every frame: dense rays, exact labels."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dynaviz.arrays import F64, Bool
+from dynaviz.scan import Label, Scan
+from dynaviz.sensors import Sensor
+
+RINGS, ELEVATION, HEIGHT = 40, (-22.0, 8.0), 1.8
+AZIMUTHS, VIEW = 220, 180.0  # columns in so many degrees ahead: half a turn takes half the time
+SENSOR = Sensor(name="hall", title="a sensor of 40 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)
+WALLS = 14.0  # metres from the middle
+HALF = np.array([0.6, 0.6, 0.7])  # of the box, metres
+PLACES = 10  # on arcs around the sensor
+NOISE = 0.01  # metres, along the ray
+
+
+def hall(frames: int = PLACES, box: bool = True, seed: int = 0) -> list[Scan]:
+    """Scans of a sensor that hardly moves; the box floats 0.2 m above the ground, 6 to 9 m away."""
+    random, scans = np.random.default_rng(seed), []
+    for frame in range(frames):
+        T_world_sensor = np.eye(4)
+        T_world_sensor[:3, 3] = origin = np.array([0.07 * frame, 0.03 * frame, HEIGHT])
+        rays = _rays(random.uniform(0, VIEW / AZIMUTHS))
+        with np.errstate(divide="ignore"):
+            walls = ((np.where(rays > 0, WALLS, -WALLS) - origin) / rays)[:, :2].min(1)
+            ground = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
+        still, moving = np.minimum(walls, ground), _to_box(origin, rays, _place(frame)) if box else np.inf
+        ranges = np.minimum(still, moving) + random.normal(0, NOISE, len(rays))
+        labels = np.where(moving < still, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        points = (origin + ranges[:, None] * rays).astype(np.float32)
+        scans.append(Scan(frame, points, T_world_sensor, 100_000_000 * frame, labels))
+    return scans
+
+
+def seen_through(scans: list[Scan], least: int = 4) -> Bool:
+    """(N,) of all points: whether in so many other scans rays pass on all sides of it and end far behind.
+
+    The dozen of rays that are nearest in angle must pass within 0.2 m of the point and end 1 m or more behind it.
+    """
+    found = []
+    for scan in scans:
+        times = np.zeros(len(scan), np.int64)
+        rows = np.flatnonzero(scan.labels == Label.DYNAMIC)
+        for other in scans:
+            away, mine = other.points - other.position, scan.points[rows] - other.position
+            ranges, r = np.linalg.norm(away, axis=1), np.linalg.norm(mine, axis=1)
+            angles, rays = cKDTree(away / ranges[:, None]).query(mine / r[:, None], k=12)
+            passing = (angles * r[:, None] < 0.2) & (ranges[rays] > r[:, None] + 1.0)
+            times[rows] += passing.all(1)
+        found.append(times >= least)
+    return np.concatenate(found)
+
+
+def _place(frame: int) -> F64:
+    place = frame * 7 % PLACES
+    azimuth, distance = np.radians(16 * place - 72), 6.5 + 2.0 * (place % 2)
+    return np.array([distance * np.cos(azimuth), distance * np.sin(azimuth), 0.2 + HALF[2]])
+
+
+def _rays(first: float) -> F64:
+    """(RINGS * AZIMUTHS, 3), unit."""
+    columns = first + np.linspace(-VIEW / 2, VIEW / 2, AZIMUTHS, endpoint=False)
+    azimuth, elevation = np.meshgrid(np.radians(columns), np.radians(np.linspace(*ELEVATION, RINGS)))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+
+
+def _to_box(origin: F64, rays: F64, centre: F64) -> F64:
+    """Ranges to the box; infinite where it is missed."""
+    with np.errstate(divide="ignore"):
+        sides = [(centre + side * HALF - origin) / rays for side in (-1, 1)]
+    enter, leave = np.minimum(*sides).max(1), np.maximum(*sides).min(1)
+    return np.where((enter > 0) & (enter < leave), enter, np.inf)

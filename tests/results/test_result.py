@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dynaviz.errors import DataError
+from dynaviz.results.result import Result
+
+RESULT = Result(
+    "octomap",
+    {"resolution": 0.1},
+    {"name": "room", "digest": "abc", "frames": 2, "points": 10},
+    {
+        "counts": {"static_kept": 5, "static_removed": 1, "dynamic_removed": 3, "dynamic_kept": 1, "unlabelled": 0},
+        "metrics": {"SA": 83.33, "DA": 75.0, "AA": 79.06, "HA": None, "precision": 75.0, "IoU": 60.0},
+    },
+    {"mean_s": 0.1, "std_s": 0.01, "frames": 2, "threads": 2, "prepare_s": 0.0, "peak_rss_mb": 100.0},
+)
+
+
+def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "deep/result.json"
+    RESULT.save(path)
+    assert Result.load(path) == RESULT
+    plain = json.loads(path.read_text())
+    assert (plain["schema"], plain["n_parameters"], plain["counts"]["static_kept"]) == (1, 1, 5)
+
+
+def test_a_result_shows_itself_as_a_table() -> None:
+    text = str(RESULT)
+    assert "octomap" in text
+    assert "79.06" in text
+    assert "n/a" in text
+    assert "octomap" in RESULT._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("{", "is not JSON"),
+        ("[]", "not the result of a run"),
+        ('{"a": 1}', "not the result of a run"),
+        ('{"schema": 99, "method": "x", "parameters": {}, "sequence": {}}', "newer dynaviz"),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path: Path, content: str, says: str) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(content)
+    with pytest.raises(DataError, match=rf"result\.json.*{says}"):
+        Result.load(path)
+    with pytest.raises(DataError, match="No such file"):
+        Result.load(tmp_path / "absent.json")
+
+
+def test_nothing_appears_where_writing_fails(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        Result("m", {"x": float("nan")}, {}).save(tmp_path / "result.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"schema": "x"}, None),
+        ({"method": 3}, "'method'"),
+        ({"runtime": {"mean_s": "fast"}}, "'runtime'"),
+        ({"counts": {"static_kept": True}}, "'counts'"),
+        ({"counts": [1]}, "'counts'"),
+        ({"metrics": {"SA": [1.0]}}, "'metrics'"),
+        ({"reasons": {"false_positive": 7}}, "'reasons'"),
+        ({"breakdown": [1]}, None),  # a metric's own
+    ],
+)
+def test_what_a_result_cannot_hold_is_told(change: dict[str, Any], says: str | None) -> None:
+    plain = {"method": "m", "parameters": {}, "sequence": {}, "metrics": {"SA": None}, "counts": {"static_kept": 1}}
+    if says is None:
+        Result.from_dict({**plain, **change}, "result.json")
+    else:
+        with pytest.raises(DataError, match=rf"result\.json: has something else in {says}"):
+            Result.from_dict({**plain, **change}, "result.json")
+
+
+def test_json_without_end_is_told(tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text("[" * 100_000)
+    with pytest.raises(DataError, match="is not JSON"):
+        Result.load(tmp_path / "result.json")
