@@ -43,16 +43,16 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 
 def test_a_seed_of_zero_takes_the_place_of_the_files_too(
-    dynaviz: Command, planned: list[dict[str, Any]], tmp_path: Path
+    run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     (tmp_path / "bench.toml").write_text('[search]\nkind = "bayes"\nseed = 5\n')
     for typed, seed in (([], 5), (["--seed", 0], 0), (["--seed", 3], 3)):
-        assert dynaviz("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
+        assert run_command("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
         assert planned[-1]["search"]["seed"] == seed
 
 
 def test_a_cluster_takes_the_place_of_the_files_workers(
-    dynaviz: Command, planned: list[dict[str, Any]], tmp_path: Path
+    run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     (tmp_path / "bench.toml").write_text('workers = 4\nrecord = "scores"\n')
     there = ["--scheduler", "tcp://127.0.0.1:9"]
@@ -61,16 +61,16 @@ def test_a_cluster_takes_the_place_of_the_files_workers(
         ([*there, "--workers", 2], {"record", "workers"}),
         (["--timing"], {"timing"}),
     ):
-        assert dynaviz("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
+        assert run_command("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
         assert planned[-1].keys() - {"sequences", "variants"} == keys
 
 
-def test_a_seed_below_zero_is_refused(dynaviz: Command, tmp_path: Path) -> None:
-    code, _, err = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path, "--seed", -1)
+def test_a_seed_below_zero_is_refused(run_command: Command, tmp_path: Path) -> None:
+    code, _, err = run_command("bench", "-s", "simulate:demo", "-o", tmp_path, "--seed", -1)
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
 
 
-def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_error_is_shown_as_it_is(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     row = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]")
     board, live = Leaderboard([row]), ProgressBars()
     live.preparing("reading [/street]", 1, 2)
@@ -83,25 +83,25 @@ def test_an_error_is_shown_as_it_is(dynaviz: Command, monkeypatch: pytest.Monkey
     assert "label [/2] 1/2" in texts[0]
     assert all("no [auto] at [/tmp/x]" in text for text in texts[1:])
     monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
-    code, out, _ = dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)
+    code, out, _ = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
     assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
 
 
 def test_the_file_that_tells_what_went_wrong_exists(
-    dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     board = Leaderboard([failed(tmp_path, "cannot be read")])
     monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
     for name in ("error.json", "error.log"):
         (tmp_path / name).touch()
-        assert f"{name}. The same command" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+        assert f"{name}. The same command" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
 
 
 @pytest.mark.parametrize("variant", ["", "resolution=0.2"])
 def test_trials_that_failed_are_told(
-    dynaviz: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
+    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
 ) -> None:
     found = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
     monkeypatch.setattr(bench_module, "bench", lambda *given, **how: Leaderboard([], found=[found]))
-    assert "of 7 trials (2 failed)" in dynaviz("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+    assert "of 7 trials (2 failed)" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]

@@ -38,8 +38,8 @@ def one_line(err: str) -> str:
     return err
 
 
-def test_run_writes_all_files_and_shows_the_scores(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    code, out, err = dynaviz("run", "octomap", folder, "-o", tmp_path, "--threads", 1)
+def test_run_writes_all_files_and_shows_the_scores(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    code, out, err = run_command("run", "octomap", folder, "-o", tmp_path, "--threads", 1)
     assert code == 0, err
     assert "octomap" in out
     assert "label 5/5" in err
@@ -54,10 +54,12 @@ def test_run_writes_all_files_and_shows_the_scores(dynaviz: Command, folder: Pat
     assert result["runtime"]["threads"] == 1
 
 
-def test_feeding_back_the_configuration_gives_the_same_labels(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    assert dynaviz("run", "octomap_g", folder, "-o", tmp_path / "a", "--record", "none", "--set", "resolution=0.3",
+def test_feeding_back_the_configuration_gives_the_same_labels(
+    run_command: Command, folder: Path, tmp_path: Path
+) -> None:
+    assert run_command("run", "octomap_g", folder, "-o", tmp_path / "a", "--record", "none", "--set", "resolution=0.3",
                    "--seed", 4, "--online")[0] == 0  # fmt: skip
-    assert dynaviz("run", "octomap_g", folder, "-o", tmp_path / "b", "--record", "scores", "--config",
+    assert run_command("run", "octomap_g", folder, "-o", tmp_path / "b", "--record", "scores", "--config",
                    tmp_path / "a/config.toml")[0] == 0  # fmt: skip
     a, b = (json.loads((tmp_path / name / "result.json").read_text()) for name in "ab")
     assert a["labels_sha256"] == b["labels_sha256"]
@@ -66,9 +68,10 @@ def test_feeding_back_the_configuration_gives_the_same_labels(dynaviz: Command, 
     assert not b["instrumented"], "a recording of scores holds no state"
 
 
-def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+def test_frames_and_stride_choose(run_command: Command, folder: Path, tmp_path: Path) -> None:
     assert (
-        dynaviz("run", "octomap", folder, "-o", tmp_path, "--record", "none", "--frames", "1:5", "--stride", 2)[0] == 0
+        run_command("run", "octomap", folder, "-o", tmp_path, "--record", "none", "--frames", "1:5", "--stride", 2)[0]
+        == 0
     )
     with np.load(tmp_path / "labels.npz") as z:
         assert z["frames"].tolist() == [11, 13]
@@ -102,17 +105,17 @@ def test_frames_and_stride_choose(dynaviz: Command, folder: Path, tmp_path: Path
         "bench",
     ],
 )
-def test_a_mistake_is_answered_in_one_line(dynaviz: Command, folder: Path, typed: str) -> None:
-    code, _, err = dynaviz(*(word.format(folder) for word in typed.split()))
+def test_a_mistake_is_answered_in_one_line(run_command: Command, folder: Path, typed: str) -> None:
+    code, _, err = run_command(*(word.format(folder) for word in typed.split()))
     assert code == 2, err
     assert 30 < len(one_line(err)) < 300
     assert err.startswith("dynaviz: ")
 
 
-def test_a_file_in_place_of_the_folder_is_told(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_told(run_command: Command, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     for out in ("file", "file/sub"):
-        code, _, err = dynaviz("run", "octomap", folder, "-o", tmp_path / out)
+        code, _, err = run_command("run", "octomap", folder, "-o", tmp_path / out)
         assert code == 2
         assert f"{tmp_path / 'file'} is a file: choose another folder with -o." in err
     assert (tmp_path / "file").read_text() == "mine"
@@ -125,7 +128,7 @@ def test_nothing_typed_shows_what_there_is_and_where_to_start() -> None:
         assert all(f"\n  {command.name} " in told.stdout + told.stderr for command in app.registered_commands)
 
 
-def test_unusable_data_is_answered_in_one_line(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
+def test_unusable_data_is_answered_in_one_line(run_command: Command, folder: Path, tmp_path: Path) -> None:
     whole = (folder / "pcd/000010.pcd").read_bytes()
     for name, content in {
         "truncated": whole[:-100],
@@ -146,34 +149,34 @@ def test_unusable_data_is_answered_in_one_line(dynaviz: Command, folder: Path, t
         "absent": "absent",
     }
     for name, word in says.items():
-        code, _, err = dynaviz("run", "octomap", tmp_path / name, "-o", tmp_path / "out")
+        code, _, err = run_command("run", "octomap", tmp_path / name, "-o", tmp_path / "out")
         assert (code, word in one_line(err)) == (2, True), err
         assert not list((tmp_path / "out").rglob("*.*")), "nothing half-written is left"
 
 
-def test_list_config_and_info(dynaviz: Command, folder: Path) -> None:
-    code, out, _ = dynaviz("list")
+def test_list_config_and_info(run_command: Command, folder: Path) -> None:
+    code, out, _ = run_command("list")
     assert code == 0
     assert all(name in out for name in ("octomap_gf", "semantickitti", "hdl64e", "av2", "demo", "breakdown"))
-    code, out, _ = dynaviz("config", "octomap", "--preset", "av2", "--set", "prob_hit=0.6", "--sensor", "vlp16")
+    code, out, _ = run_command("config", "octomap", "--preset", "av2", "--set", "prob_hit=0.6", "--sensor", "vlp16")
     assert code == 0
     assert all(text in out for text in ("preset av2", "--set", "default", "0.6", "Velodyne"))
-    code, out, _ = dynaviz("info", folder)
+    code, out, _ = run_command("info", folder)
     assert code == 0
     assert "ground truth" in out
     assert "15,000" in out
 
 
-def test_info_of_a_run(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    assert dynaviz("run", "octomap", folder, "-o", tmp_path)[0] == 0
+def test_info_of_a_run(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    assert run_command("run", "octomap", folder, "-o", tmp_path)[0] == 0
     for name in ("run.rrd", "result.json"):
-        code, out, err = dynaviz("info", tmp_path / name)
+        code, out, err = run_command("info", tmp_path / name)
         assert code == 0, err
         assert "octomap" in out
 
 
-def test_help_begins_with_examples(dynaviz: Command) -> None:
+def test_help_begins_with_examples(run_command: Command) -> None:
     for verb in (command.name for command in app.registered_commands):
-        code, out, _ = dynaviz(verb, "--help")
+        code, out, _ = run_command(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")

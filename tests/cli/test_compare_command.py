@@ -22,9 +22,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "a/run.rrd", folder / "b/run.rrd"
 
 
-def test_tables_a_recording_and_json(dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_tables_a_recording_and_json(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
     out, plain = tmp_path / "deep/both.rrd", tmp_path / "both.json"
-    code, said, err = dynaviz("compare", *recordings, "-o", out, "--json", plain)
+    code, said, err = run_command("compare", *recordings, "-o", out, "--json", plain)
     assert code == 0, err
     assert "answers 1/1" in err
     content = json.loads(plain.read_text())
@@ -33,29 +33,29 @@ def test_tables_a_recording_and_json(dynaviz: Command, recordings: tuple[Path, P
     assert f"{score['delta']:+.2f}" in said
     assert "holds no coordinates" in said
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["both.json", "both.rrd"]
-    code, said, _ = dynaviz("info", out)
+    code, said, _ = run_command("info", out)
     assert (code, "octomap resolution=0.6" in said) == (0, True)
 
 
 def test_without_a_name_it_lands_here(
-    dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert dynaviz("compare", *recordings, recordings[0])[0] == 0
+    assert run_command("compare", *recordings, recordings[0])[0] == 0
     assert [path.name for path in tmp_path.iterdir()] == ["compare.rrd"]
 
 
-def test_exit_codes_of_a_fall(dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_exit_codes_of_a_fall(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
     out = ("-o", tmp_path / "x.rrd")
     delta = dv.compare(*recordings).pairs[0]["scores"]["AA"]["delta"]
     for order, fall in ((recordings, delta), (recordings[::-1], -delta)):
-        assert dynaviz("compare", *order, *out, "--fail-below", fall - 1e-6)[0] == 0
-        code, said, err = dynaviz("compare", *order, *out, "--fail-below", fall + 1e-6)
+        assert run_command("compare", *order, *out, "--fail-below", fall - 1e-6)[0] == 0
+        code, said, err = run_command("compare", *order, *out, "--fail-below", fall + 1e-6)
         assert code == 1
         assert "AA" in err
         assert "below" in err
         assert "Scores" in said
-    code, _, err = dynaviz("compare", recordings[0], *recordings, *out, "--fail-below", 100)
+    code, _, err = run_command("compare", recordings[0], *recordings, *out, "--fail-below", 100)
     assert code == 1
     assert [line.split()[1] for line in err.splitlines() if line.startswith("dynaviz:")] == ["B", "C"]
 
@@ -64,17 +64,17 @@ def test_exit_codes_of_a_fall(dynaviz: Command, recordings: tuple[Path, Path], t
     "typed", ["{0}", "{0} absent.rrd", "{0} {1} -o {1}", "{0} {1} --json {0}/x.json", "{0} {0} --fail-below x"]
 )
 def test_a_mistake_is_answered_without_a_traceback(
-    dynaviz: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
+    run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, _, err = dynaviz("compare", *typed.format(*recordings).split())
+    code, _, err = run_command("compare", *typed.format(*recordings).split())
     assert code == 2
     assert "Traceback" not in err
     told = [line for line in err.splitlines() if line.startswith("dynaviz:")]
     assert len(told) == 1
 
 
-def test_help_begins_with_examples(dynaviz: Command) -> None:
-    code, out, _ = dynaviz("compare", "--help")
+def test_help_begins_with_examples(run_command: Command) -> None:
+    code, out, _ = run_command("compare", "--help")
     assert code == 0
     assert out.index("  dynaviz compare") < out.index("Options:")

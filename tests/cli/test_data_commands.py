@@ -49,18 +49,20 @@ def one_line(err: str) -> str:
     return err
 
 
-def test_convert_takes_frames_and_sensor(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    code, out, err = dynaviz("convert", folder, tmp_path / "x", "--frames", "1:", "--stride", 2, "--sensor", "vlp16")
+def test_convert_takes_frames_and_sensor(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    code, out, err = run_command(
+        "convert", folder, tmp_path / "x", "--frames", "1:", "--stride", 2, "--sensor", "vlp16"
+    )
     assert code == 0, err
     assert "2 frames, 2,000 points, poses bit for bit" in out
     assert "frames 2/2" in err
     assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == ["000011.pcd", "000013.pcd"]
     assert 'sensor = "vlp16"' in (tmp_path / "x/sequence.toml").read_text()
-    code, _, err = dynaviz("convert", folder, tmp_path / "x")
+    code, _, err = run_command("convert", folder, tmp_path / "x")
     assert (code, "exists already" in one_line(err)) == (2, True)
 
 
-def test_convert_takes_poses_and_warns(dynaviz: Command, tmp_path: Path) -> None:
+def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> None:
     scans = room(frames=2, rays=50).scans
     for scan in scans:
         local = scan.points - scan.position.astype(np.float32)
@@ -71,43 +73,43 @@ def test_convert_takes_poses_and_warns(dynaviz: Command, tmp_path: Path) -> None
     np.save(tmp_path / "scans/labels/000010.npy", np.full(50, 1))
     rows = [" ".join(map(str, scan.T_world_sensor[:3].ravel())) for scan in scans]
     (tmp_path / "track.txt").write_text("\n".join(rows) + "\n")
-    code, out, err = dynaviz("convert", tmp_path / "scans", tmp_path / "out", "--poses", tmp_path / "track.txt")
+    code, out, err = run_command("convert", tmp_path / "scans", tmp_path / "out", "--poses", tmp_path / "track.txt")
     assert code == 0, err
     assert "2 frames, 100 points" in out
     assert "warning: 50 of 100 points are unlabelled" in err
-    code, out, _ = dynaviz("info", tmp_path / "out")
+    code, out, _ = run_command("info", tmp_path / "out")
     assert code == 0
     assert "BenchmarkSequence" in out
 
 
-def test_export_labels(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    assert dynaviz("run", "octomap", folder, "-o", tmp_path / "run", "--record", "none", "--frames", "1:3")[0] == 0
+def test_export_labels(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    assert run_command("run", "octomap", folder, "-o", tmp_path / "run", "--record", "none", "--frames", "1:3")[0] == 0
     words = ("export-labels", tmp_path / "run", folder, "-o", tmp_path / "labels")
-    code, _, err = dynaviz(*words)
+    code, _, err = run_command(*words)
     assert (code, "same --frames" in err.splitlines()[-1]) == (2, True), err
     assert not (tmp_path / "labels").exists()
-    code, out, err = dynaviz(*words, "--frames", "1:3")
+    code, out, err = run_command(*words, "--frames", "1:3")
     assert code == 0, err
     assert "2 frames" in out
     assert sorted(path.name for path in (tmp_path / "labels").iterdir()) == ["000011.label", "000012.label"]
 
 
-def test_download(dynaviz: Command, mirror: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, out, err = dynaviz("download", "05", "-o", tmp_path / "data", "--url", mirror)
+def test_download(run_command: Command, mirror: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run_command("download", "05", "-o", tmp_path / "data", "--url", mirror)
     assert code == 0, err
     assert "KITTI 05" in out
     assert "unpacking, files 6/6" in err
-    code, out, _ = dynaviz("info", tmp_path / "data/05")
+    code, out, _ = run_command("info", tmp_path / "data/05")
     assert (code, "4,000" in out) == (0, True)
     monkeypatch.setenv("DYNAVIZ_DOWNLOAD_URL", mirror)
-    code, _, err = dynaviz("download", "00", "-o", tmp_path / "data")
+    code, _, err = run_command("download", "00", "-o", tmp_path / "data")
     assert (code, "00.zip: cannot be fetched (404" in one_line(err)) == (2, True)
-    code, _, err = dynaviz("download", "moon")
+    code, _, err = run_command("download", "moon")
     assert (code, "Known: 00 (385 MB)" in one_line(err)) == (2, True)
 
 
 @pytest.mark.parametrize("verb", ["convert", "export-labels", "download"])
-def test_help_begins_with_examples(dynaviz: Command, verb: str) -> None:
-    code, out, _ = dynaviz(verb, "--help")
+def test_help_begins_with_examples(run_command: Command, verb: str) -> None:
+    code, out, _ = run_command(verb, "--help")
     assert code == 0
     assert out.index(f"  dynaviz {verb}") < out.index("Options:")

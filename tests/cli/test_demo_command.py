@@ -13,13 +13,16 @@ from dynaviz.results.result import Result
 
 
 def test_a_broken_method_is_left_out(
-    broken_plugins: None, dynaviz: Callable[..., tuple[int, str, str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    broken_plugins: None,
+    run_command: Callable[..., tuple[int, str, str]],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     for module, name in ((simulate, "simulate"), (api, "open"), (api, "compare")):
         monkeypatch.setattr(module, name, lambda *given, **how: None)
     monkeypatch.setattr(precompile, "compiling", contextlib.nullcontext)
     monkeypatch.setattr(api, "run", lambda name, *given, **how: Result(name, {}, {"name": "street"}))
-    code, out, err = dynaviz("demo", "-o", tmp_path, "--no-view")
+    code, out, err = run_command("demo", "-o", tmp_path, "--no-view")
     assert code == 0, err
     assert "dynaviz: warning: method 'a_broken_one'" in err
     assert "octomap" in out

@@ -22,8 +22,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def report(dynaviz):
-    return functools.partial(dynaviz, "report")
+def report(run_command):
+    return functools.partial(run_command, "report")
 
 
 @pytest.mark.parametrize(

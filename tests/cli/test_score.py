@@ -17,9 +17,9 @@ Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def score(dynaviz: Command) -> Command:
+def score(run_command: Command) -> Command:
     """Run ``dynaviz score``."""
-    return functools.partial(dynaviz, "score")
+    return functools.partial(run_command, "score")
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +66,12 @@ def test_options(score: Command, folder: Path, tmp_path: Path) -> None:
     assert (result["sequence"]["frames"], result["recording_sha256"]) == (2, None)
 
 
-def test_labels_of_every_other_frame(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    code, _, err = dynaviz("run", "octomap", folder / "room", "--stride", 2, "-o", tmp_path / "a b", "--record", "none")
+def test_labels_of_every_other_frame(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    code, _, err = run_command(
+        "run", "octomap", folder / "room", "--stride", 2, "-o", tmp_path / "a b", "--record", "none"
+    )
     assert code == 0, err
-    code, _, err = dynaviz(
+    code, _, err = run_command(
         "score", tmp_path / "a b/labels.npz", folder / "room", "--stride", 2, "-o", tmp_path / "again"
     )
     assert code == 0, err
@@ -77,9 +79,9 @@ def test_labels_of_every_other_frame(dynaviz: Command, folder: Path, tmp_path: P
     assert first["labels_sha256"] == again["labels_sha256"]
 
 
-def test_without_ground_truth_no_failure_is_told(dynaviz: Command, folder: Path, tmp_path: Path) -> None:
-    assert dynaviz("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
-    code, _, err = dynaviz("failures", tmp_path / "result.json")
+def test_without_ground_truth_no_failure_is_told(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    assert run_command("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
+    code, _, err = run_command("failures", tmp_path / "result.json")
     assert code == 2
     assert "without ground truth" in err
 

@@ -46,7 +46,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_commands_work(
     page: str,
     street: Path,
-    dynaviz: Callable[..., tuple[int, str, str]],
+    run_command: Callable[..., tuple[int, str, str]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -55,7 +55,7 @@ def test_commands_work(
     for command in COMMANDS[page]:
         program, *words = shlex.split(command, comments=True)
         assert program == "dynaviz", command
-        code, out, err = dynaviz(*words)
+        code, out, err = run_command(*words)
         assert code == 0, f"{command}\n{err}"
         assert out.strip(), command
 

@@ -201,33 +201,33 @@ def bench(tmp_path: Path) -> Path:
     return tmp_path / "bench"
 
 
-def test_the_command(bench: Path, tmp_path: Path, dynaviz: Command) -> None:
+def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     baseline = tmp_path / "baseline.json"
-    code, out, err = dynaviz("check", bench, "--write-baseline", baseline)
+    code, out, err = run_command("check", bench, "--write-baseline", baseline)
     assert (code, "Written" in out) == (0, True), err
-    code, out, _ = dynaviz("check", bench, "--baseline", baseline, "--min", "SA=80", "--min", "AA=80")
+    code, out, _ = run_command("check", bench, "--baseline", baseline, "--min", "SA=80", "--min", "AA=80")
     assert (code, "all 12 hold" in out) == (0, True), out
     result((70, 30)).save(bench / "street/octomap/result.json")
-    code, out, _ = dynaviz("check", bench, "--baseline", baseline)
+    code, out, _ = run_command("check", bench, "--baseline", baseline)
     assert code == 1
     first = next(line for line in out.splitlines() if "FELL" in line)
     assert all(word in first for word in ("octomap on street", "SA", "70.00", "80.00", "-10.00", "FP 30 (+10)"))
     assert max(map(len, out.splitlines())) <= 80
     assert "fell" in out
-    code, _, _ = dynaviz("check", bench, "--baseline", baseline, "--tolerance", 10.5)
+    code, _, _ = run_command("check", bench, "--baseline", baseline, "--tolerance", 10.5)
     assert code == 0
     (bench / "street/octomap/result.json").unlink()
     (bench / "street/octomap/error.json").write_text(
         json.dumps({"method": "octomap", "sequence": "street", "error": "no memory"})
     )
-    code, out, _ = dynaviz("check", bench, "--min", "SA=1", "--write-baseline", tmp_path / "never.json")
+    code, out, _ = run_command("check", bench, "--min", "SA=1", "--write-baseline", tmp_path / "never.json")
     assert (code, "failed: no memory" in out, (tmp_path / "never.json").exists()) == (1, True, False)
 
 
-def test_an_improvement_is_told(bench: Path, tmp_path: Path, dynaviz: Command) -> None:
-    dynaviz("check", bench, "--write-baseline", tmp_path / "b.json")
+def test_an_improvement_is_told(bench: Path, tmp_path: Path, run_command: Command) -> None:
+    run_command("check", bench, "--write-baseline", tmp_path / "b.json")
     result((90, 10)).save(bench / "street/octomap/result.json")
-    code, out, _ = dynaviz("check", bench, "--baseline", tmp_path / "b.json")
+    code, out, _ = run_command("check", bench, "--baseline", tmp_path / "b.json")
     assert code == 0
     assert "+10.00" in out
     assert "consider updating the baseline" in out
@@ -237,8 +237,8 @@ def test_an_improvement_is_told(bench: Path, tmp_path: Path, dynaviz: Command) -
     "typed",
     ["check {}", "check {} --min AA", "check {} --min FOO=1", "check absent --min AA=1", "check {} --baseline absent"],
 )
-def test_a_mistake_is_answered_in_one_line(bench: Path, dynaviz: Command, typed: str) -> None:
-    code, _, err = dynaviz(*(word.format(bench) for word in typed.split()))
+def test_a_mistake_is_answered_in_one_line(bench: Path, run_command: Command, typed: str) -> None:
+    code, _, err = run_command(*(word.format(bench) for word in typed.split()))
     assert (code, err.count("\n")) == (2, 1), err
 
 

@@ -35,17 +35,17 @@ def cut(whole: Path, folder: Path, size: int, name: str = "run.rrd") -> Path:
     return folder / name
 
 
-def test_a_whole_recording_is_left_alone(whole: Path, dynaviz: Command) -> None:
+def test_a_whole_recording_is_left_alone(whole: Path, run_command: Command) -> None:
     before = whole.stat().st_mtime_ns
     found = repair(whole)
     assert (found.path, found.whole, found.finished, found.frames) == (whole, True, True, 6)
-    code, out, _ = dynaviz("repair", whole)
+    code, out, _ = run_command("repair", whole)
     assert (code, "Nothing to do" in out) == (0, True)
     assert [path.name for path in whole.parent.iterdir()] == ["run.rrd"]
     assert whole.stat().st_mtime_ns == before
 
 
-def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_path: Path, dynaviz: Command) -> None:
+def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_path: Path, run_command: Command) -> None:
     answers = list(RunRecording(whole).answers())
     size = whole.stat().st_size
     codes, kept = set(), []
@@ -53,7 +53,7 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
         folder = tmp_path / str(share)
         folder.mkdir()
         part = cut(whole, folder, int(share * size), ".run.rrd.part")
-        code, out, err = dynaviz("repair", part)
+        code, out, err = run_command("repair", part)
         codes.add(code)
         assert err == ""
         if code == 1:

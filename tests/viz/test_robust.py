@@ -155,7 +155,7 @@ def test_a_full_disk_leaves_nothing_under_a_final_name(tmp_path: Path, limit: in
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 
 
-def test_places_that_cannot_be_written(tmp_path: Path, dynaviz: Command) -> None:
+def test_places_that_cannot_be_written(tmp_path: Path, run_command: Command) -> None:
     whole = record(room(3, 200), tmp_path / "run.rrd", "scores")
     (tmp_path / "file").touch()
     for out in (tmp_path / "file/run.rrd", Path("/proc/dynaviz/run.rrd")):
@@ -163,11 +163,11 @@ def test_places_that_cannot_be_written(tmp_path: Path, dynaviz: Command) -> None
             execute(guess_run(room(2, 100)), [recorder], recorder)
         with pytest.raises(DataError, match="cannot be written"):
             _run_into(out, None, "errors", guess_run(room(2, 100)), False, lambda *_: None)
-        code, _, err = dynaviz("repair", whole, "-o", out)
+        code, _, err = run_command("repair", whole, "-o", out)
         assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err
 
 
-def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, dynaviz: Command) -> None:
+def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, run_command: Command) -> None:
     path, whole = tmp_path / "x.rrd", record(little_room, tmp_path / "run.rrd", "scores").read_bytes()
     says = {
         b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
@@ -180,7 +180,7 @@ def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, dyn
         for verb in ("info", "view"):
             if verb == "view" and "older" in word:
                 continue  # the viewer needs no properties
-            code, _, err = dynaviz(verb, path)
+            code, _, err = run_command(verb, path)
             assert (code, err.count("\n"), word in err) == (2, 1, True), err
 
 
@@ -193,9 +193,9 @@ def older(folder: Path) -> bytes:
     return (folder / "old.rrd").read_bytes()
 
 
-def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, dynaviz: Command) -> None:
+def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, run_command: Command) -> None:
     shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
     for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
-        code, _, err = dynaviz(*words)
+        code, _, err = run_command(*words)
         assert (code, err.count("\n")) == (2, 1)
         assert f"dynaviz repair {tmp_path / '.run.rrd.part'}" in err
