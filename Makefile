@@ -1,4 +1,4 @@
-# make demo: install into .venv and run the whole thing on a simulated street.   make test: the tests.   make check: all that CI runs.
+# make demo: install into .venv and run everything on a simulated street.   make test: run the tests.   make check: all the checks.
 PYTHON ?= python3
 BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
@@ -21,14 +21,14 @@ types: .venv/.dev
 	$(BIN)/mypy
 
 CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck
-boundscheck: .venv/.dev  # kernels again, with every index checked
+boundscheck: .venv/.dev  # test the kernels with bounds checking
 	$(CHECKED) $(BIN)/python -m dynaviz.precompile
 	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) \
 		-k 'not golden and not report and (not conforms or survives or keeps_points)' tests/kernels tests/methods tests/eval \
 		tests/testing tests/laws/test_places.py tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
 
-# Kernels once more as plain Python, which sees their lines, on worlds small enough. It warns where compiled integers wrap, and
-# has no integer for NaN. tests/README.md tells what is left.
+# Coverage cannot see the lines of compiled kernels, so their tests on small worlds run again as plain Python. Plain Python warns
+# when integers overflow, and cannot convert NaN to an integer. tests/README.md lists what this leaves out.
 PLAIN := not finite and (odd_scans or log_odds or lines_protect or box_goes or empty or few_points or lzf or touched or \
 	of_a_pixel or key_set or lower_edge or limit_itself or all_pairs or tree_holds or outliers or steep or components or \
 	dilation or seethrough_keeps)
@@ -37,10 +37,10 @@ coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning \
 		-k '$(PLAIN)' tests/kernels tests/methods tests/eval tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
 
-mutants: .venv/.dev  # the evaluation changed in one place at a time: what do its tests not notice?
+mutants: .venv/.dev  # change the evaluation in one place at a time; list the changes that its tests miss
 	$(BIN)/python tests/mutants.py
 
-docs: .venv/.dev  # into build/site; a warning is an error
+docs: .venv/.dev  # write the site to build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 check: lint types test boundscheck docs
@@ -50,14 +50,14 @@ check: lint types test boundscheck docs
 	@$(PYTHON) -m venv .venv
 	@touch $@
 
-.venv/.user: .venv/.venv pyproject.toml  # bytecode of what is used comes with its first use, in half the time
+.venv/.user: .venv/.venv pyproject.toml  # --no-compile halves the time; bytecode is written on first use
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
 	@$(PIP) --no-compile --editable .
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
 	@touch $@
 
 .venv/.dev: .venv/.user
-	@echo "installing the tools for tests ..."
+	@echo "installing the test dependencies ..."
 	@$(PIP) --no-compile --editable '.[dev]'
 	@touch $@
 
