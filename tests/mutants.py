@@ -25,7 +25,17 @@ import scipy.sparse.csgraph  # noqa: F401
 import dynaviz.testing  # noqa: F401
 
 PACKAGE, TESTS = Path(__file__).parents[1] / "eval/dynaviz_eval", Path(__file__).parent / "eval"
-MODULES = ("confusion", "breakdown", "error_distance", "reasons", "voxelwise", "failures", "cases", "attribution", "spool")
+MODULES = (
+    "confusion",
+    "breakdown",
+    "error_distance",
+    "reasons",
+    "voxelwise",
+    "failures",
+    "cases",
+    "attribution",
+    "spool",
+)
 SECONDS = 90  # a change may never end
 GUARDS = {"strict", "frozen", "slots", "eq", "assume_unique"}
 SWAPS = {
