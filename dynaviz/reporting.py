@@ -12,7 +12,7 @@ import numpy as np
 from dynaviz import registry
 from dynaviz.arrays import F32, U8
 from dynaviz.errors import UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.results.collect import HINT, StudyRun, collect
 
@@ -100,7 +100,7 @@ def report(
     home = Path() if out is None else Path(out).parent
     text: str = render(Study(collect(paths), home, progress))
     if out is not None:
-        write_whole(out, text.encode())
+        write_atomic(out, text.encode())
     return text
 
 

@@ -14,7 +14,7 @@ from dynaviz.benchmarking.plan import BenchCell, settings
 from dynaviz.benchmarking.source import open_source
 from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
-from dynaviz.io.atomic import sha256, write_whole
+from dynaviz.io.atomic import sha256, write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import Result, environment
 
@@ -109,7 +109,7 @@ def fail(cell: BenchCell, folder: Path, error: str) -> None:
     """Leave ``error.json`` in place of a result."""
     (folder / "result.json").unlink(missing_ok=True)
     facts = {"method": cell.what.method, "sequence": cell.source.name, "variant": cell.what.variant, "error": error}
-    write_whole(folder / "error.json", json.dumps(facts, indent=1).encode())
+    write_atomic(folder / "error.json", json.dumps(facts, indent=1).encode())
 
 
 def error_of(folder: Path) -> str | None:

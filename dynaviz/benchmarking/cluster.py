@@ -13,7 +13,7 @@ from dynaviz.benchmarking import cells
 from dynaviz.benchmarking.local import Tell, WorkerProcesses
 from dynaviz.benchmarking.plan import BenchCell
 from dynaviz.errors import MissingDependency, UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 
 TOPIC = "dynaviz-bench"
 LARGEST = 2_000_000_000  # bytes of one cell's files; they pass through the memory of worker, scheduler and client
@@ -80,7 +80,7 @@ class DaskExecutor:
         except Exception as error:  # the worker died too often, or sent what cannot be read
             return cells.fail(cell, folder, f"the cluster gave up on it: {cells.sentence(error)}")
         for name in sorted(files, key=lambda name: name == "result.json"):
-            write_whole(folder / name, files[name])
+            write_atomic(folder / name, files[name])
         if "result.json" in files and cells.finished(cell, folder) is None:
             cells.fail(cell, folder, "the worker has other versions of packages than this machine. Install the same.")
 

@@ -15,7 +15,7 @@ from dynaviz import params, registry
 from dynaviz.benchmarking.leaderboard import BenchRow, SearchResult
 from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec
 from dynaviz.errors import DynavizError, MissingDependency, UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.registry import suggest
 from dynaviz.results.collect import combined
 
@@ -125,7 +125,7 @@ def _conclude(
     preset = out / f"best-{method}.toml"
     values = registry.load("methods", method).Params(**best.parameters)
     table = params.to_toml(method, values, {"online": best.online, "seed": best.seed})
-    write_whole(preset, "".join(f"# {line}\n" for line in remark).encode() + b"\n" + table)
+    write_atomic(preset, "".join(f"# {line}\n" for line in remark).encode() + b"\n" + table)
     return SearchResult(best, preset, aa, default_aa, trials, failed)
 
 

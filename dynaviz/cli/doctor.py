@@ -38,13 +38,13 @@ def doctor(
 
     from dynaviz.cli.options import open_sequence
     from dynaviz.diagnosis import doctor as examine
-    from dynaviz.io.atomic import write_whole
+    from dynaviz.io.atomic import write_atomic
 
     opened = open_sequence(sequence, frames=frames, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
     with progress(f"doctor on {opened.name}") as tell:
         found = examine(opened, progress=tell)
     show(found)
     if out:
-        write_whole(out, json.dumps(found.to_dict(), indent=1, allow_nan=False).encode())
+        write_atomic(out, json.dumps(found.to_dict(), indent=1, allow_nan=False).encode())
     if not found.sound:
         raise typer.Exit(1)

@@ -30,7 +30,7 @@ def failures(
 
     from rich.markup import escape
 
-    from dynaviz.io.atomic import write_whole
+    from dynaviz.io.atomic import write_atomic
 
     section = _section(run)
     for number, case in enumerate(section["cases"][:top], 1):
@@ -45,7 +45,7 @@ def failures(
     more = max(len(section["cases"]) - top, 0) + others["cases"]
     show(f"{more:,} more cases." if section["cases"] else "No failure case: no wrong point.")
     if out:
-        write_whole(out, json.dumps(section, indent=1, allow_nan=False).encode())
+        write_atomic(out, json.dumps(section, indent=1, allow_nan=False).encode())
 
 
 def _section(run: Path) -> dict[str, Any]:

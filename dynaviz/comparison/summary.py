@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dynaviz.comparison.counts import LEVEL, RESAMPLES, SCORES, SEED, TRUTHS, WRONG, block_length
 from dynaviz.errors import UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.results.result import Result
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class Comparison:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as JSON, whole or not at all."""
-        write_whole(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
+        write_atomic(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
 
     def fallen(self, below: float) -> list[str]:
         """Which run's AA lies more below the first's than allowed, a sentence each.

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from dynaviz.datasets.fetch import HINT, PATIENCE, fetch
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import remove, whole_folder, write_whole
+from dynaviz.io.atomic import atomic_folder, remove, write_atomic
 from dynaviz.progress import Progress, silent
 
 BASE = "https://zenodo.org/records/10886629/files"
@@ -105,7 +105,7 @@ def download(
     _compare(url, part, facts, told, f"the record at {base}", f"It was removed. {HINT}", spoilt=True)
     _compare(url, part, facts, before, record.name, f"Remove {record} if you trust the new one, and run again")
     _unpack(url, part, folder, SEQUENCES[name], lambda done, total: progress("unpacking, files", done, total))
-    write_whole(record, json.dumps(facts | {"told": told}, indent=2).encode() + b"\n")
+    write_atomic(record, json.dumps(facts | {"told": told}, indent=2).encode() + b"\n")
     remove(part)
     return folder
 
@@ -177,7 +177,7 @@ def _unpack(url: str, part: Path, folder: Path, remote: RemoteFile, tell: Callab
         if needed > free:
             problem = f"needs {needed / 1e9:.1f} GB unpacked, but {free / 1e9:.1f} GB are free"
             raise DataError(folder, problem, hint="Free space and run again: the archive is kept")
-        with whole_folder(folder) as beside:
+        with atomic_folder(folder) as beside:
             for done, info in enumerate(members, 1):
                 if info.filename.startswith(root):
                     target = beside / info.filename.removeprefix(root)

@@ -10,7 +10,7 @@ import numpy as np
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.engine.summary import summarize
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import whole_folder
+from dynaviz.io.atomic import atomic_folder
 from dynaviz.io.semantic_label import write_semantic_labels
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence, stream
@@ -46,11 +46,11 @@ def export_labels(
             hint = "Give the folder of a whole run (dynaviz run ... -o FOLDER), or a labels.npz"
             raise DataError(path.parent, "has no labels.npz", hint=hint)
     given = PrecomputedLabels(path, path.stem)
-    with whole_folder(out) as folder:
+    with atomic_folder(out) as folder:
         seen = summarize(sequence, lambda done: progress("checking", done, total))
         given.check(sequence.name, seen)
         for done, scan in enumerate(stream(sequence), 1):
-            dynamic = given.label(scan)
+            dynamic = given.label(scan).dynamic
             write_semantic_labels(
                 folder / f"{scan.index:06d}.label", np.where(dynamic, MOVING, STATIC).astype(np.uint16)
             )

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from dynaviz.arrays import F32, F64
 from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.errors import DataError
-from dynaviz.io.calib import read_calib, rigid_of
+from dynaviz.io.calib import calib_transform, read_calib
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.text import read_table
 from dynaviz.io.velodyne import read_velodyne
@@ -63,7 +63,7 @@ class KittiOdometrySequence:
         folder = only(found[0].parent, "sequences", {folder.name: folder for folder in found}) if found else path
         scans = cls.chosen(folder, numbered(folder / "velodyne", ".bin"))
         calib, file = folder / "calib.txt", cls.trajectory(folder)
-        T_camera_sensor = rigid_of(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")
+        T_camera_sensor = calib_transform(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")
         T_world_camera = geometry.compose(geometry.inverse(T_camera_sensor), read_kitti_poses(file))
         poses = geometry.compose(T_world_camera, T_camera_sensor)
         clock = folder / "times.txt"

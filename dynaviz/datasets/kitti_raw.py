@@ -15,8 +15,8 @@ from dynaviz.datasets.files import holds, numbered, only
 from dynaviz.datasets.kitti_tracking import CLASS_NAMES, KINDS, SWEEP
 from dynaviz.datasets.truth import fields_of
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
-from dynaviz.io.calib import matrix_of, read_calib, rigid_of
+from dynaviz.io.atomic import open_file
+from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.tracklets import Tracklet, read_tracklets
 from dynaviz.io.velodyne import read_velodyne
@@ -132,7 +132,7 @@ def _transform(path: Path) -> F64:
         rows = read_calib(path)
     except DataError as error:
         raise DataError(path, error.problem, at=error.at, hint=_CALIB) from None
-    T = rigid_of(path, rows, "R")
+    T = calib_transform(path, rows, "R")
     if "T" not in rows or rows["T"].shape != (3,) or not np.isfinite(rows["T"]).all():
         raise DataError(path, "has no line T with 3 numbers", hint=_CALIB)
     T[:3, 3] = rows["T"]
@@ -143,18 +143,20 @@ def _camera(day: Path) -> Camera:
     """Camera 2 by the calibration of a day."""
     path = day / "calib_cam_to_cam.txt"
     rows = read_calib(path)
-    T_camera_sensor = geometry.compose(rigid_of(path, rows, "R_rect_00"), _transform(day / "calib_velo_to_cam.txt"))
+    T_camera_sensor = geometry.compose(
+        calib_transform(path, rows, "R_rect_00"), _transform(day / "calib_velo_to_cam.txt")
+    )
     if "S_rect_02" not in rows or rows["S_rect_02"].shape != (2,):
         raise DataError(path, "has no line S_rect_02 with 2 numbers", hint=_CALIB)
     width, height = rows["S_rect_02"].tolist()
-    return Camera(T_camera_sensor, matrix_of(path, rows, "P_rect_02"), (width, height))
+    return Camera(T_camera_sensor, calib_matrix(path, rows, "P_rect_02"), (width, height))
 
 
 def _stamps(path: Path, scans: dict[int, Path]) -> dict[int, int]:
     """Nanoseconds by frame: a line each, or a line each sweep where some are missing; none without the file."""
     if not path.is_file():
         return {}
-    with opened(path, "A line is a time as 2011-09-26 13:02:25.594360375") as file:
+    with open_file(path, "A line is a time as 2011-09-26 13:02:25.594360375") as file:
         lines = file.read().decode("latin-1").split("\n")
     lines = lines[: len(lines) - 1 if not lines[-1].strip() else None]
     if len(lines) <= max(scans) and len(lines) != len(scans):
@@ -183,7 +185,7 @@ def _boxes(tracklets: list[Tracklet]) -> dict[int, list[OrientedBox]]:
         kind = tracklet.kind.partition(" ")[0]  # Person (sitting)
         number = KINDS.index(kind) if kind in KINDS else 0
         height, width, length = tracklet.size
-        for frame, (x, y, z, yaw) in enumerate(tracklet.places, tracklet.first):
+        for frame, (x, y, z, yaw) in enumerate(tracklet.poses, tracklet.first):
             T_sensor_box = geometry.pose((x, y, z), (np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)))
             boxes.setdefault(frame, []).append(OrientedBox(track, number, T_sensor_box, (length, width, height)))
     return boxes

@@ -17,7 +17,7 @@ from dynaviz.datasets.files import holds, numbered, only_folder
 from dynaviz.datasets.truth import Truth, fields_of
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import REGION, TrackBox, read_boxes
-from dynaviz.io.calib import matrix_of, read_calib, rigid_of
+from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.scan import Scan
@@ -64,15 +64,15 @@ class KittiTrackingSequence:
         scans = numbered(split / "velodyne" / number, ".bin")
         calib, oxts, labels = (split / kind / f"{number}.txt" for kind in ("calib", "oxts", "label_02"))
         rows = read_calib(calib)
-        T_camera_sensor = rigid_of(calib, rows, "Tr_velo_to_cam", "Tr_velo_cam")
-        T_rectified = rigid_of(calib, rows, "R0_rect", "R_rect")
-        T_sensor_imu = rigid_of(calib, rows, "Tr_imu_to_velo", "Tr_imu_velo")
+        T_camera_sensor = calib_transform(calib, rows, "Tr_velo_to_cam", "Tr_velo_cam")
+        T_rectified = calib_transform(calib, rows, "R0_rect", "R_rect")
+        T_sensor_imu = calib_transform(calib, rows, "Tr_imu_to_velo", "Tr_imu_velo")
         poses = geometry.compose(read_oxts(oxts), geometry.inverse(T_sensor_imu))
         if len(poses) <= max(scans):
             problem = f"has {len(poses)} lines, but there is a sweep {max(scans):06d}.bin"
             raise DataError(oxts, problem, hint="Each sweep needs a line; copy the file again")
         poses = geometry.compose(geometry.inverse(poses[0]), poses)
-        camera = Camera(geometry.compose(T_rectified, T_camera_sensor), matrix_of(calib, rows, "P2"))
+        camera = Camera(geometry.compose(T_rectified, T_camera_sensor), calib_matrix(calib, rows, "P2"))
         boxes = read_boxes(labels) if labels.is_file() else None
         moving = _moving(boxes or [], geometry.compose(poses, geometry.inverse(camera.T_camera_sensor)))
         by_frame = None if boxes is None else _by_frame(boxes)

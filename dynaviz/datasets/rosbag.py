@@ -15,7 +15,7 @@ from dynaviz.arrays import F32, F64, I64
 from dynaviz.datasets.pose_matching import frame_of, inside, match
 from dynaviz.datasets.transforms import Chain, Frames, plain
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.pointcloud2 import rows_of, xyz_of
+from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
 from dynaviz.io.rosbag import Bag, is_bag
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
@@ -320,14 +320,14 @@ def _clock(bag: Bag, clouds: CloudTopic, positions: I64) -> tuple[str, float] | 
 def _rows(bag: Bag, clouds: CloudTopic, k: int) -> NDArray[Any]:
     """The points of a cloud, as they are."""
     try:
-        return rows_of(bag.message(clouds.topic, *clouds.keys[k].tolist()))
+        return cloud_rows(bag.message(clouds.topic, *clouds.keys[k].tolist()))
     except ValueError as error:
         raise _wrong(bag, clouds, k, error) from None
 
 
 def _xyz(bag: Bag, clouds: CloudTopic, k: int, rows: NDArray[Any]) -> F32:
     try:
-        return xyz_of(rows)
+        return cloud_xyz(rows)
     except ValueError as error:
         raise _wrong(bag, clouds, k, error) from None
 

@@ -18,7 +18,7 @@ from dynaviz.arrays import F32, I32, I64, U8, U16
 from dynaviz.datasets.pose_matching import MatchedPoses, frame_of, match
 from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING, UNSURE
 from dynaviz.errors import DataError
-from dynaviz.io.npy import loaded
+from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import find_poses, nanoseconds
@@ -221,7 +221,7 @@ def _points(path: Path) -> F32:
 def _npz(path: Path) -> F32:
     """The array ``points`` or ``xyz`` of an NPZ file, or its only one with a row a point."""
     hint = "Save points = (N, 3) float32, metres, with numpy.savez"
-    with loaded(path, "NPZ file", hint) as arrays:
+    with open_npy(path, "NPZ file", hint) as arrays:
         fitting = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
     named = [fitting[name] for name in ("points", "xyz") if name in fitting] or list(fitting.values())
     if not named or (len(named) > 1 and not {"points", "xyz"} & set(fitting)) or named[0].dtype.kind not in "fiu":
@@ -234,7 +234,7 @@ def _npz(path: Path) -> F32:
 def _label_array(path: Path, points: int) -> U8:
     """Labels from an NPY file."""
     hint = f"Save ({points},) integers: 0 static, 1 dynamic, 255 unlabelled"
-    with loaded(path, "NPY file", hint) as labels:
+    with open_npy(path, "NPY file", hint) as labels:
         pass
     if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
         raise DataError(path, f"holds {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)

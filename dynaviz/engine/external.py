@@ -19,8 +19,8 @@ from dynaviz.arrays import F32, U8, Bool
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import opened
-from dynaviz.io.npy import loaded
+from dynaviz.io.atomic import open_file
+from dynaviz.io.npy import open_npy
 from dynaviz.io.points import read_points
 from dynaviz.method import Context, MethodInfo, Reason
 from dynaviz.metric import Figure, Labelled
@@ -195,7 +195,7 @@ class PrecomputedLabels(ExternalLabeller):
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.params, self.facts = path, NoParams(), dict[str, Any]()
-        with loaded(path, "labels.npz of a run", "Give that file, or a cleaned map") as z:
+        with open_npy(path, "labels.npz of a run", "Give that file, or a cleaned map") as z:
             points, frames = z["points"].astype(np.int64), z["frames"].tolist()
             self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
             legend = [str(reason) for reason in z["reason_names"]]
@@ -256,7 +256,7 @@ class SourceCheck:
 
     def __init__(self, read_external: ExternalLabeller) -> None:
         self._given = read_external
-        with opened(read_external.path, "Give a file") as file:
+        with open_file(read_external.path, "Give a file") as file:
             self._sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.summary import SequenceSummary
-from dynaviz.io.atomic import remove, whole_file, write_whole
+from dynaviz.io.atomic import atomic_file, remove, write_atomic
 from dynaviz.io.pcd import PcdWriter
 from dynaviz.metric import Figure, Labelled
 from dynaviz.params import to_toml
@@ -40,7 +40,7 @@ class LabelsFile(Listener):
 
     def __enter__(self) -> LabelsFile:
         with contextlib.ExitStack() as stack:
-            beside = stack.enter_context(whole_file(self._path))
+            beside = stack.enter_context(atomic_file(self._path))
             self._zip = stack.enter_context(zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
             self._stack = stack.pop_all()
         return self
@@ -123,7 +123,7 @@ def write_summary(folder: Path, run: RunSpec, result: Result) -> None:
     What another program wrote has no configuration here.
     """
     if not run.external:
-        write_whole(
+        write_atomic(
             folder / "config.toml", to_toml(result.method, run.params, {"online": run.online, "seed": run.seed})
         )
     result.save(folder / "result.json")

@@ -1,1 +1,1 @@
-"""One file format per file."""
+"""Readers and writers, one file format per module."""

@@ -1,4 +1,4 @@
-"""Opening files with errors that a user understands, and writing them whole or not at all."""
+"""Open files with readable errors, and write files and folders atomically: complete or not at all."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from typing import IO
 
 from dynaviz.errors import DataError
 
-_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}  # only writing fails so, and write() names no file
+_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS}  # raised by writes only; write() sets no filename
 
 
 @contextlib.contextmanager
-def opened(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
+def open_file(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
     """Open a file for reading.
 
     Args:
         path: the file.
-        hint: what to do where it cannot be read.
+        hint: what to do if it cannot be read, for the error message.
 
     Raises:
-        DataError: where it cannot be opened or read.
+        DataError: if the file cannot be open_file or read.
     """
     try:
         with open(path, "rb") as file:
@@ -35,67 +35,71 @@ def opened(path: str | os.PathLike[str], hint: str) -> Iterator[IO[bytes]]:
 
 
 @contextlib.contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a path beside ``path`` to write to; rename it on success, remove it on failure.
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path next to ``path`` to write to; rename it on success, remove it on failure.
 
     Raises:
-        DataError: where the folder cannot be written, or the disk is full. Other errors come out as they are.
+        DataError: if the folder is not writable or the disk is full. Other errors are passed on unchanged.
     """
     path = Path(path)
-    beside = path.with_name(f".{path.name}.part")
+    temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield beside
-        os.replace(beside, path)
+        yield temporary
+        os.replace(temporary, path)
     except OSError as error:
-        if error.errno not in _DISK and error.filename not in _places(path, beside):
+        if error.errno not in _DISK_ERRORS and error.filename not in _involved_paths(path, temporary):
             raise
-        raise _unwritable(path, error, "another folder with -o") from error
+        raise _write_error(path, error, "another folder with -o") from error
     finally:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            temporary.unlink()
 
 
 @contextlib.contextmanager
-def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give an empty folder beside ``path`` to write to; rename it on success, remove it on failure.
+def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield an empty temporary folder next to ``path``; rename it on success, remove it on failure.
 
     Raises:
-        DataError: where ``path`` exists already, the folder around it cannot be written, or the disk is full.
+        DataError: if ``path`` already exists, its parent is not writable, or the disk is full.
     """
     path = Path(path)
     if os.path.lexists(path):
-        raise DataError(path, "exists already", hint="Remove it or choose another folder")
-    beside = path.with_name(f".{path.name}.part")
-    shutil.rmtree(beside, ignore_errors=True)
+        raise DataError(path, "already exists", hint="Remove it or choose another folder")
+    temporary = path.with_name(f".{path.name}.part")
+    shutil.rmtree(temporary, ignore_errors=True)
     try:
-        beside.mkdir(parents=True)
-        yield beside
-        beside.rename(path)
+        temporary.mkdir(parents=True)
+        yield temporary
+        temporary.rename(path)
     except OSError as error:
-        inside = os.fspath(error.filename or "").startswith(os.fspath(beside))
-        if error.errno not in _DISK and not inside and error.filename not in _places(path, beside):
+        in_temporary = os.fspath(error.filename or "").startswith(os.fspath(temporary))
+        if (
+            error.errno not in _DISK_ERRORS
+            and not in_temporary
+            and error.filename not in _involved_paths(path, temporary)
+        ):
             raise
-        raise _unwritable(path, error, "another folder") from error
+        raise _write_error(path, error, "another folder") from error
     finally:
-        shutil.rmtree(beside, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Digest of a file.
+    """SHA-256 digest of a file.
 
     Raises:
-        OSError: where it cannot be read.
+        OSError: if the file cannot be read.
     """
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def remove(path: str | os.PathLike[str]) -> None:
-    """Remove a file, where there is one.
+    """Remove a file if it exists.
 
     Raises:
-        DataError: where it is there and stays.
+        DataError: if the file exists and cannot be removed.
     """
     try:
         os.unlink(path)
@@ -105,19 +109,19 @@ def remove(path: str | os.PathLike[str]) -> None:
         raise DataError(path, f"cannot be removed ({error.strerror})", hint="Choose another folder with -o") from None
 
 
-def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write bytes, whole or not at all."""
-    with whole_file(path) as beside:
-        beside.write_bytes(content)
+def write_atomic(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write bytes atomically."""
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(content)
 
 
-def _unwritable(path: Path, error: OSError, elsewhere: str) -> DataError:
-    """What to say and to do where a file or folder cannot be written."""
+def _write_error(path: Path, error: OSError, alternative: str) -> DataError:
+    """The error for a file or folder that cannot be written."""
     file = next((parent for parent in path.parents if parent.is_file()), None)
-    hint = f"Free space or choose {elsewhere}" if file is None else f"{file} is a file: choose {elsewhere}"
+    hint = f"{file} is a file: choose {alternative}" if file else f"Free disk space or choose {alternative}"
     return DataError(path, f"cannot be written ({error.strerror})", hint=hint)
 
 
-def _places(path: Path, beside: Path) -> set[str]:
-    """What an OSError of making, writing or renaming the file gives as its file name."""
-    return {os.fspath(place) for place in (path, beside, *path.parents)}
+def _involved_paths(path: Path, temporary: Path) -> set[str]:
+    """The file names that an OSError reports when the file is created, written or renamed."""
+    return {os.fspath(involved) for involved in (path, temporary, *path.parents)}

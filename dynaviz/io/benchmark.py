@@ -1,4 +1,4 @@
-"""Writing the public benchmark's layout (Zhang et al. 2023): scans in the world frame, and all of them with labels."""
+"""Write the layout of the public benchmark (Zhang et al. 2023): scans in the world frame, and one labelled cloud."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dynaviz.arrays import F32, I32, U8, U16
-from dynaviz.io.atomic import whole_folder
+from dynaviz.io.atomic import atomic_folder
 from dynaviz.io.pcd import PcdWriter, write_pcd
 
 _LAYOUT = dict.fromkeys(("x", "y", "z", "intensity"), np.float32)
 
 
 class BenchmarkWriter:
-    """A folder in that layout, written scan by scan; it appears when the ``with`` block ends well.
+    """Writes a sequence scan by scan; the folder appears only when the ``with`` block succeeds.
 
-    ``pcd/NNNNNN.pcd`` hold x y z intensity as float32, and the sensor's pose as VIEWPOINT; ``gt_cloud.pcd``, which
-    appears with the first labels, holds all points in that order with the label as intensity, and after it the fields
-    ``class`` and ``instance``; ``sequence.toml`` holds what else is known. All PCD files are binary.
+    ``pcd/NNNNNN.pcd`` contain x y z intensity as float32 and the sensor pose as VIEWPOINT. ``gt_cloud.pcd`` is created
+    with the first labels; it contains all points in scan order with the label as intensity, followed by the fields
+    ``class`` and ``instance``. ``sequence.toml`` contains the metadata. All PCD files are binary.
 
     Args:
-        out: the folder; it must not exist yet.
+        out: the folder to create; it must not exist yet.
 
     Raises:
-        DataError: where it exists or cannot be written.
+        DataError: if the folder exists or cannot be written.
     """
 
     def __init__(self, out: str | os.PathLike[str]) -> None:
@@ -38,7 +38,7 @@ class BenchmarkWriter:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> BenchmarkWriter:
-        self._folder = self._stack.enter_context(whole_folder(self._out))
+        self._folder = self._stack.enter_context(atomic_folder(self._out))
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -55,11 +55,11 @@ class BenchmarkWriter:
         """Add a scan.
 
         Args:
-            index: its number.
+            index: frame number.
             points: (N, 3) float32, metres, world frame.
-            T_world_sensor: (4, 4) float64, metres, the sensor's pose.
+            T_world_sensor: (4, 4) float64, metres, the sensor pose.
             intensity: (N,) float32; 0 by default.
-            lidar: (N,) uint8, which of several merged lidars measured a point.
+            lidar: (N,) uint8, the lidar that measured each point, if several were merged.
         """
         fields: dict[str, Any] = dict(zip("xyz", points.T, strict=True))
         fields["intensity"] = np.zeros(len(points), np.float32) if intensity is None else intensity
@@ -74,13 +74,13 @@ class BenchmarkWriter:
         classes: U16 | None = None,
         instances: I32 | None = None,
     ) -> None:
-        """Add the truth of a scan: of every one, in their order, or of none.
+        """Add the ground truth of a scan. Call it for every scan, in order, or for none.
 
         Args:
-            points: (N, 3) float32, those of the scan.
+            points: (N, 3) float32, the points of the scan.
             labels: (N,) uint8, a ``Label`` per point.
             classes: (N,) uint16, the data set's class per point; 0 by default.
-            instances: (N,) int32, an object's number per point, 0 for none, which is the default.
+            instances: (N,) int32, object number per point, 0 (the default) for no object.
         """
         if self._cloud is None:
             fields = {**_LAYOUT, "class": np.uint16, "instance": np.int32}
@@ -93,7 +93,7 @@ class BenchmarkWriter:
         self._cloud.append(**dict(zip("xyz", points.T, strict=True)), **truth)
 
     def describe(self, facts: Mapping[str, Any], class_names: Mapping[int, str]) -> None:
-        """Write ``sequence.toml``: facts, of which those that are None are left out, and the table of classes."""
+        """Write ``sequence.toml``: facts that are not None, and the table of class names."""
         import tomli_w
 
         table = {key: value for key, value in facts.items() if value is not None}

@@ -1,4 +1,4 @@
-"""KITTI tracking's ``label_02``: boxes with track ids, a line a box and frame."""
+"""KITTI tracking's ``label_02`` files: one line per box and frame, with track ids."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import os
 from dataclasses import dataclass
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
-_HINT = "A line has frame, track, type and at least 14 numbers"
+_HINT = "Each line needs a frame, a track, a type and at least 14 numbers"
 REGION = "DontCare"
 
 
 @dataclass(frozen=True, slots=True)
 class TrackBox:
-    """An object in a frame, or a region that nobody labelled (``kind`` DontCare, which has no extent in space).
+    """An object in a frame, or an unlabelled image region (``kind`` DontCare, without a 3-D extent).
 
     Attributes:
-        frame, track: numbers as in the file; track is -1 for a region.
+        frame, track: as in the file; track is -1 for a region.
         kind: ``Car``, ``Pedestrian`` ...
         rectangle: left, top, right, bottom in the image of camera 2, pixels.
         size: height, width, length, metres.
-        bottom: (x, y, z) of the middle of its bottom, metres, rectified camera frame (x right, y down, z forward).
-        yaw: about the camera's y axis, radians.
+        bottom: (x, y, z) of the centre of its bottom face, metres, rectified camera frame (x right, y down, z forward).
+        yaw: rotation about the camera's y axis, radians.
     """
 
     frame: int
@@ -35,22 +35,22 @@ class TrackBox:
 
 
 def read_boxes(path: str | os.PathLike[str]) -> list[TrackBox]:
-    """Read all boxes and regions of a sequence, in the order of the file.
+    """Read all boxes and regions of a sequence, in file order.
 
     Raises:
-        DataError: for a file that cannot be read, or a line that is no box.
+        DataError: if the file cannot be read or a line is not a valid box.
     """
     boxes = []
-    with opened(path, _HINT) as file:
+    with open_file(path, _HINT) as file:
         for number, line in enumerate(file, 1):
             try:
-                boxes.append(_box(line.decode("latin-1").split()))
+                boxes.append(_parse_box(line.decode("latin-1").split()))
             except (ValueError, IndexError):
-                raise DataError(path, "has no box", at=f"line {number}", hint=_HINT) from None
+                raise DataError(path, "not a valid box", at=f"line {number}", hint=_HINT) from None
     return boxes
 
 
-def _box(words: list[str]) -> TrackBox:
+def _parse_box(words: list[str]) -> TrackBox:
     left, top, right, bottom, height, width, length, x, y, z, yaw = (float(word) for word in words[6:17])
     return TrackBox(
         int(words[0]), int(words[1]), words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw

@@ -1,4 +1,4 @@
-"""Feather files (Arrow tables) as arrays."""
+"""Read columns of Feather files (Arrow tables) as arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 _HINT = "Copy the file again"
 
@@ -20,31 +20,31 @@ def read_feather(path: str | os.PathLike[str], columns: Sequence[str]) -> dict[s
 
     Args:
         path: the file.
-        columns: their names.
+        columns: names of the columns.
 
     Returns:
-        By name, (rows,) arrays of the file's own types; text as objects.
+        (rows,) arrays by name, in the types of the file; text as objects.
 
     Raises:
-        DataError: for a file that cannot be read, is cut, lacks a column, or has gaps in one.
+        DataError: if the file cannot be read or is corrupt, or a column is missing, has missing values or a wrong type.
     """
     from pyarrow import feather, types
 
-    with opened(path, _HINT) as file:
+    with open_file(path, _HINT) as file:
         try:
             table = feather.read_table(file)
-            table.validate(full=True)  # else offsets that lead out of the file are followed
-        except Exception as error:  # damaged files make Arrow fail in many ways
-            problem = f"is no whole Feather file ({str(error)[:80]})"
+            table.validate(full=True)  # otherwise Arrow follows offsets that point outside the file
+        except Exception as error:  # Arrow raises many types of errors for corrupt files
+            problem = f"not a valid Feather file ({str(error)[:80]})"
             raise DataError(path, problem, hint=_HINT) from None
     for name in columns:
         if name not in table.column_names:
-            raise DataError(path, f"has no column {name}, only: {' '.join(table.column_names)}", hint=_HINT)
+            raise DataError(path, f"column {name} is missing (found: {' '.join(table.column_names)})", hint=_HINT)
         if table[name].null_count:
-            raise DataError(path, f"has gaps in its column {name}", hint=_HINT)
+            raise DataError(path, f"column {name} has missing values", hint=_HINT)
         kind = table.schema.field(name).type
         if not (
             types.is_integer(kind) or types.is_floating(kind) or types.is_string(kind) or types.is_large_string(kind)
         ):
-            raise DataError(path, f"has {kind} in its column {name}", hint=_HINT)
+            raise DataError(path, f"column {name} contains {kind}, not numbers or text", hint=_HINT)
     return {name: np.asarray(table[name].to_numpy()) for name in columns}

@@ -1,4 +1,4 @@
-"""Arrays in NPY and NPZ files."""
+"""Open NPY and NPZ files."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 
 @contextlib.contextmanager
-def loaded(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any]:
-    """What ``numpy.load`` makes of a file: a mapped array, or arrays by name that are read when asked for.
+def open_npy(path: str | os.PathLike[str], kind: str, hint: str) -> Iterator[Any]:
+    """Open a file with ``numpy.load``: NPY as a memory-mapped array, NPZ as arrays by name, read on access.
 
     Args:
         path: the file.
-        kind: what it should be, as ``NPY file``, for errors.
-        hint: what to do where it is not.
+        kind: expected file type, such as ``NPY file``, for the error message.
+        hint: what to do if it is not of that type.
 
     Raises:
-        DataError: where it cannot be read, or reading in the ``with`` block fails.
+        DataError: if the file cannot be read, or reading it in the ``with`` block fails.
     """
-    with opened(path, hint) as file:
+    with open_file(path, hint) as file:
         try:
-            # An array is mapped, for else room is made for whatever its header says, however short the file.
-            plain = file.read(6) == b"\x93NUMPY"
+            # Map arrays: otherwise numpy allocates the size that the header states, however short the file is.
+            is_array = file.read(6) == b"\x93NUMPY"
             file.seek(0)
-            yield np.load(path, "r") if plain else np.load(file)
-        except Exception as error:  # damaged headers and archives make numpy fail in many ways
-            raise DataError(path, f"is no whole {kind} ({str(error)[:80]})", hint=hint) from None
+            yield np.load(path, "r") if is_array else np.load(file)
+        except Exception as error:  # numpy raises many types of errors for corrupt files
+            raise DataError(path, f"not a valid {kind} ({str(error)[:80]})", hint=hint) from None

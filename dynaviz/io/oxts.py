@@ -1,4 +1,4 @@
-"""KITTI's ``oxts`` records: the car's GPS and inertial unit."""
+"""KITTI's ``oxts`` records of the car's GPS and inertial measurement unit."""
 
 from __future__ import annotations
 
@@ -11,36 +11,38 @@ from dynaviz.errors import DataError
 from dynaviz.io.text import read_table
 
 _EARTH_RADIUS = 6378137.0  # metres
-_HINT = "A line of oxts has 30 numbers, from latitude on"
-_LARGEST = (89.0, 360.0, 1e5, 10.0, 10.0, 10.0)  # of latitude to yaw; beyond, Mercator and numbers end
+_HINT = "Each oxts line needs 30 numbers, starting with the latitude"
+_LIMITS = (89.0, 360.0, 1e5, 10.0, 10.0, 10.0)  # latitude to yaw; Mercator diverges at the poles
 _COLUMNS = 30  # lat lon alt roll pitch yaw, then speeds, accelerations and qualities
 
 
 def read_oxts(*paths: str | os.PathLike[str]) -> F64:
-    """Read poses of the inertial unit: a file with a line a frame, or a file a frame.
+    """Read poses of the IMU from one file with a line per frame, or from one file per frame.
 
-    Latitude and longitude are projected by Mercator, at the scale of the first line's latitude (KITTI raw development
-    kit, ``latlonToMercator``).
+    Latitude and longitude are projected by Mercator, scaled by the first latitude (KITTI raw development kit,
+    ``latlonToMercator``).
 
     Args:
-        paths: the only file, or files of one line each, in the order of frames.
+        paths: a single file, or files of one line each, in frame order.
 
     Returns:
         (lines, 4, 4) float64, metres: T_earth_imu; x east, y north, z up.
 
     Raises:
-        DataError: for a file that cannot be read, a line without 30 numbers, or other than one line where there
-            are several files.
+        DataError: if a file cannot be read, a line does not have 30 numbers, a position or angle is out of range, or
+            one of several files does not have exactly one line.
     """
     tables = [read_table(path, _COLUMNS, _HINT) for path in paths]
     for path, rows in zip(paths, tables, strict=True):
         if len(paths) > 1 and len(rows) != 1:
-            raise DataError(path, f"has {len(rows)} lines, where a frame has one", hint=_HINT)
+            raise DataError(path, f"has {len(rows)} lines, expected one per frame", hint=_HINT)
     table = np.concatenate(tables)
     for path, rows in zip(paths, tables, strict=True):
-        if (np.abs(rows[:, :6]) > _LARGEST).any():
-            problem = "has a place that is none on the earth, or an angle beyond a turn"
-            raise DataError(path, problem, hint="Latitude and longitude are degrees, roll, pitch and yaw radians")
+        if (np.abs(rows[:, :6]) > _LIMITS).any():
+            problem = "latitude, longitude, altitude or angle out of range"
+            raise DataError(
+                path, problem, hint="Give latitude and longitude in degrees, and roll, pitch and yaw in radians"
+            )
     latitude, longitude = np.radians(table[:, 0]), np.radians(table[:, 1])
     scale = np.cos(latitude[:1]) * _EARTH_RADIUS
     poses = np.tile(np.eye(4), (len(table), 1, 1))

@@ -17,24 +17,32 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, U8
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened, whole_file
-from dynaviz.io.pcd_header import ENCODINGS, Field, PcdHeader, header_text, layout_of, parse_header, read_header
+from dynaviz.io.atomic import atomic_file, open_file
+from dynaviz.io.pcd_header import (
+    ENCODINGS,
+    Field,
+    PcdHeader,
+    fields_from_dtypes,
+    header_text,
+    parse_header,
+    read_header,
+)
 from dynaviz.io.text import read_rows
 from dynaviz.spatial import geometry
 
 __all__ = ["ENCODINGS", "Field", "Pcd", "PcdHeader", "PcdWriter", "read_header", "read_pcd", "write_pcd"]
 
-_LARGEST_RATIO = 88  # three bytes of LZF unpack to at most 264
-_AGAIN = "Write or copy the file again"
+_MAX_RATIO = 88  # three bytes of LZF expand to at most 264
+_RETRY_HINT = "Write or copy the file again"
 
 
 @dataclass(frozen=True, eq=False)
 class Pcd:
-    """The points of a file, or some rows of them.
+    """The points of a file, or a slice of them.
 
     Attributes:
-        path: where they came from.
-        header: of the whole file.
+        path: the file.
+        header: header of the whole file.
         rows: (N,) of dtype ``header.row``.
     """
 
@@ -52,11 +60,11 @@ class Pcd:
         """A field, (N,) or (N, count), in the type of the file.
 
         Raises:
-            DataError: where the file has no such field.
+            DataError: if the file does not have the field.
         """
         if name not in self:
-            has = " ".join(self.rows.dtype.names or ())
-            raise DataError(self.path, f"has no field '{name}', only: {has}", hint="Write the cloud with that field")
+            fields = " ".join(self.rows.dtype.names or ())
+            raise DataError(self.path, f"field '{name}' is missing (found: {fields})", hint="Write the cloud with it")
         return self.rows[name]
 
     @cached_property
@@ -64,34 +72,36 @@ class Pcd:
         """(N, 3) float32, C-contiguous, in the file's frame.
 
         Raises:
-            DataError: where x, y or z is missing, or is more than one number.
+            DataError: if x, y or z is missing or has more than one value per point.
         """
         out = np.empty((len(self), 3), np.float32)
         for axis, name in enumerate("xyz"):
             column = self[name]
             if column.ndim != 1:
-                raise DataError(self.path, f"has more than one number in {name}", hint="Write it with COUNT 1")
-            with np.errstate(over="ignore"):  # beyond float32 is infinite
+                raise DataError(
+                    self.path, f"field {name} has more than one value per point", hint="Write it with COUNT 1"
+                )
+            with np.errstate(over="ignore"):  # values beyond float32 become infinite
                 out[:, axis] = column
         return out
 
     @property
     def T_world_sensor(self) -> F64 | None:
-        """(4, 4) float64, metres: the VIEWPOINT as a pose; None where the file has none.
+        """(4, 4) float64, metres: the VIEWPOINT as a pose; None if the file has none.
 
         Raises:
-            DataError: for a VIEWPOINT that is no pose.
+            DataError: if VIEWPOINT is not a valid pose.
         """
         view = self.header.viewpoint
         if view is None:
             return None
         try:
             if not np.isfinite(view[:3]).all():
-                raise ValueError("no position")
+                raise ValueError("position is not finite")
             return geometry.pose(view[:3], view[3:])
         except ValueError:
-            hint = "Give the sensor's pose as tx ty tz qw qx qy qz, with a quaternion of length 1"
-            problem = f"has a VIEWPOINT that is no pose: {view.tolist()}"
+            hint = "Give the sensor pose as tx ty tz qw qx qy qz, with a quaternion of length 1"
+            problem = f"not a valid pose: {view.tolist()}"
             raise DataError(self.path, problem, at="VIEWPOINT", hint=hint) from None
 
 
@@ -100,13 +110,13 @@ def read_pcd(path: str | os.PathLike[str], rows: tuple[int, int] | None = None) 
 
     Args:
         path: the file.
-        rows: only the points from the first to before the second number; of a ``binary`` file nothing else is read.
+        rows: half-open range of points to read; a ``binary`` file is not read beyond it. Default: all points.
 
     Raises:
-        DataError: for a file that cannot be read, is damaged or too short; it names the line or byte.
+        DataError: if the file cannot be read, is corrupt or too short; names the line or byte.
     """
     path = Path(path)
-    with opened(path, "Give a PCD file") as file:
+    with open_file(path, "Give a PCD file") as file:
         header = parse_header(path, file)
         first, last, _ = slice(*(rows or (None,))).indices(header.points)
         left = os.fstat(file.fileno()).st_size - header.offset
@@ -122,33 +132,34 @@ def write_pcd(
     T_world_sensor: ArrayLike | None = None,
     data: str = "binary",
 ) -> None:
-    """Write points, whole or not at all.
+    """Write points atomically.
 
     Args:
         path: the file.
-        fields: (N,) or (N, count) of integers or floats by name; bool is written as uint8.
-        T_world_sensor: (4, 4) float64, metres; written as VIEWPOINT, which is left out without it.
+        fields: (N,) or (N, count) integers or floats by name; bool is written as uint8.
+        T_world_sensor: (4, 4) float64, metres, written as VIEWPOINT; None writes no VIEWPOINT.
         data: ``ascii``, ``binary`` or ``binary_compressed``.
 
     Raises:
-        DataError: where the file cannot be written.
-        ValueError: for fields that a PCD file cannot hold.
+        DataError: if the file cannot be written.
+        ValueError: for fields that PCD cannot store.
     """
     arrays = {name: np.asarray(array) for name, array in fields.items()}
-    layout = layout_of({name: np.dtype((array.dtype, array.shape[1:])) for name, array in arrays.items()})
-    rows = _rows(layout, arrays)
+    layout = fields_from_dtypes({name: np.dtype((array.dtype, array.shape[1:])) for name, array in arrays.items()})
+    rows = _pack(layout, arrays)
     if data not in ENCODINGS:
-        raise ValueError(f"data is one of {', '.join(ENCODINGS)}, not {data}")
+        raise ValueError(f"data must be one of {', '.join(ENCODINGS)}, not {data}")
     if data == "binary_compressed" and rows.nbytes >= 1 << 32:
-        raise ValueError("binary_compressed holds at most 4 GiB: write it as binary")
-    encode = {"ascii": _ascii, "binary": lambda fields, rows: rows.data, "binary_compressed": _compressed}[data]
-    with whole_file(path) as beside, open(beside, "wb") as file:
+        raise ValueError("binary_compressed is limited to 4 GiB: write the cloud as binary")
+    encode = {"ascii": _encode_ascii, "binary": lambda fields, rows: rows.data, "binary_compressed": _encode_compressed}
+    content = encode[data](layout, rows)
+    with atomic_file(path) as temporary, open(temporary, "wb") as file:
         file.write(header_text(layout, len(rows), T_world_sensor, data))
-        file.write(encode(layout, rows))
+        file.write(content)
 
 
 class PcdWriter:
-    """A binary PCD file of unknown length, written piece by piece; it appears when the ``with`` block ends well.
+    """Writes a binary PCD file of unknown length piece by piece; it appears only when the ``with`` block succeeds.
 
     Args:
         path: the file.
@@ -156,8 +167,8 @@ class PcdWriter:
         T_world_sensor: as in ``write_pcd``.
 
     Raises:
-        DataError: where the file cannot be written.
-        ValueError: for fields that a PCD file cannot hold.
+        DataError: if the file cannot be written.
+        ValueError: for fields that PCD cannot store.
     """
 
     def __init__(
@@ -167,16 +178,16 @@ class PcdWriter:
         T_world_sensor: ArrayLike | None = None,
     ) -> None:
         self.path, self.points = Path(path), 0
-        self._fields = layout_of({name: np.dtype(dtype) for name, dtype in fields.items()})
+        self._fields = fields_from_dtypes({name: np.dtype(dtype) for name, dtype in fields.items()})
         self._T_world_sensor = T_world_sensor
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> PcdWriter:
         with contextlib.ExitStack() as stack:
-            beside = stack.enter_context(whole_file(self.path))
-            self._file = stack.enter_context(open(beside, "wb"))
+            temporary = stack.enter_context(atomic_file(self.path))
+            self._file = stack.enter_context(open(temporary, "wb"))
             self._write_header()
-            stack.callback(self._write_header)  # again at the end, with the number of points
+            stack.callback(self._write_header)  # rewritten at the end with the number of points
             self._stack = stack.pop_all()
         return self
 
@@ -184,8 +195,8 @@ class PcdWriter:
         self._stack.__exit__(*error)
 
     def append(self, **fields: ArrayLike) -> None:
-        """Add points: every field by its name, (N,) or (N, count)."""
-        rows = _rows(self._fields, {name: np.asarray(array) for name, array in fields.items()})
+        """Append points, given all fields by name, (N,) or (N, count)."""
+        rows = _pack(self._fields, {name: np.asarray(array) for name, array in fields.items()})
         self._file.write(rows.data)
         self.points += len(rows)
 
@@ -195,7 +206,7 @@ class PcdWriter:
 
 
 def _read_binary(file: IO[bytes], path: Path, header: PcdHeader, left: int, first: int, last: int) -> NDArray[Any]:
-    _expect(path, header, left, header.points * header.row.itemsize)
+    _check_length(path, header, left, header.points * header.row.itemsize)
     file.seek(header.offset + first * header.row.itemsize)
     return np.fromfile(file, header.row, max(last - first, 0))
 
@@ -203,21 +214,22 @@ def _read_binary(file: IO[bytes], path: Path, header: PcdHeader, left: int, firs
 def _read_compressed(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> NDArray[Any]:
     if not header.points:
         return np.empty(0, header.row)
-    _expect(path, header, left, 8)
+    _check_length(path, header, left, 8)
     packed, size = (int(n) for n in np.fromfile(file, "<u4", 2))
-    _expect(path, header, left, 8 + packed)
-    if size != header.points * header.row.itemsize or size > packed * _LARGEST_RATIO:
-        problem = f"says that {packed} bytes unpack to {size}, not to {header.points} points of {header.row.itemsize}"
-        raise DataError(path, problem, at=f"byte {header.offset}", hint=_AGAIN)
+    _check_length(path, header, left, 8 + packed)
+    if size != header.points * header.row.itemsize or size > packed * _MAX_RATIO:
+        expected = header.points * header.row.itemsize
+        problem = f"inconsistent size of compressed points: {packed} bytes to {size}, expected {expected}"
+        raise DataError(path, problem, at=f"byte {header.offset}", hint=_RETRY_HINT)
     columns = np.empty(size, np.uint8)
     source = kernels.as_readonly(np.fromfile(file, np.uint8, packed), np.uint8)
     bad = kernels.lzf.decompress(source, columns)
     if bad >= 0:
         at = f"byte {header.offset + 8 + bad}"
-        raise DataError(path, "has damaged compressed points", at=at, hint=_AGAIN)
+        raise DataError(path, "corrupt compressed points", at=at, hint=_RETRY_HINT)
     rows = np.empty((header.points, header.row.itemsize), np.uint8)
     start = 0
-    for column in _columns(header.fields, rows):
+    for column in _byte_columns(header.fields, rows):
         column[:] = columns[start : start + column.size].reshape(column.shape)
         start += column.size
     return rows.view(header.row)[:, 0]
@@ -226,33 +238,33 @@ def _read_compressed(file: IO[bytes], path: Path, header: PcdHeader, left: int) 
 def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> NDArray[Any]:
     if not header.points:
         return np.empty(0, header.row)
-    _expect(path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1)  # "0 0 0"
-    rows = read_rows(path, file, _flat(header.fields), header.lines)
+    _check_length(path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1)  # "0 0 0"
+    rows = read_rows(path, file, _flat_dtype(header.fields), header.lines)
     if rows.size < header.points:
-        problem = f"has {rows.size} points, where its header says {header.points}"
-        raise DataError(path, problem, at="at its end", hint=_AGAIN)
+        problem = f"contains {rows.size} points, but the header states {header.points}"
+        raise DataError(path, problem, at="end of file", hint=_RETRY_HINT)
     return rows[: header.points].view(header.row)
 
 
-def _expect(path: Path, header: PcdHeader, left: int, needed: int) -> None:
+def _check_length(path: Path, header: PcdHeader, left: int, needed: int) -> None:
     if left < needed:
-        problem = f"is too short: {header.points} points need {needed} bytes from there on, it has {left}"
-        raise DataError(path, problem, at=f"byte {header.offset}", hint=_AGAIN)
+        problem = f"file is too short: {header.points} points need {needed} bytes from here, {left} are left"
+        raise DataError(path, problem, at=f"byte {header.offset}", hint=_RETRY_HINT)
 
 
-def _columns(fields: tuple[Field, ...], rows: U8) -> Iterator[U8]:
-    """For each field its bytes in rows (N, bytes of a point): (N, bytes of the field) each."""
-    place = 0
+def _byte_columns(fields: tuple[Field, ...], rows: U8) -> Iterator[U8]:
+    """The bytes of each field, (N, bytes of the field), in rows of (N, bytes of a point)."""
+    offset = 0
     for field in fields:
         size = field.dtype.itemsize * field.count
-        yield rows[:, place : place + size]
-        place += size
+        yield rows[:, offset : offset + size]
+        offset += size
 
 
-def _rows(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """The points row by row, as ``binary`` has them."""
+def _pack(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """The points as rows, in the layout of ``binary`` files."""
     if set(arrays) != {field.name for field in fields}:
-        raise ValueError(f"fields are {', '.join(field.name for field in fields)}, not {', '.join(arrays)}")
+        raise ValueError(f"expected the fields {', '.join(field.name for field in fields)}, not {', '.join(arrays)}")
     n = len(arrays[fields[0].name])
     rows = np.empty(n, [(field.name, field.dtype, (field.count,)) for field in fields])
     for field in fields:
@@ -263,24 +275,24 @@ def _rows(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDAr
     return rows
 
 
-def _ascii(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
+def _encode_ascii(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
     out = io.BytesIO()
-    digits = {"f4": "%.9g", "f8": "%.17g"}  # enough to read the same number back
+    digits = {"f4": "%.9g", "f8": "%.17g"}  # enough digits to read the same number back
     form = [digits.get(field.dtype.str[1:], "%d") for field in fields for _ in range(field.count)]
-    np.savetxt(out, rows.view(_flat(fields)), form)
+    np.savetxt(out, rows.view(_flat_dtype(fields)), form)
     return out.getvalue()
 
 
-def _compressed(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
+def _encode_compressed(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
     if not len(rows):
         return b""
-    pieces = _columns(fields, rows.view(np.uint8).reshape(len(rows), -1))
+    pieces = _byte_columns(fields, rows.view(np.uint8).reshape(len(rows), -1))
     columns = np.concatenate([piece.ravel() for piece in pieces])
     out = np.empty(len(columns) * 33 // 32 + 2, np.uint8)
     packed = kernels.lzf.compress(kernels.as_readonly(columns, np.uint8), out)
     return np.array([packed, len(columns)], "<u4").tobytes() + out[:packed].tobytes()
 
 
-def _flat(fields: tuple[Field, ...]) -> np.dtype[Any]:
-    """A point as single numbers, for text."""
+def _flat_dtype(fields: tuple[Field, ...]) -> np.dtype[Any]:
+    """A point as single values, for text."""
     return np.dtype([(f"{k}.{i}", field.dtype) for k, field in enumerate(fields) for i in range(field.count)])

@@ -1,4 +1,4 @@
-"""The header of a PCD file (0.5 to 0.7): fields and their types, the number of points, the viewpoint."""
+"""Headers of PCD files (0.5 to 0.7): fields and their types, number of points, viewpoint."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 
 from dynaviz.arrays import F64
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 from dynaviz.spatial import geometry
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
-_WORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
-_LONGEST_LINE, _LARGEST_POINT = 1 << 16, 1 << 20  # bytes; beyond them a header is taken for damaged
+_KEYWORDS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
+_MAX_LINE, _MAX_POINT = 1 << 16, 1 << 20  # bytes; a header with more is treated as corrupt
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,16 +35,16 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class PcdHeader:
-    """What stands before the points.
+    """The header of a PCD file.
 
     Attributes:
-        fields: in the order of the file; ``_`` is padding.
-        points: their number, equal to width * height.
+        fields: in file order; ``_`` is padding.
+        points: number of points, equal to width * height.
         width, height: of an organised cloud; height is 1 otherwise.
-        viewpoint: (7,) float64: tx ty tz in metres, qw qx qy qz; None where the file has none.
+        viewpoint: (7,) float64: tx ty tz in metres, qw qx qy qz; None if the file has none.
         data: ``ascii``, ``binary`` or ``binary_compressed``.
-        offset: byte at which the points begin.
-        lines: number of lines before the points.
+        offset: byte offset of the points.
+        lines: number of header lines.
     """
 
     fields: tuple[Field, ...]
@@ -58,52 +58,54 @@ class PcdHeader:
 
     @cached_property
     def row(self) -> np.dtype[Any]:
-        """A point in the file as a structured dtype; padding has no name, of two equal names the first one counts."""
-        named: dict[str, tuple[Any, int]] = {}
-        place = 0
+        """Structured dtype of a point; padding has no name, and the first of two equal names is used."""
+        columns: dict[str, tuple[Any, int]] = {}
+        offset = 0
         for field in self.fields:
-            form = field.dtype if field.count == 1 else (field.dtype, (field.count,))
+            dtype = field.dtype if field.count == 1 else (field.dtype, (field.count,))
             if field.name != "_":
-                named.setdefault(field.name, (form, place))
-            place += field.dtype.itemsize * field.count
-        forms, places = [f for f, _ in named.values()], [p for _, p in named.values()]
-        return np.dtype({"names": list(named), "formats": forms, "offsets": places, "itemsize": place})
+                columns.setdefault(field.name, (dtype, offset))
+            offset += field.dtype.itemsize * field.count
+        dtypes, offsets = [dtype for dtype, _ in columns.values()], [start for _, start in columns.values()]
+        return np.dtype({"names": list(columns), "formats": dtypes, "offsets": offsets, "itemsize": offset})
 
 
 def read_header(path: str | os.PathLike[str]) -> PcdHeader:
-    """Read what stands before the points.
+    """Read the header of a file.
 
     Raises:
-        DataError: for a file that cannot be read or has no valid header; it names the line.
+        DataError: if the file cannot be read or its header is invalid; names the line.
     """
-    with opened(path, "Give a PCD file") as file:
+    with open_file(path, "Give a PCD file") as file:
         return parse_header(Path(path), file)
 
 
 def parse_header(path: Path, file: IO[bytes]) -> PcdHeader:
-    """Read the header of an open file; the points come next. Raises as ``read_header``."""
+    """Read the header of an open file and leave the file at the first point. Raises as ``read_header``."""
     words: dict[str, tuple[list[str], str]] = {}
     lines = 0
     while "DATA" not in words:
-        line = file.readline(_LONGEST_LINE)
+        line = file.readline(_MAX_LINE)
         lines += 1
         at = f"line {lines}"
         if not line.endswith(b"\n"):
-            raise DataError(path, "ends before its points, or is no PCD file", at=at, hint="Write or copy it again")
+            raise DataError(
+                path, "not a PCD file, or truncated in the header", at=at, hint="Write or copy the file again"
+            )
         word, *values = line.decode("latin-1").split() or ["#"]
-        word = {"COLUMNS": "FIELDS"}.get(word.upper(), word.upper())  # the name in 0.5
-        if word in _WORDS:
+        word = {"COLUMNS": "FIELDS"}.get(word.upper(), word.upper())  # its name in version 0.5
+        if word in _KEYWORDS:
             words[word] = values, at
         elif not word.startswith("#"):
-            hint = f"A PCD header has the lines {' '.join(_WORDS)}"
-            raise DataError(path, f"has the unknown word {word[:20]!r} in its header", at=at, hint=hint)
-    return _checked(path, words, file.tell(), lines)
+            hint = f"The lines of a PCD header are {' '.join(_KEYWORDS)}"
+            raise DataError(path, f"unknown keyword {word[:20]!r} in the header", at=at, hint=hint)
+    return _validated(path, words, file.tell(), lines)
 
 
-def _checked(path: Path, words: dict[str, tuple[list[str], str]], offset: int, lines: int) -> PcdHeader:
-    """The header of its words, or DataError at the line of the first that is wrong."""
+def _validated(path: Path, words: dict[str, tuple[list[str], str]], offset: int, lines: int) -> PcdHeader:
+    """The header from its words, or DataError at the first invalid line."""
 
-    def wrong(word: str, problem: str) -> DataError:
+    def invalid(word: str, problem: str) -> DataError:
         return DataError(path, problem, at=words.get(word, ([], "header"))[1], hint="Write or copy the file again")
 
     def values(word: str, kind: Callable[[str], Any], length: int, default: str) -> list[Any]:
@@ -114,7 +116,9 @@ def _checked(path: Path, words: dict[str, tuple[list[str], str]], offset: int, l
             found = []
         if len(found) != length:
             shown = " ".join([word, *texts])[:80]
-            raise wrong(word, f"has '{shown}' in its header, where {length} sensible values belong")
+            raise invalid(
+                word, f"'{shown}' in the header: expected {length} valid {'value' if length == 1 else 'values'}"
+            )
         return found
 
     names = words["FIELDS"][0] if "FIELDS" in words else []
@@ -123,14 +127,16 @@ def _checked(path: Path, words: dict[str, tuple[list[str], str]], offset: int, l
     sizes, counts = values("SIZE", int, n, "4"), values("COUNT", _count, n, "1")
     for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
         if size not in _SIZES[kind] or count < 1:
-            raise wrong("SIZE", f"has a field '{name[:40]}' of TYPE {kind.upper()}, SIZE {size} and COUNT {count}")
-    if not 0 < sum(size * count for size, count in zip(sizes, counts, strict=True)) <= _LARGEST_POINT:
-        raise wrong("FIELDS", "has no FIELDS in its header, or points of more than 1 MiB")
+            raise invalid(
+                "SIZE", f"field '{name[:40]}' has an invalid TYPE {kind.upper()}, SIZE {size} or COUNT {count}"
+            )
+    if not 0 < sum(size * count for size, count in zip(sizes, counts, strict=True)) <= _MAX_POINT:
+        raise invalid("FIELDS", "the header has no FIELDS, or points larger than 1 MiB")
     height = values("HEIGHT", _count, 1, "1")[0]
     width = values("WIDTH", _count, 1, " ".join(words["POINTS"][0]) if "POINTS" in words else "")[0]
     points = values("POINTS", _count, 1, str(width * height))[0]
     if points != width * height:
-        raise wrong("POINTS", f"has {points} POINTS in its header, but WIDTH x HEIGHT is {width} x {height}")
+        raise invalid("POINTS", f"POINTS is {points}, but WIDTH x HEIGHT is {width} x {height}")
     data = values("DATA", ENCODINGS.index, 1, "")[0]
     viewpoint = np.array(values("VIEWPOINT", float, 7, "")) if "VIEWPOINT" in words else None
     fields = tuple(Field(a, np.dtype(f"<{k}{s}"), c) for a, k, s, c in zip(names, kinds, sizes, counts, strict=True))
@@ -138,21 +144,21 @@ def _checked(path: Path, words: dict[str, tuple[list[str], str]], offset: int, l
 
 
 def _count(text: str) -> int:
-    """A number of something in a header."""
+    """A count in a header; ValueError if it is not a non-negative integer below 10**18."""
     if not (text.isascii() and text.isdigit() and len(text) < 19):
         raise ValueError(text)
     return int(text)
 
 
-def layout_of(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]:
-    """Fields of dtypes, or ValueError where PCD has no such type."""
+def fields_from_dtypes(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]:
+    """Fields for dtypes; ValueError if PCD does not support a name or type."""
     fields = []
     for name, dtype in dtypes.items():
         base, shape = (np.dtype(np.uint8) if dtype.base == np.bool_ else dtype.base), dtype.shape
         if not (name.isascii() and name == "".join(name.split()) and name not in ("", "_")):
-            raise ValueError(f"'{name}' is no name for a field of a PCD file")
+            raise ValueError(f"'{name}' is not a valid name for a PCD field")
         if base.kind not in _SIZES or base.itemsize not in _SIZES[base.kind] or len(shape) > 1 or 0 in shape:
-            raise ValueError(f"field '{name}': PCD has no type for {dtype}")
+            raise ValueError(f"field '{name}': PCD does not support {dtype}")
         fields.append(Field(name, base.newbyteorder("<"), shape[0] if shape else 1))
     if not fields:
         raise ValueError("a PCD file needs at least one field")
@@ -160,7 +166,7 @@ def layout_of(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]:
 
 
 def header_text(fields: tuple[Field, ...], points: int, T_world_sensor: ArrayLike | None, data: str) -> bytes:
-    """The header; as long for every number of points, so that it can be written again when the number is known."""
+    """The header. Its length does not depend on the number of points, so it can be rewritten when that is known."""
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",

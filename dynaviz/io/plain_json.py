@@ -1,4 +1,4 @@
-"""JSON files that are read as a whole."""
+"""Read JSON files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 
 def read_json(path: str | os.PathLike[str], hint: str) -> Any:
@@ -15,13 +15,13 @@ def read_json(path: str | os.PathLike[str], hint: str) -> Any:
 
     Args:
         path: the file.
-        hint: what to do where it is none.
+        hint: what to do if it is not valid JSON, for the error message.
 
     Raises:
-        DataError: where it cannot be read, or is not JSON.
+        DataError: if the file cannot be read or is not valid JSON.
     """
-    with opened(path, hint) as file:
+    with open_file(path, hint) as file:
         try:
             return json.load(file)
         except (ValueError, RecursionError) as error:
-            raise DataError(path, f"is not JSON ({error})", hint=hint) from None
+            raise DataError(path, f"not valid JSON ({error})", hint=hint) from None

@@ -1,4 +1,4 @@
-"""A JSON file that is one long list of records, read one record at a time: tables may be larger than memory."""
+"""Stream the records of a JSON file that is one list, because tables may be larger than memory."""
 
 from __future__ import annotations
 
@@ -9,74 +9,74 @@ from collections.abc import Iterator
 from typing import IO, Any
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 _HINT = "Copy the file again"
 _CHUNK = 1 << 20  # bytes
-_LONGEST = 8 * _CHUNK  # characters of a record; what is longer is damaged
+_MAX_RECORD = 8 * _CHUNK  # characters; a longer record is treated as corrupt
 _BLANK = " \t\r\n"
 
 
 def read_records(path: str | os.PathLike[str]) -> Iterator[dict[str, Any]]:
-    """Read the records of a table in their order.
+    """Read the records of a table in file order.
 
     Raises:
-        DataError: for a file that cannot be read, is cut, or is no list of records; it names the record.
+        DataError: if the file cannot be read, is truncated or is not a list of records; names the record.
     """
-    with opened(path, _HINT) as file:
-        text = _Text(file)
+    with open_file(path, _HINT) as file:
+        buffer = _Buffer(file)
         number = 0
         try:
-            text.expect("[")
-            while text.next() != "]":
+            buffer.expect("[")
+            while buffer.peek() != "]":
                 if number:
-                    text.expect(",")
-                record = text.value()
+                    buffer.expect(",")
+                record = buffer.value()
                 if not isinstance(record, dict):
-                    raise ValueError("it is no record")
+                    raise ValueError("not a JSON object")
                 yield record
                 number += 1
         except (ValueError, RecursionError) as error:
-            problem = f"is no whole list of records ({str(error)[:80]})"
+            problem = f"not a valid list of records ({str(error)[:80]})"
             raise DataError(path, problem, at=f"record {number}", hint=_HINT) from None
 
 
-class _Text:
-    """The characters of a file that are not used yet, as far as they were read."""
+class _Buffer:
+    """A buffer of the characters that were read but not yet consumed."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._ahead, self._at = file, "", 0
+        self._file, self._text, self._position = file, "", 0
         self._decode, self._json = codecs.getincrementaldecoder("utf-8")(), json.JSONDecoder()
 
-    def next(self) -> str:
-        """The next character that is not blank, which stays where it is."""
+    def peek(self) -> str:
+        """The next non-blank character, without consuming it."""
         while True:
-            while self._at < len(self._ahead) and self._ahead[self._at] in _BLANK:
-                self._at += 1
-            if self._at < len(self._ahead):
-                return self._ahead[self._at]
-            if not self._more():
-                raise ValueError("it ends too early")
+            while self._position < len(self._text) and self._text[self._position] in _BLANK:
+                self._position += 1
+            if self._position < len(self._text):
+                return self._text[self._position]
+            if not self._read_chunk():
+                raise ValueError("unexpected end of file")
 
     def expect(self, character: str) -> None:
-        """Step over a character."""
-        if self.next() != character:
-            raise ValueError(f"there is {self.next()!r} where {character!r} should be")
-        self._at += 1
+        """Consume a character; ValueError if a different one follows."""
+        if self.peek() != character:
+            raise ValueError(f"found {self.peek()!r}, expected {character!r}")
+        self._position += 1
 
     def value(self) -> Any:
-        """Step over a value, and give it."""
-        self.next()
+        """Consume and return a JSON value."""
+        self.peek()
         while True:
             try:
-                found, self._at = self._json.raw_decode(self._ahead, self._at)
-                return found
+                value, self._position = self._json.raw_decode(self._text, self._position)
+                return value
             except json.JSONDecodeError:
-                if len(self._ahead) - self._at > _LONGEST or not self._more():
+                if len(self._text) - self._position > _MAX_RECORD or not self._read_chunk():
                     raise
 
-    def _more(self) -> bool:
-        """Read on, unless the file is at its end."""
+    def _read_chunk(self) -> bool:
+        """Read the next chunk; False at the end of the file."""
         content = self._file.read(_CHUNK)
-        self._ahead, self._at = self._ahead[self._at :] + self._decode.decode(content, final=not content), 0
+        self._text, self._position = self._text[self._position :] + self._decode.decode(content, final=not content), 0
         return bool(content)

@@ -1,4 +1,4 @@
-"""Lines of numbers: the base of every text format here, with errors that name the line."""
+"""Read lines of numbers, with errors that name the line. All text formats use it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 
 def read_rows(path: str | os.PathLike[str], file: Iterable[bytes], dtype: np.dtype[Any], line: int = 0) -> NDArray[Any]:
-    """Read what is left of an open file; empty lines and those that begin with ``#`` are skipped.
+    """Read the rest of an open file; empty lines and lines that start with ``#`` are skipped.
 
     Args:
-        path: its name, for errors.
-        file: open for reading bytes, or some of its lines.
-        dtype: structured, one field a number.
-        line: number of lines that were read before.
+        path: file name for error messages.
+        file: a file open for reading bytes, or an iterable of lines.
+        dtype: structured, one field per number.
+        line: number of lines already read.
 
     Returns:
         (lines,) of the dtype.
 
     Raises:
-        DataError: for a line that has other numbers than the dtype; it names the line.
+        DataError: if a line does not match the dtype; names the line.
     """
 
     def lines() -> Iterator[str]:
@@ -55,19 +55,19 @@ def read_table(path: str | os.PathLike[str], columns: int, hint: str) -> F64:
 
     Args:
         path: the file.
-        columns: how many numbers a line has.
-        hint: what the file should hold, for errors.
+        columns: numbers per line.
+        hint: expected content, for error messages.
 
     Returns:
         (lines, columns) float64, all finite.
 
     Raises:
-        DataError: for a file that cannot be read, or a line of other numbers.
+        DataError: if the file cannot be read or a line is invalid.
     """
-    with opened(path, hint) as file:
+    with open_file(path, hint) as file:
         rows = read_rows(path, file, np.dtype([(str(k), np.float64) for k in range(columns)]))
     table: F64 = rows.view(np.float64).reshape(len(rows), columns)
     if not np.isfinite(table).all():
         row = int(np.flatnonzero(~np.isfinite(table).all(1))[0])
-        raise DataError(path, f"has a number that is not finite in row {row}, counted from 0", hint=hint)
+        raise DataError(path, "a number is not finite", at=f"row {row}, counted from 0", hint=hint)
     return table

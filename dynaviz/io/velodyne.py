@@ -1,4 +1,4 @@
-"""KITTI's ``velodyne/*.bin`` and nuScenes' ``*.pcd.bin``: numbers of each point, float32, sensor frame."""
+"""KITTI's ``velodyne/*.bin`` and nuScenes' ``*.pcd.bin``: float32 values per point, sensor frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from dynaviz.arrays import F32
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 
 FIELDS = ("x", "y", "z", "intensity", "ring")
 
@@ -19,19 +19,19 @@ def read_velodyne(path: str | os.PathLike[str], fields: int = 4) -> F32:
 
     Args:
         path: the file.
-        fields: numbers of a point: 4 for KITTI, 5 for nuScenes, which adds the ring.
+        fields: values per point: 4 for KITTI, 5 for nuScenes, which adds the ring.
 
     Returns:
         (N, fields) float32: x y z in metres, sensor frame, and intensity.
 
     Raises:
-        DataError: for a file that cannot be read, or ends in the middle of a point.
+        DataError: if the file cannot be read or ends in the middle of a point.
     """
     row = 4 * fields
-    with opened(path, f"Give a file of float32 {' '.join(FIELDS[:fields])}") as file:
+    with open_file(path, f"Give a file of float32 {' '.join(FIELDS[:fields])}") as file:
         size = os.fstat(file.fileno()).st_size
         if size % row:
-            kind = f"{' '.join(FIELDS[:fields])}, float32"
-            problem = f"ends in the middle of a point: {size} bytes are no multiple of {row} ({kind})"
+            layout = f"{' '.join(FIELDS[:fields])}, float32"
+            problem = f"ends in the middle of a point: {size} bytes is not a multiple of {row} ({layout})"
             raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint="Copy the file again")
         return np.fromfile(file, "<f4").reshape(-1, fields)

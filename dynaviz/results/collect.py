@@ -12,7 +12,7 @@ from typing import Any
 
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError
-from dynaviz.io.atomic import opened
+from dynaviz.io.atomic import open_file
 from dynaviz.results.result import Result, label
 
 HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o FOLDER' writes one)"
@@ -140,7 +140,7 @@ def _cell(file: Path, given: Path) -> StudyRun:
 
 def _failed(file: Path, given: Path) -> StudyRun:
     hint = "Remove it, or run its bench again"
-    with opened(file, hint) as content:
+    with open_file(file, hint) as content:
         try:
             facts = json.load(content)
             method, sequence, error = (str(facts[key]) for key in ("method", "sequence", "error"))

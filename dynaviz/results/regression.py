@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
 from dynaviz.results.result import Result, label
 
@@ -287,4 +287,4 @@ def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> N
         rows.append(json.dumps(row))
     # A line each, so that a diff of two versions shows which runs changed.
     text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
-    write_whole(Path(path), text.encode())
+    write_atomic(Path(path), text.encode())

@@ -13,7 +13,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
 from dynaviz.errors import DataError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Result:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``result.json``, whole or not at all."""
-        write_whole(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
+        write_atomic(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:

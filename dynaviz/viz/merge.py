@@ -24,7 +24,7 @@ from dynaviz.comparison.counts import (
     frame_gains,
 )
 from dynaviz.comparison.summary import Comparison, label
-from dynaviz.io.atomic import whole_file
+from dynaviz.io.atomic import atomic_file
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Label
 from dynaviz.viz import compare_layout, paths
@@ -86,7 +86,7 @@ def write(
     pair = len(recordings) == 2
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     layout = (compare_layout.two if pair else compare_layout.many)(names, places)
-    with whole_file(out) as beside, PipeWriter(beside) as tap, contextlib.ExitStack() as stack:
+    with atomic_file(out) as beside, PipeWriter(beside) as tap, contextlib.ExitStack() as stack:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
         stack.callback(stream.disconnect)
         stream.save(tap.inlet, default_blueprint=layout)

@@ -11,7 +11,7 @@ import rerun as rr
 from rerun.experimental import ViewerClient
 
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.io.atomic import write_whole
+from dynaviz.io.atomic import write_atomic
 from dynaviz.viz import paths, viewer
 from dynaviz.viz.reader import AnyRecording, viewable
 
@@ -59,7 +59,7 @@ def shot(
         for frame, picture in zip(frames, pictures, strict=True):
             client.set_time(paths.FRAME, sequence=frame, play_state="paused")
             client.take_screenshot()  # the first picture after a jump may lack what is still on its way
-            write_whole(picture, client.take_screenshot(view_id))
+            write_atomic(picture, client.take_screenshot(view_id))
     return pictures
 
 

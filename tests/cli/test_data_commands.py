@@ -59,7 +59,7 @@ def test_convert_takes_frames_and_sensor(run_command: Command, folder: Path, tmp
     assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == ["000011.pcd", "000013.pcd"]
     assert 'sensor = "vlp16"' in (tmp_path / "x/sequence.toml").read_text()
     code, _, err = run_command("convert", folder, tmp_path / "x")
-    assert (code, "exists already" in one_line(err)) == (2, True)
+    assert (code, "already exists" in one_line(err)) == (2, True)
 
 
 def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> None:

@@ -109,16 +109,16 @@ def test_labels_that_are_none(little_room: InMemory, tmp_path: Path) -> None:
     content = path.read_bytes()
     for damaged in (b"", b"hello", content[: len(content) // 2]):
         path.write_bytes(damaged)
-        with pytest.raises(DataError, match=r"is no whole labels\.npz of a run"):
+        with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
             dv.score(path, little_room)
     np.savez(path, a=np.zeros(3))
-    with pytest.raises(DataError, match=r"is no whole labels\.npz of a run"):
+    with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
         dv.score(path, little_room)
     np.savez(path, **{**whole, "dynamic": whole["dynamic"][:-1]})
     with pytest.raises(DataError, match="do not fit together"):
         dv.score(path, little_room)
     np.savez(path, **{**whole, "frames": whole["frames"][:-1]})
-    with pytest.raises(DataError, match=r"is no whole labels\.npz of a run"):
+    with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
         dv.score(path, little_room)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import TrackBox, read_boxes
-from dynaviz.io.calib import matrix_of, read_calib, rigid_of
+from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.semantic_label import read_semantic_labels
@@ -29,7 +29,7 @@ def test_a_sweep_is_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_velodyne(tmp_path / "a.bin"), points)
 
 
-def test_a_cut_sweep_is_refused(tmp_path: Path) -> None:
+def test_a_truncated_sweep_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.bin").write_bytes(bytes(50))
     with pytest.raises(DataError, match=r"a\.bin, byte 48: ends in the middle of a point"):
         read_velodyne(tmp_path / "a.bin")
@@ -43,9 +43,9 @@ def test_labels_are_class_and_instance(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("points", [0, 2, 4])
-def test_labels_of_another_number_of_points_are_refused(tmp_path: Path, points: int) -> None:
+def test_a_wrong_number_of_labels_is_refused(tmp_path: Path, points: int) -> None:
     np.zeros(3, "<u4").tofile(tmp_path / "a.label")
-    with pytest.raises(DataError, match=f"has 12 bytes, where {points} points need {4 * points}"):
+    with pytest.raises(DataError, match=f"has 12 bytes, but {points} points need {4 * points}"):
         read_semantic_labels(tmp_path / "a.label", points)
 
 
@@ -64,15 +64,15 @@ def test_calibration_rows_have_names_with_or_without_colon(tmp_path: Path) -> No
     path = tmp_path / "calib.txt"
     path.write_text("R_rect 1 0 0 0 1 0 0 0 1\n\nTr: 0 -1 0 5 1 0 0 6 0 0 1.000001 7\n")
     rows = read_calib(path)
-    np.testing.assert_array_equal(matrix_of(path, rows, "R0_rect", "R_rect"), np.eye(3))
-    T = rigid_of(path, rows, "Tr")
+    np.testing.assert_array_equal(calib_matrix(path, rows, "R0_rect", "R_rect"), np.eye(3))
+    T = calib_transform(path, rows, "Tr")
     np.testing.assert_allclose(T, [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]], atol=1e-6)
     np.testing.assert_allclose(geometry.compose(T, geometry.inverse(T)), np.eye(4), atol=1e-15)
-    with pytest.raises(DataError, match="has no line P2 or P3"):
-        matrix_of(path, rows, "P2", "P3")
+    with pytest.raises(DataError, match="line P2 or P3 is missing"):
+        calib_matrix(path, rows, "P2", "P3")
 
 
-def test_oxts_of_a_small_drive_is_flat_earth(tmp_path: Path) -> None:
+def test_oxts_of_a_short_drive_matches_a_flat_earth(tmp_path: Path) -> None:
     metre = np.degrees(1 / 6378137.0)
     still = np.array([49.0, 8.0, 100.0, *np.zeros(27)])
     north, east = still.copy(), still.copy()
@@ -86,7 +86,7 @@ def test_oxts_of_a_small_drive_is_flat_earth(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses[2, :3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
 
 
-def test_roll_pitch_and_yaw_turn_as_scipys(tmp_path: Path) -> None:
+def test_roll_pitch_and_yaw_match_scipy(tmp_path: Path) -> None:
     from scipy.spatial.transform import Rotation
 
     angles = np.random.default_rng(1).uniform(-1, 1, (5, 3))
@@ -110,7 +110,7 @@ READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_bad_word_is_named_with_its_line(tmp_path: Path, name: str) -> None:
+def test_an_invalid_word_is_reported_with_the_line(tmp_path: Path, name: str) -> None:
     read, line = READERS[name]
     path = tmp_path / "a.txt"
     path.write_text(f"{line}\n{line}\n{line.rpartition(' ')[0]} monkey\n")
@@ -119,7 +119,7 @@ def test_a_bad_word_is_named_with_its_line(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["kitti poses", "oxts", "boxes"])
-def test_a_missing_word_is_named_with_its_line(tmp_path: Path, name: str) -> None:
+def test_a_missing_word_is_reported_with_the_line(tmp_path: Path, name: str) -> None:
     read, line = READERS[name]
     path = tmp_path / "a.txt"
     path.write_text(f"{line}\n{line.rpartition(' ')[0]}\n")
@@ -137,7 +137,7 @@ def test_a_number_that_is_not_finite_is_refused(tmp_path: Path, name: str) -> No
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_missing_file_is_named(tmp_path: Path, name: str) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(DataError, match=r"none\.txt: cannot be read"):
         READERS[name][0](tmp_path / "none.txt")
 

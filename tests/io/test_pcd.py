@@ -1,4 +1,4 @@
-"""PCD files: what is written is read back, other tools agree, and a damaged file is refused."""
+"""PCD files: written data are read back, other tools agree, and corrupt files are refused."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PLAIN = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2
 
 @in_one_folder
 @given(clouds(), st.sampled_from(ENCODINGS))
-def test_every_layout_comes_back_as_it_was_written(tmp_path: Path, fields: dict[str, Any], data: str) -> None:
+def test_every_layout_is_read_back_unchanged(tmp_path: Path, fields: dict[str, Any], data: str) -> None:
     path = tmp_path / "a.pcd"
     write_pcd(path, fields, data=data)
     back = read_pcd(path)
@@ -70,13 +70,13 @@ def test_lzf_is_lossless(tmp_path: Path, content: bytes) -> None:
     assert read_pcd(path)["byte"].tobytes() == content
 
 
-def test_what_repeats_is_compressed(tmp_path: Path) -> None:
+def test_repetitive_data_is_compressed(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", {"x": np.zeros(100_000, np.float32)}, data="binary_compressed")
     assert (tmp_path / "a.pcd").stat().st_size < 10_000
 
 
 @pytest.mark.parametrize("data", ENCODINGS)
-def test_open3d_reads_what_we_write(tmp_path: Path, data: str) -> None:
+def test_open3d_reads_our_files(tmp_path: Path, data: str) -> None:
     open3d = pytest.importorskip("open3d")
     path, fields = tmp_path / "a.pcd", cloud()
     write_pcd(path, fields, pose(), data)
@@ -85,7 +85,7 @@ def test_open3d_reads_what_we_write(tmp_path: Path, data: str) -> None:
 
 
 @pytest.mark.parametrize(("ascii", "compressed"), [(True, False), (False, False), (False, True)])
-def test_we_read_what_open3d_writes(tmp_path: Path, ascii: bool, compressed: bool) -> None:
+def test_we_read_files_of_open3d(tmp_path: Path, ascii: bool, compressed: bool) -> None:
     open3d = pytest.importorskip("open3d")
     points = np.random.default_rng(3).normal(size=(500, 3))
     points[100:200] = 1.0  # something to compress
@@ -111,7 +111,7 @@ def test_xyz_is_float32_in_any_order_and_type(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("data", ENCODINGS)
 @pytest.mark.parametrize("rows", [(0, 50), (7, 9), (40, 90), (9, 7), (50, 60)])
-def test_some_rows_are_those_of_the_whole(tmp_path: Path, data: str, rows: tuple[int, int]) -> None:
+def test_a_slice_equals_the_rows_of_the_file(tmp_path: Path, data: str, rows: tuple[int, int]) -> None:
     write_pcd(tmp_path / "a.pcd", cloud(), data=data)
     part, whole = read_pcd(tmp_path / "a.pcd", rows), read_pcd(tmp_path / "a.pcd")
     np.testing.assert_array_equal(part.xyz, whole.xyz[slice(*rows)])
@@ -133,7 +133,7 @@ def test_padding_has_no_name(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pcd["y"], [2, 5])
 
 
-def test_the_writer_counts(tmp_path: Path) -> None:
+def test_the_writer_counts_points(tmp_path: Path) -> None:
     path, fields = tmp_path / "a.pcd", cloud(20)
     with PcdWriter(path, {name: array.dtype for name, array in fields.items()}, pose()) as writer:
         for rows in (slice(0, 5), slice(5, 5), slice(5, 20)):
@@ -155,7 +155,7 @@ def test_nothing_appears_when_the_writer_fails(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("piecewise", [False, True])
-def test_a_full_disk_is_told_and_nothing_is_left(tmp_path: Path, piecewise: bool) -> None:
+def test_a_full_disk_is_reported_and_no_file_is_left(tmp_path: Path, piecewise: bool) -> None:
     x = np.zeros(1_000_000, np.float32)
 
     def write() -> None:
@@ -175,23 +175,23 @@ def test_a_full_disk_is_told_and_nothing_is_left(tmp_path: Path, piecewise: bool
     [{}, {"x y": np.zeros(1)}, {"_": np.zeros(1)}, {"x": np.zeros(1, "f2")}, {"x": np.zeros((1, 2, 2))},
      {"x": np.zeros(1), "y": np.zeros(2)}, {"x": np.array(["a"])}],
 )  # fmt: skip
-def test_what_no_pcd_can_hold_is_refused(tmp_path: Path, fields: dict[str, Any]) -> None:
+def test_unsupported_fields_are_refused(tmp_path: Path, fields: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="field"):
         write_pcd(tmp_path / "a.pcd", fields)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("content", "where", "what"),
+    ("content", "place", "message"),
     [
-        (b"", "line 1", "no PCD"),
+        (b"", "line 1", "not a PCD file"),
         (b"hello world\n", "line 1", "HELLO"),
-        (text(PLAIN), "line 9", "ends before"),
+        (text(PLAIN), "line 9", "truncated in the header"),
         (text(PLAIN + "DATA binary\n", bytes(23)), "byte 97", "too short"),
         (text(PLAIN + "DATA zip\n"), "line 9", "DATA zip"),
         (text(PLAIN + "DATA ascii\n1 2 3\n4 5 monkey\n"), "line 11", "monkey"),
         (text(PLAIN + "DATA ascii\n1 2 3\n4 5\n 6"), "line 11", "2 were found"),
-        (text(PLAIN + "DATA ascii\n100.0 200.0 300.0\n"), "at its end", "has 1 points"),
+        (text(PLAIN + "DATA ascii\n100.0 200.0 300.0\n"), "end of file", "contains 1 points"),
         (text(PLAIN.replace("POINTS 2", "POINTS 3") + "DATA ascii\n"), "line 8", "WIDTH x HEIGHT"),
         (text(PLAIN.replace("SIZE 4 4 4", "SIZE 4 4") + "DATA ascii\n"), "line 3", "SIZE 4 4"),
         (text(PLAIN.replace("SIZE 4 4 4", "SIZE 4 4 2") + "DATA ascii\n"), "line 3", "'z'"),
@@ -200,17 +200,17 @@ def test_what_no_pcd_can_hold_is_refused(tmp_path: Path, fields: dict[str, Any])
         (text(PLAIN.replace("WIDTH 2", "WIDTH two") + "DATA binary\n"), "line 6", "WIDTH two"),
         (text(PLAIN.replace("2\n", "9" * 15 + "\n") + "DATA binary\n"), "byte", "too short"),
         (text(PLAIN + "VIEWPOINT 0 0 0\nDATA binary\n"), "line 9", "VIEWPOINT"),
-        (text(PLAIN + "DATA binary_compressed\n", b"\1\0\0\0\377\0\0\0."), "byte 108", "unpack"),
-        (text(PLAIN + "DATA binary_compressed\n", b"\3\0\0\0\30\0\0\0\377\377\377"), "byte 116", "damaged"),
+        (text(PLAIN + "DATA binary_compressed\n", b"\1\0\0\0\377\0\0\0."), "byte 108", "inconsistent size"),
+        (text(PLAIN + "DATA binary_compressed\n", b"\3\0\0\0\30\0\0\0\377\377\377"), "byte 116", "corrupt"),
     ],
 )
-def test_a_damaged_file_is_named_with_the_place(tmp_path: Path, content: bytes, where: str, what: str) -> None:
+def test_a_corrupt_file_is_reported_with_the_place(tmp_path: Path, content: bytes, place: str, message: str) -> None:
     path = tmp_path / "bad.pcd"
     path.write_bytes(content)
     with pytest.raises(DataError) as caught:
         read_pcd(path)
-    assert str(caught.value).startswith(f"{path}, {where}")
-    assert what in str(caught.value)
+    assert str(caught.value).startswith(f"{path}, {place}")
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("view", ["1 2 3 0 0 0 0", "1 2 3 1e-9 0 0 0", "1 2 3 1e300 1 1 1", "1 2 nan 1 0 0 0"])
@@ -222,20 +222,20 @@ def test_a_viewpoint_without_rotation_is_no_pose(tmp_path: Path, view: str) -> N
         _ = pcd.T_world_sensor
 
 
-def test_a_missing_field_is_named(tmp_path: Path) -> None:
+def test_a_missing_field_is_reported(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", {"x": np.zeros(2), "u": np.zeros(2)})
-    with pytest.raises(DataError, match="no field 'y', only: x u"):
+    with pytest.raises(DataError, match="field 'y' is missing \\(found: x u\\)"):
         _ = read_pcd(tmp_path / "a.pcd").xyz
 
 
-def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_reported(tmp_path: Path) -> None:
     for path in (tmp_path / "none.pcd", tmp_path):
         with pytest.raises(DataError, match="cannot be read"):
             read_header(path)
 
 
-def whole_or_refused(path: Path) -> None:
-    """Reading either gives all points or a DataError that names the file."""
+def complete_or_refused(path: Path) -> None:
+    """Reading either returns all points or raises a DataError that names the file."""
     refused = None
     try:
         pcd = read_pcd(path)
@@ -258,18 +258,18 @@ def test_one_changed_byte_is_read_or_refused(tmp_path: Path, data: str, draw: st
     place = draw.draw(st.integers(0, len(content) - 1))
     content[place] = draw.draw(st.integers(0, 255) | st.sampled_from(b"0123456789 \n-.#FIU"))
     path.write_bytes(content)
-    whole_or_refused(path)
+    complete_or_refused(path)
 
 
 @in_one_folder
 @given(st.sampled_from(ENCODINGS), st.data())
-def test_a_file_cut_anywhere_is_refused(tmp_path: Path, data: str, draw: st.DataObject) -> None:
+def test_a_file_truncated_anywhere_is_refused(tmp_path: Path, data: str, draw: st.DataObject) -> None:
     path = tmp_path / "a.pcd"
     write_pcd(path, cloud(20), pose(), data)
     content = path.read_bytes()
     path.write_bytes(content[: draw.draw(st.integers(0, len(content) - 1))])
-    if data == "ascii":  # the last number of a text may lose a digit unseen
-        whole_or_refused(path)
+    if data == "ascii":  # a lost digit of the last number goes unnoticed
+        complete_or_refused(path)
     else:
         with pytest.raises(DataError):
             read_pcd(path)

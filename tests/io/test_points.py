@@ -1,4 +1,4 @@
-"""Coordinates of clouds in other formats, as independent programs write them; damaged files are refused."""
+"""Point clouds in other formats, as written by independent programs; corrupt files are refused."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ XYZ = np.random.default_rng(0).normal(scale=30, size=(500, 3)).astype(np.float32
 
 
 def ply(path: Path, order: str, kind: str, rows: np.ndarray, before: bytes = b"", after: bytes = b"") -> Path:
-    """A file with intensities between the coordinates; ``before`` and ``after``: lines of the header."""
+    """Write a file with intensities between the coordinates; ``before`` and ``after`` are extra header lines."""
     form = {"<": "binary_little_endian", ">": "binary_big_endian", "=": "ascii"}[order]
     head = f"ply\nformat {form} 1.0\ncomment x y z\n".encode() + before
     head += f"element vertex {len(rows)}\n".encode()
@@ -36,7 +36,7 @@ def ply(path: Path, order: str, kind: str, rows: np.ndarray, before: bytes = b""
 
 
 @pytest.mark.parametrize("ascii_", [True, False])
-def test_what_open3d_writes_as_ply(tmp_path: Path, ascii_: bool) -> None:
+def test_ply_written_by_open3d(tmp_path: Path, ascii_: bool) -> None:
     import open3d as o3d
 
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(XYZ.astype(np.float64)))
@@ -64,14 +64,14 @@ def test_every_order_and_precision_of_ply(tmp_path: Path, rows: np.ndarray, orde
     np.testing.assert_array_equal(read_points(ply(tmp_path / "a.ply", order, kind, rows)), rows)
 
 
-def test_open3d_reads_the_same_of_big_endian_ply(tmp_path: Path) -> None:
+def test_open3d_agrees_on_big_endian_ply(tmp_path: Path) -> None:
     import open3d as o3d
 
     path = ply(tmp_path / "a.ply", ">", "float", XYZ)
     np.testing.assert_array_equal(np.asarray(o3d.io.read_point_cloud(str(path)).points), read_points(path))
 
 
-def test_what_stands_before_the_vertices_of_ply_is_skipped(tmp_path: Path) -> None:
+def test_elements_before_the_vertices_of_ply_are_skipped(tmp_path: Path) -> None:
     head = b"element camera 2\nproperty uchar k\nproperty float f\n"
     body = {"<": b"\x01....\x02....", "=": b"1 0.5\n2 0.5\n"}
     for order, content in body.items():
@@ -97,7 +97,7 @@ def test_scale_and_offset_of_las(tmp_path: Path, suffix: str) -> None:
             read_points(tmp_path / f"b.{suffix}")
 
 
-def test_las_without_laspy_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_las_without_laspy_names_the_package_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "laspy", None)
     with pytest.raises(MissingDependency, match=r"pip install 'dynaviz\[las\]'"):
         read_points(tmp_path / "a.las")
@@ -114,7 +114,7 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
 
 
-def _say(old: bytes, new: bytes) -> Callable[[Path], None]:
+def _replace(old: bytes, new: bytes) -> Callable[[Path], None]:
     def change(path: Path) -> None:
         content = path.read_bytes()
         assert old in content
@@ -124,39 +124,39 @@ def _say(old: bytes, new: bytes) -> Callable[[Path], None]:
 
 
 @pytest.mark.parametrize(
-    ("order", "damage", "says"),
+    ("order", "damage", "message"),
     [
-        ("<", _cut, r"byte \d+: is too short: 500 vertices need 8000 bytes, it has 7995"),
+        ("<", _cut, r"byte \d+: file is too short: 500 vertices need 8000 bytes, 7995 are left"),
         ("=", lambda path: path.write_bytes(path.read_bytes()[:-40]), "line 509: cannot be read"),
-        ("=", _say(b"vertex 500", b"vertex 501"), "has 500 vertices, where its header says 501"),
-        ("=", _say(b"vertex 500", b"vertex 99999999999999999999"), "line 4.*no line of PLY"),
-        ("=", _say(b"vertex 500", b"vertex -1"), "line 4"),
-        ("<", _say(b"ply\n", b"plx\n"), "line 1: is no PLY file"),
-        ("<", _say(b"property float z", b"property float w"), "without z"),
-        ("<", _say(b"property float z", b"property float x"), "equal names"),
-        ("<", _say(b"property float z", b"property half z"), "line 8"),
-        ("<", _say(b"property float z", b"property list uchar float z"), "lists"),
-        ("<", _say(b"element vertex", b"element corner"), "no element 'vertex'"),
-        ("<", _say(b"binary_little_endian", b"binary"), "line 2"),
-        ("<", _say(b"element", b"property float x\nelement"), "line 4"),
-        ("<", _say(b"end_header\n", b""), "line|header"),
+        ("=", _replace(b"vertex 500", b"vertex 501"), "contains 500 vertices, but the header states 501"),
+        ("=", _replace(b"vertex 500", b"vertex 99999999999999999999"), "line 4.*is not valid PLY"),
+        ("=", _replace(b"vertex 500", b"vertex -1"), "line 4"),
+        ("<", _replace(b"ply\n", b"plx\n"), "line 1: not a PLY file"),
+        ("<", _replace(b"property float z", b"property float w"), "the vertices have no z"),
+        ("<", _replace(b"property float z", b"property float x"), "duplicate names"),
+        ("<", _replace(b"property float z", b"property half z"), "line 8"),
+        ("<", _replace(b"property float z", b"property list uchar float z"), "list properties"),
+        ("<", _replace(b"element vertex", b"element corner"), "no element 'vertex'"),
+        ("<", _replace(b"binary_little_endian", b"binary"), "line 2"),
+        ("<", _replace(b"element", b"property float x\nelement"), "line 4"),
+        ("<", _replace(b"end_header\n", b""), "line|header"),
     ],
 )
-def test_damaged_ply_is_refused(tmp_path: Path, order: str, damage: Callable[[Path], None], says: str) -> None:
+def test_corrupt_ply_is_refused(tmp_path: Path, order: str, damage: Callable[[Path], None], message: str) -> None:
     path = ply(tmp_path / "a.ply", order, "float", XYZ)
     damage(path)
-    with pytest.raises(DataError, match=says):
+    with pytest.raises(DataError, match=message):
         read_points(path)
 
 
-def test_arrays_that_are_no_clouds(tmp_path: Path) -> None:
+def test_invalid_arrays_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npy"
     for array in (np.zeros(6), np.zeros((4, 2)), np.zeros((4, 3), complex), np.zeros((4, 3), "U2")):
         np.save(path, array)
         with pytest.raises(DataError, match="not \\(N, 3 or more\\) numbers"):
             read_points(path)
     np.save(path, np.array([None, 1]), allow_pickle=True)
-    with pytest.raises(DataError, match="no whole NPY file"):
+    with pytest.raises(DataError, match="not a valid NPY file"):
         read_points(path)
     np.save(path, XYZ)
     for size in (0, 20, 200):
@@ -165,13 +165,13 @@ def test_arrays_that_are_no_clouds(tmp_path: Path) -> None:
             read_points(path)
 
 
-def test_a_suffix_that_is_unknown(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"a\.obj: is no cloud.*\.las, \.laz, \.npy, \.pcd, \.ply"):
+def test_an_unknown_suffix_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"a\.obj: unknown point cloud format.*\.las, \.laz, \.npy, \.pcd, \.ply"):
         read_points(tmp_path / "a.obj")
 
 
 @pytest.mark.parametrize("suffix", ["pcd", "ply", "npy", "las"])
-def test_a_file_that_is_absent(tmp_path: Path, suffix: str) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path, suffix: str) -> None:
     if suffix == "las":
         pytest.importorskip("laspy")
     with pytest.raises(DataError, match=r"absent.*cannot be read"):

@@ -1,4 +1,4 @@
-"""Files of poses in every format, against scipy; what is no pose is told by its line."""
+"""Pose files in every format, compared with scipy; an invalid line is named."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_kitti(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.poses, T, atol=1e-12)
 
 
-def test_whole_matrices(tmp_path: Path) -> None:
+def test_4x4_matrices(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "poses.csv", T.reshape(6, 16), delimiter=",")
     found = read_poses(tmp_path / "poses.csv")
     assert found.kind == "4x4"
@@ -65,7 +65,7 @@ def test_tum_keeps_every_nanosecond(tmp_path: Path) -> None:
          (range(6), *T.reshape(6, 16).T), False, True),
     ],
 )  # fmt: skip
-def test_csv_by_the_names_of_its_columns(
+def test_csv_columns_are_found_by_name(
     tmp_path: Path, header: str, columns: tuple[object, ...], stamps: bool, numbers: bool
 ) -> None:
     path = tmp_path / "a.csv"
@@ -92,13 +92,13 @@ def test_csv_by_the_names_of_its_columns(
         ("-5", -5 * 10**9),
     ],
 )
-def test_times_as_people_write_them(text: str, expected: int) -> None:
+def test_times_are_parsed(text: str, expected: int) -> None:
     assert nanoseconds(text) == expected
 
 
 @pytest.mark.parametrize("text", ["", "noon", "nan", "inf", "1e999999999"])
-def test_what_is_no_time(text: str) -> None:
-    with pytest.raises(ValueError, match="no time"):
+def test_invalid_times_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a time"):
         nanoseconds(text)
 
 
@@ -106,30 +106,30 @@ GOOD = "1 0 0 0 0 1 0 0 0 0 1 0\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
-        ("", "holds no pose"),
-        ("# only a remark\n", "holds no pose"),
-        ("1 2 3\n", "line 1: has 3 words"),
-        (GOOD + "\n1 0 0 0 0 1 0 0 0 0 1\n", r"line 3: is no pose \(11 words"),
-        (GOOD + GOOD.replace("1 0 0 0 0", "1 0 x 0 0"), "line 2: is no pose"),
-        (GOOD + GOOD.replace("1 0 0 0 0", "1 0 nan 0 0"), "line 2: is no pose.*not finite"),
-        (GOOD + "0 " * 12, "line 2: has a matrix that is no rotation"),
-        (GOOD + "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 2: has a matrix that is no rotation"),  # a mirror
-        ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 0\n", "line 2: is no pose.*quaternion"),
-        ("1 0 0 0 0 0 0 1\nnoon 0 0 0 0 0 0 1\n", "line 2: has no time"),
-        ("time,x,y,z\n1,0,0,0\n", "line 1: has a header without a pose: time,x,y,z"),
-        ("time,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0\n", "line 2: has 7 values, where the header has 8"),
-        ("time,x,y,z,qx,qy,qz,qw\n", "holds no pose"),
+        ("", "contains no poses"),
+        ("# only a remark\n", "contains no poses"),
+        ("1 2 3\n", "line 1: unknown pose format with 3 values"),
+        (GOOD + "\n1 0 0 0 0 1 0 0 0 0 1\n", r"line 3: not a valid pose \(11 values"),
+        (GOOD + GOOD.replace("1 0 0 0 0", "1 0 x 0 0"), "line 2: not a valid pose"),
+        (GOOD + GOOD.replace("1 0 0 0 0", "1 0 nan 0 0"), "line 2: not a valid pose.*not finite"),
+        (GOOD + "0 " * 12, "line 2: the matrix is not a rotation"),
+        (GOOD + "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 2: the matrix is not a rotation"),  # a reflection
+        ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 0\n", "line 2: not a valid pose.*quaternion"),
+        ("1 0 0 0 0 0 0 1\nnoon 0 0 0 0 0 0 1\n", "line 2: not a valid time"),
+        ("time,x,y,z\n1,0,0,0\n", "line 1: the header has no pose columns: time,x,y,z"),
+        ("time,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0\n", "line 2: 7 values, but the header has 8 columns"),
+        ("time,x,y,z,qx,qy,qz,qw\n", "contains no poses"),
     ],
 )
-def test_what_is_no_pose_is_told(tmp_path: Path, text: str, says: str) -> None:
+def test_an_invalid_pose_is_reported(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "poses.txt").write_text(text)
-    with pytest.raises(DataError, match=rf"poses\.txt.*{says}"):
+    with pytest.raises(DataError, match=rf"poses\.txt.*{message}"):
         read_poses(tmp_path / "poses.txt")
 
 
-def test_a_file_that_is_absent(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"a\.tum: cannot be read"):
         read_poses(tmp_path / "a.tum")
 
@@ -139,5 +139,5 @@ def test_usual_names_are_found(tmp_path: Path) -> None:
     (tmp_path / "drive.tum").write_text("")
     assert find_poses(tmp_path) == tmp_path / "drive.tum"
     (tmp_path / "poses.txt").write_text("")
-    with pytest.raises(DataError, match=r"several files of poses: drive\.tum, poses\.txt.*--poses"):
+    with pytest.raises(DataError, match=r"several pose files: drive\.tum, poses\.txt.*--poses"):
         find_poses(tmp_path)

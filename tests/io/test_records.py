@@ -1,4 +1,4 @@
-"""Tables in JSON, one record at a time: the same as json.load, whatever the size of the pieces."""
+"""Streaming the records of a JSON table gives the same as json.load, for any chunk size."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ value = st.recursive(
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.dictionaries(st.text(), value, max_size=4), max_size=5), st.integers(1, 40), st.booleans())
-def test_records_are_those_of_json(
+def test_records_equal_json_load(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: list[Any], chunk: int, plain: bool
 ) -> None:
     monkeypatch.setattr(records, "_CHUNK", chunk)
@@ -49,16 +49,16 @@ def test_records_are_those_of_json(
         (b'[{"a": "\xff"}]', 0),
     ],
 )
-def test_what_is_no_whole_list_is_told_with_its_record(tmp_path: Path, content: bytes, number: int) -> None:
+def test_an_invalid_list_is_reported_with_the_record(tmp_path: Path, content: bytes, number: int) -> None:
     path = tmp_path / "table.json"
     path.write_bytes(content)
-    with pytest.raises(DataError, match=rf"table\.json, record {number}: is no whole list of records"):
+    with pytest.raises(DataError, match=rf"table\.json, record {number}: not a valid list of records"):
         list(read_records(path))
 
 
-def test_a_record_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(records, "_CHUNK", 10)
-    monkeypatch.setattr(records, "_LONGEST", 50)
+    monkeypatch.setattr(records, "_MAX_RECORD", 50)
     path = tmp_path / "table.json"
     path.write_text('[{"a": "' + "x" * 1000)
     with pytest.raises(DataError, match="record 0"):

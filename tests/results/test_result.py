@@ -40,7 +40,7 @@ def test_a_result_shows_itself_as_a_table() -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("{", "is not JSON"),
+        ("{", "not valid JSON"),
         ("[]", "not the result of a run"),
         ('{"a": 1}', "not the result of a run"),
         ('{"schema": 99, "method": "x", "parameters": {}, "sequence": {}}', "newer dynaviz"),
@@ -85,5 +85,5 @@ def test_what_a_result_cannot_hold_is_told(change: dict[str, Any], says: str | N
 
 def test_json_without_end_is_told(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("[" * 100_000)
-    with pytest.raises(DataError, match="is not JSON"):
+    with pytest.raises(DataError, match="not valid JSON"):
         Result.load(tmp_path / "result.json")

@@ -196,7 +196,7 @@ def test_errors_say_what_to_do_and_leave_nothing_behind(tmp_path, folder):
         simulate("demo", tmp_path / "a", frames=0)
     with pytest.raises(UsageError, match="fewer frames"):
         simulate("square_mid360", tmp_path / "a", frames=100_000)
-    with pytest.raises(DataError, match="exists already"):
+    with pytest.raises(DataError, match="already exists"):
         simulate("demo", folder)
 
     def stop(done, total):
