@@ -1,4 +1,4 @@
-"""Every check of the conformance kit: odd scans, memory, threads, moved worlds, states, parameters."""
+"""Run the conformance kit on the method: odd scans, memory layouts, threads, transformed worlds, states, parameters."""
 
 from dynaviz_template.method import Seldom
 
@@ -6,5 +6,5 @@ from dynaviz.testing import check_method
 
 
 def test_seldom_conforms() -> None:
-    """The whole kit, with the default parameters."""
+    """Passes every check with the default parameters."""
     check_method(Seldom)

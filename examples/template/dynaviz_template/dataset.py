@@ -1,7 +1,7 @@
-"""A data set: a folder of text files ``000000.xyzl``, a row ``x y z label`` for each point, and ``origins.txt``.
+"""An example data set: a folder with one text file per scan, ``000000.xyzl``, and the file ``origins.txt``.
 
-Points are in the world frame, in metres; a label is 0 static, 1 dynamic, 255 unlabelled. ``origins.txt`` has a row
-``x y z`` for each scan: where the sensor was.
+A scan has one row ``x y z label`` per point, in metres, in the world frame. Labels: 0 static, 1 dynamic, 255
+unlabelled. ``origins.txt`` has one row ``x y z`` per scan: the position of the sensor.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from dynaviz.sensors import Sensor
 
 @dataclass(frozen=True)
 class TextScans:
-    """Text files with labels, and a file of the sensor's positions."""
+    """Text files with labels, and a file with the positions of the sensor."""
 
     name: str
     scans: dict[int, Path]
     origins: F64
-    sensor: Sensor = field(default_factory=Sensor)  # unknown; --sensor NAME names one
+    sensor: Sensor = field(default_factory=Sensor)  # unknown; --sensor NAME selects one
     has_labels: bool = True
     layout: ClassVar[str] = "*.xyzl and origins.txt"
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """By names only: dynaviz asks every data set about every path."""
+        """Look at file names only: dynaviz calls this of every data set for every path."""
         return (path / "origins.txt").is_file() and holds(path, "*.xyzl")
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Read what is small; scans are read when they are asked for.
+        """Read the small files. Scans are read on access.
 
         Raises:
-            DataError: naming the file, the place in it and what to do.
+            DataError: a file is invalid; the message states the file, the position in it and what to do.
         """
         scans, origins = numbered(path, ".xyzl"), _rows(path / "origins.txt", np.float64, 3)
         if len(origins) != len(scans):
             raise DataError(
-                path / "origins.txt", f"has {len(origins)} rows for {len(scans)} scans", hint="Give one for each"
+                path / "origins.txt", f"has {len(origins)} rows for {len(scans)} scans", hint="Give one row per scan"
             )
         return cls(path.name, scans, origins)
 
@@ -61,8 +61,8 @@ class TextScans:
 
 
 def _rows(path: Path, dtype: Any, columns: int) -> NDArray[Any]:
-    """Numbers in a text file, (rows, columns)."""
+    """Read the numbers in a text file, (rows, columns)."""
     try:
         return np.loadtxt(path, dtype, ndmin=2, usecols=range(columns))
-    except (OSError, ValueError) as error:  # numpy names the row
+    except (OSError, ValueError) as error:  # the message of numpy states the row
         raise DataError(path, f"cannot be read: {error}", hint=f"Write {columns} numbers into each row") from None

@@ -1,4 +1,4 @@
-"""A metric: the space that ghosts fill, and that holes leave empty."""
+"""An example metric: the volume of ghosts and holes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ KINDS = {"ghosts": Outcome.FALSE_NEGATIVE, "holes": Outcome.FALSE_POSITIVE}
 
 
 class GhostVolume:
-    """Section ``ghost_volume``: cubic metres, in voxels of 0.2 m, of what was wrongly kept and wrongly removed.
+    """Section ``ghost_volume``: volume of the false negatives and false positives in cubic metres, by voxels of 0.2 m.
 
-    A point more or less on a surface that is seen a hundred times changes nothing here, unlike in SA and DA.
+    Unlike SA and DA, the volume does not change with the number of points on a surface that many scans see.
     """
 
     def __init__(self, info: MethodInfo) -> None:
         self._voxels = {kind: KeySet() for kind in KINDS}
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Add the voxels of a scan's wrong points; the numbers returned become curves over the frames."""
+        """Add the voxels of a scan's wrong points. The returned numbers become curves over the frames."""
         volumes = {}
         for kind, outcome in KINDS.items():
             points = labelled.scan.points[labelled.outcome == outcome]
@@ -33,11 +33,11 @@ class GhostVolume:
         return volumes
 
     def finish(self) -> Mapping[str, Any]:
-        """The section of ``result.json``."""
+        """Return the section of ``result.json``."""
         return {"ghost_volume": {"edge_m": EDGE, **{f"{kind}_m3": self._volume(kind) for kind in KINDS}}}
 
     def figures(self) -> Mapping[str, Figure]:
-        """Nothing to draw besides the curves."""
+        """Draw nothing in addition to the curves."""
         return {}
 
     def _volume(self, kind: str) -> float:
