@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from helpers.html_pages import Page
@@ -39,12 +42,16 @@ def written(recorded: Path) -> Path:
 
 def test_maps_from_above_where_there_is_a_recording(written):
     page = Page(written.read_text())
-    assert [image["alt"].split(", ")[0] for image in page.images] == [
-        "Map of room from above",
-        "Map that octomap left of room",
-    ]  # type: ignore[union-attr]
-    assert "octomap_g: no picture, for its recording holds no points." in page.text
-    assert "erasor: no picture, for there is no recording." in page.text
+    assert [re.split(r"[,:] ", image["alt"] or "")[0] for image in page.images] == [
+        "Bird's-eye map of room",
+        "Bird's-eye map of room as cleaned by octomap",
+    ]
+    assert "octomap_g: no picture, because its recording contains no points." in page.text
+    assert "erasor: no picture, because it has no recording." in page.text
+    for image in page.images:
+        content = base64.b64decode((image["src"] or "").removeprefix("data:image/png;base64,"))
+        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert decoded.shape == (int(image["height"] or 0), int(image["width"] or 0), 3)
     places = [link for link in page.links if link.endswith("run.rrd")]
     assert len(places) == 2
     assert all((written.parent / place.replace("%20", " ")).is_file() for place in places)
