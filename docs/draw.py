@@ -1,10 +1,12 @@
-"""Draw the pictures of the pages, and measure what the pages of methods tell.
+"""Draw the pictures of the pages, and measure the numbers on the methods' pages.
 
-    python docs/draw.py                # everything, some minutes
-    python docs/draw.py dufomap        # the page of one method
-    python docs/draw.py tutorial       # the tutorial and the pages on recordings
+    python docs/draw.py                      # everything, some minutes
+    python docs/draw.py dufomap              # the page of one method
+    python docs/draw.py tutorial             # the tutorial and the pages on recordings
+    python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
 
-Simulates what it needs into a temporary folder; writes docs/pictures/*.jpg and docs/methods/measured.json.
+Simulates its scenes into a temporary folder. Writes docs/pictures/*.jpg and docs/methods/measured.json, then updates
+the pages as ``docs/generate.py`` does.
 """
 
 from __future__ import annotations
@@ -15,17 +17,20 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
+import cv2
+import generate
+import numpy as np
 
 import dynaviz as dv
 from dynaviz import registry
+from dynaviz.arrays import U8
 from dynaviz.simulate import simulate
 from dynaviz.viz.shot import shot
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).resolve().parent
 MEASURED = DOCS / "methods/measured.json"
 SCENE, FRAMES, FRAME = "street_hdl64", 40, 24
-STATES = {  # which state a method's picture shows, and where frame 24 does not tell enough, another
+STATES = {  # the state in a method's picture, and its frame: 24 unless another shows more
     "removert": ("accused", 24),
     "erasor": ("status", 23),  # every fourth scan is compared
     "dynablox": ("clusters", 24),
@@ -34,6 +39,8 @@ STATES = {  # which state a method's picture shows, and where frame 24 does not 
     "dufomap": ("void", 24),
     "beautymap": ("removed", 24),
 }
+CASES = 4  # failure cases on the page of a method
+OF_A_CASE = ("kind", "cost", "cause", "what", "frames", "moved", "range", "low", "high", "reasons")  # for its sentence
 HALF = (760, 620)  # pixels of each half of a method's picture
 
 
@@ -41,49 +48,51 @@ BAR = 36  # pixels of the viewer's own bar, above the window
 WINDOW = (1400, 800 + BAR)
 
 
-def main(names: list[str]) -> None:
-    """Draw what is named, or everything."""
+def main(arguments: list[str]) -> None:
+    """Draw and measure the named pages, or all of them."""
+    names, drawn = [word for word in arguments if word != "--numbers"], "--numbers" not in arguments
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         known = json.loads(MEASURED.read_text()) if MEASURED.exists() else {"methods": {}}
         known |= {"scene": SCENE, "frames": FRAMES}
-        built_in = [handle.name for handle in registry.handles("methods") if handle.package == "dynaviz_methods"]
-        names = names or [*built_in, "tutorial"]
-        if "tutorial" in names:
+        names = names or [*generate.methods(), "tutorial"]
+        if "tutorial" in names and drawn:
             of_tutorial(folder)
         if methods := [name for name in names if name != "tutorial"]:
             sequence = simulate(SCENE, folder / SCENE, frames=FRAMES)
             for name in methods:
-                known["methods"][name] = of_method(name, sequence, folder)
+                known["methods"][name] = of_method(name, sequence, folder, drawn)
         known["methods"] = dict(sorted(known["methods"].items()))
         MEASURED.write_text(json.dumps(known, indent=1) + "\n")
+    generate.main([])
 
 
-def of_method(name: str, sequence: Path, folder: Path) -> dict[str, Any]:
-    """Run a method, draw its map and a state, and give the numbers for its page."""
+def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str, Any]:
+    """Run a method and return the numbers for its page; draw its map and a state if asked to."""
     recording = folder / f"{name}.rrd"
     result = dv.run(name, sequence, record=recording)
     emits = registry.load("methods", name).info.emits
     state, frame = STATES.get(name, (emits[0].name, FRAME))
-    left, right = (picture(recording, folder, frame, view, HALF) for view in ("map", state))
-    both = Image.new("RGB", (left.width + right.width + 8, max(left.height, right.height)), "white")
-    both.paste(left, (0, 0))
-    both.paste(right, (left.width + 8, 0))
-    save(both, name)
+    if drawn:
+        left, right = (picture(recording, folder, frame, view, HALF) for view in ("map", state))
+        both = np.full((max(len(left), len(right)), left.shape[1] + 8 + right.shape[1], 3), 255, np.uint8)
+        both[: len(left), : left.shape[1]] = left
+        both[: len(right), -right.shape[1] :] = right
+        save(both, name)
     counts, found = result.counts, result.sections["failures"]
     return {
         "metrics": {key: result.metrics[key] for key in ("SA", "DA", "AA")},
         "static": counts["static_kept"] + counts["static_removed"],
         "dynamic": counts["dynamic_removed"] + counts["dynamic_kept"],
         "causes": found["causes"],
-        "cases": [{key: case[key] for key in ("kind", "cost", "sentence")} for case in found["cases"][:4]],
+        "cases": [{key: case[key] for key in OF_A_CASE} for case in found["cases"][:CASES]],
         "state": state,
         "frame": frame,
     }
 
 
 def of_tutorial(folder: Path) -> None:
-    """The pictures of the tutorial and of the pages on recordings: the demo."""
+    """Draw the demo, for the tutorial and the pages on recordings."""
     street = simulate("demo", folder / "demo/street")
     runs = {name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap")}
     for name, recording in runs.items():
@@ -98,15 +107,16 @@ def of_tutorial(folder: Path) -> None:
     save(picture(folder / "compare.rrd", folder, 35, None, WINDOW), "compared")
 
 
-def picture(recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int]) -> Image.Image:
-    """A view of a recording, or the whole window."""
-    image = Image.open(shot(recording, folder / "shot.png", (frame,), view, size)[0]).convert("RGB")
-    return image if view else image.crop((0, BAR, *image.size))
+def picture(recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int]) -> U8:
+    """One view of a recording, or the whole window if ``view`` is None: (rows, columns, 3) uint8, BGR."""
+    path = shot(recording, folder / "shot.png", (frame,), view, size)[0]
+    image = np.asarray(cv2.imread(str(path)), np.uint8)
+    return image if view else image[BAR:]
 
 
-def save(image: Image.Image, name: str) -> None:
-    """Write a picture of the pages."""
-    image.save(DOCS / f"pictures/{name}.jpg", quality=82, optimize=True)
+def save(image: U8, name: str) -> None:
+    """Write a picture to docs/pictures."""
+    cv2.imwrite(str(DOCS / f"pictures/{name}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 82, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
 
 if __name__ == "__main__":

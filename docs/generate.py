@@ -30,6 +30,7 @@ from typing import Any, get_type_hints
 from griffe import Docstring, DocstringSectionAttributes
 
 from dynaviz import registry
+from dynaviz_eval.attribution import sentence
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -141,6 +142,7 @@ def all_states() -> str:
     rows = (
         (
             f"`{name}`",
+            kind.info.title,
             kind.info.paper,
             "yes" if kind.info.needs_map else "no",
             len(dataclasses.fields(kind.Params)),
@@ -148,7 +150,7 @@ def all_states() -> str:
         )
         for name, kind in methods().items()
     )
-    return table(("name", "paper", "prior map", "parameters", "states"), rows)
+    return table(("name", "title", "paper", "prior map", "parameters", "states"), rows)
 
 
 def all_reasons() -> str:
@@ -229,7 +231,7 @@ def failures(kind: Any) -> str:
     ]
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
     cases = "\n".join(
-        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {case['sentence']}"
+        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {case.get('sentence') or sentence(case)}"
         for position, case in enumerate(run["cases"], 1)
     )
     return (

@@ -49,9 +49,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Point links that leave docs/ to the pages that the READMEs became."""
     uri = page.file.src_uri
-    markdown = re.sub(
-        r"^\{\{ (\S+/\S+) \}\}$", lambda found: (ROOT / found[1]).read_text().strip(), markdown, flags=re.M
-    )
     home = next((source for source, brought in BROUGHT.items() if brought == uri), f"docs/{uri}")
     return relinked(markdown, home, uri, files)
 

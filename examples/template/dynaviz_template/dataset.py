@@ -33,7 +33,7 @@ class TextScans:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Look at file names only: dynaviz calls this of every data set for every path."""
+        """Look at file names only: dynaviz calls this for every data set and every path."""
         return (path / "origins.txt").is_file() and holds(path, "*.xyzl")
 
     @classmethod
