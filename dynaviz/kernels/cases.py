@@ -4,10 +4,9 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import I32, I64, Bool
+from dynaviz.kernels.keys import BITS, MASK, REACH, X_SHIFT, Y_SHIFT
 
 GROUP, CASE, LAST = 0, 1, 2  # of a remembered cell
-_BIAS = 1 << 20
-_MASK = (1 << 21) - 1
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -91,12 +90,12 @@ def link(
         case = used  # a new one, until a neighbour takes it in
         parent[case] = case
         for axis in range(3):
-            at = np.int32((key >> np.int64(42 - 21 * axis) & _MASK) - _BIAS)
+            at = np.int32((key >> np.int64(X_SHIFT - BITS * axis) & MASK) - REACH)
             low[case, axis], high[case, axis] = at, at
         for dx in range(-1, 2):
             for dy in range(-1, 2):
                 for dz in range(-1, 2):
-                    step = (np.int64(dx) << 42) + (np.int64(dy) << 21) + np.int64(dz)
+                    step = (np.int64(dx) << X_SHIFT) + (np.int64(dy) << Y_SHIFT) + np.int64(dz)
                     s = _find(table, cells, key + step, group)
                     if table[s] < 0 or frame - cells[s, LAST] > gap:
                         continue

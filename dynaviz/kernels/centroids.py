@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-_REACH = 1 << 20
+from dynaviz.kernels.keys import BITS, REACH
 
 
 @njit(cache=True, nogil=True)
@@ -24,10 +24,10 @@ def number(points, size):
         key = np.int64(0)
         for axis in range(3):
             k = math.floor(points[i, axis] * inverse)
-            if not (-_REACH <= k < _REACH):  # also where not finite
+            if not (-REACH <= k < REACH):  # also where not finite
                 key = np.int64(-1)
                 break
-            key = (key << 21) | (np.int64(k) + _REACH)
+            key = (key << BITS) | (np.int64(k) + REACH)
         if key < 0:
             numbers[i] = -1
             continue

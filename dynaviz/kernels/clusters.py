@@ -9,6 +9,8 @@ import math
 import numpy as np
 from numba import njit
 
+from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
+
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(slots, key):
@@ -108,11 +110,11 @@ def merge(points, clusters, distance):
     slots, heads = _table(n)
     after, alike = np.empty(n, np.int64), np.ones(len(slots), np.bool_)  # alike: all points of a cell in one cluster
     for i in range(n):
-        x = np.int64(math.floor(points[i, 0] * per_metre)) + (1 << 20)
-        y = np.int64(math.floor(points[i, 1] * per_metre)) + (1 << 20)
-        z = np.int64(math.floor(points[i, 2] * per_metre)) + (1 << 20)
+        x = np.int64(math.floor(points[i, 0] * per_metre)) + REACH
+        y = np.int64(math.floor(points[i, 1] * per_metre)) + REACH
+        z = np.int64(math.floor(points[i, 2] * per_metre)) + REACH
         for j in range(27):  # the points before this one
-            key = (x + j // 9 - 1) << 42 | (y + j // 3 % 3 - 1) << 21 | (z + j % 3 - 1)
+            key = (x + j // 9 - 1) << X_SHIFT | (y + j // 3 % 3 - 1) << Y_SHIFT | (z + j % 3 - 1)
             s = _slot(slots, key)
             if slots[s] < 0:
                 continue
@@ -125,9 +127,9 @@ def merge(points, clusters, distance):
                     if dx * dx + dy * dy + dz * dz < distance * distance:
                         _unite(parent, clusters[k], clusters[i])
                 k = after[k]
-        s = _slot(slots, x << 42 | y << 21 | z)
+        s = _slot(slots, x << X_SHIFT | y << Y_SHIFT | z)
         if slots[s] < 0:
-            slots[s], after[i] = x << 42 | y << 21 | z, -1
+            slots[s], after[i] = x << X_SHIFT | y << Y_SHIFT | z, -1
         else:
             after[i] = heads[s]
             alike[s] &= clusters[heads[s]] == clusters[i]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-FAR = 1 << 20  # cells to each side of the world's origin
+from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -50,10 +50,10 @@ def connect(points, chosen, size, tall):
     for i in range(len(points)):
         if not chosen[i]:
             continue
-        x = np.int64(math.floor(points[i, 0] / size)) + FAR
-        y = np.int64(math.floor(points[i, 1] / size)) + FAR
-        z = np.int64(math.floor(points[i, 2] / tall)) + FAR
-        key = x << 42 | y << 21 | z
+        x = np.int64(math.floor(points[i, 0] / size)) + REACH
+        y = np.int64(math.floor(points[i, 1] / size)) + REACH
+        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
+        key = x << X_SHIFT | y << Y_SHIFT | z
         if key != last:  # points that follow each other often share a cell
             s, last = _slot(slots, key), key
         if slots[s] < 0:
@@ -62,7 +62,7 @@ def connect(points, chosen, size, tall):
         mine[i] = ranks[s]
     for c in range(count):
         for j in range(13):  # half of the cells around; the others have this one in their half
-            key = cells[c] + ((j // 9 - 1) << 42) + ((j // 3 % 3 - 1) << 21) + (j % 3 - 1)
+            key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
             s = _slot(slots, key)
             if slots[s] >= 0:
                 a, b = _root(parent, c), _root(parent, ranks[s])
@@ -167,7 +167,7 @@ def beside(points, chosen, cell):
     """Which points (N, 3) are, in plan view, in a cell that holds a chosen one, or in one that touches such a cell."""
     found = np.zeros(len(points), np.bool_)
     cells = np.empty((len(points), 2), np.int64)
-    low, high = np.array([FAR, FAR]), np.array([-FAR, -FAR])
+    low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])
     for i in range(len(points)):
         if chosen[i]:
             for axis in range(2):

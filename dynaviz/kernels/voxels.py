@@ -6,10 +6,9 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import F32, I64, Bool
+from dynaviz.kernels.keys import BITS, REACH
 
 Keys = I64
-
-_REACH = 1 << 20
 
 
 @njit(cache=True, nogil=True)
@@ -21,9 +20,9 @@ def pack(points: F32, size: float) -> tuple[Keys, bool]:
         key = np.int64(0)
         for axis in range(3):
             k = math.floor(points[i, axis] * inverse)
-            if not (-_REACH <= k < _REACH):  # also false for NaN
+            if not (-REACH <= k < REACH):  # also false for NaN
                 return keys, False
-            key = (key << 21) | (np.int64(k) + _REACH)
+            key = (key << BITS) | (np.int64(k) + REACH)
         keys[i] = key
     return keys, True
 

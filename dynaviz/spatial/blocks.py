@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.extent import CELL, Extent
-from dynaviz.spatial.grid import REACH, unpack
+from dynaviz.spatial.grid import SHIFTS, unpack
 
 VOXELS = 8**3  # in a block
 
@@ -139,7 +140,7 @@ def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
     for shift in product(*spans):
         blocks = np.minimum(first + np.array(shift), last)
         blocks = blocks[((blocks >> 4 >= bounds[0]) & (blocks >> 4 <= bounds[1])).all(1)]
-        packed.append(((blocks + REACH) << np.array([42, 21, 0])).sum(1))
+        packed.append(((blocks + REACH) << SHIFTS).sum(1))
     return unpack(np.unique(np.concatenate(packed)))
 
 

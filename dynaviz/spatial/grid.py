@@ -10,8 +10,9 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, Bool, Intp
+from dynaviz.kernels.keys import MASK, REACH, X_SHIFT, Y_SHIFT
 
-REACH = 1 << 20  # voxels to each side of the origin
+SHIFTS = np.array([X_SHIFT, Y_SHIFT, 0], np.int64)  # of x, y and z in a packed key
 
 
 def pack(points: F32 | F64, size: float) -> I64:
@@ -45,8 +46,7 @@ def in_key_range(points: F32 | F64, size: float) -> Bool:
 
 def unpack(keys: I64) -> I32:
     """(N, 3) int32 voxel indices of packed keys."""
-    shifts = np.array([42, 21, 0], np.int64)
-    return ((keys[:, None] >> shifts & (2 * REACH - 1)) - REACH).astype(np.int32)
+    return ((keys[:, None] >> SHIFTS & MASK) - REACH).astype(np.int32)
 
 
 class KeySet:

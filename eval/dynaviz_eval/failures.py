@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, I64, Bool, Intp
+from dynaviz.kernels.keys import X_SHIFT, Y_SHIFT
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameBoxes, Labelled
 from dynaviz.scan import Label, Outcome, Scan
@@ -164,7 +165,7 @@ def _beside(points: F32, scan: Scan) -> Bool:
     if not len(moving) or not len(points):
         return np.zeros(len(points), np.bool_)
     steps = np.arange(-1, 2)
-    around = ((steps[:, None, None] << 42) + (steps[:, None] << 21) + steps).ravel()
+    around = ((steps[:, None, None] << X_SHIFT) + (steps[:, None] << Y_SHIFT) + steps).ravel()
     near = np.unique(np.unique(pack(moving, EDGE))[:, None] + around)
     return np.isin(pack(points, EDGE), near)
 

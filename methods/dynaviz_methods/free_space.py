@@ -15,11 +15,12 @@ from dynaviz.probe import Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.grid import SHIFTS
 
 Bits = tuple[I32, U64]
 
 AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # in the order of a block's neighbours
-KEY = np.array([1 << 42, 1 << 21, 1])  # blocks as one number each, in the order of the grid
+KEY = 1 << SHIFTS  # blocks as one number each, in the order of the grid
 LONG_AGO = -(2**30)
 
 

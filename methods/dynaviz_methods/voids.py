@@ -8,10 +8,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I32, I64, Bool
+from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid
 from dynaviz.spatial.extent import CELL, Extent
-from dynaviz.spatial.grid import REACH, unpack
+from dynaviz.spatial.grid import SHIFTS, unpack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +91,7 @@ class VoidGrid(BlockGrid):
 def _widened(extent: Extent, around: float) -> Extent:
     """An extent that reaches farther by ``around`` metres on all sides."""
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
-    shifts = np.array([42, 21, 0])
-    packed = np.unique(((extent.cells.astype(np.int64) + REACH) << shifts).sum(1))
-    for shift in shifts:  # one axis after the other, so that no list is much longer than the answer
+    packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
+    for shift in SHIFTS:  # one axis after the other, so that no list is much longer than the answer
         packed = np.unique((packed[:, None] + (steps << shift)).ravel())
     return Extent(extent.low - around, extent.high + around, unpack(packed))

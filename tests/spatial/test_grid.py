@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from dynaviz.spatial.grid import REACH, KeySet, pack, unpack, voxel_downsample
+from dynaviz.kernels.keys import REACH
+from dynaviz.spatial.grid import KeySet, pack, unpack, voxel_downsample
 
 sizes = st.sampled_from([0.1, 0.2, 0.8, 1.0])
 clouds = hnp.arrays(np.float32, st.tuples(st.integers(0, 60), st.just(3)), elements=st.floats(-50, 50, width=32))
