@@ -15,33 +15,34 @@ if TYPE_CHECKING:
 
     from dynaviz.results.regression import CheckedValue, RegressionCheck
 
-ROWS = 40  # of a table; what holds is only counted beyond
+ROWS = 40  # rows of a table; passed checks beyond that are only counted
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("check")(check)
 
 
 def check(
     results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT.json|DIR...", help="Results, or folders with results below them.")
+        list[Path], typer.Argument(metavar="RESULT.json|DIR...", help="Result files, or folders to search for them.")
     ],
     minima: Annotated[
         list[str] | None,
-        typer.Option("--min", metavar="METRIC=PERCENT", help="The least value of a metric; may be repeated."),
+        typer.Option("--min", metavar="METRIC=PERCENT", help="Minimum value of a metric. Repeatable."),
     ] = None,
     baseline: Annotated[
-        Path | None, typer.Option(help="What results were: a baseline, or the result.json of an earlier run.")
+        Path | None, typer.Option(metavar="FILE", help="Earlier results: a baseline file, or the result.json of a run.")
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(min=0.0, help="Percentage points by which SA, DA, AA and HA may be lower.")
+        float,
+        typer.Option(min=0.0, help="Allowed drop of SA, DA, AA and HA against the baseline, in percentage points."),
     ] = 0.5,
     write_baseline: Annotated[
-        Path | None, typer.Option(metavar="F", help="Write a baseline of these results, unless one falls.")
+        Path | None, typer.Option(metavar="FILE", help="Write these results to a baseline file if all checks pass.")
     ] = None,
 ) -> None:
-    """Say whether results are good enough, and what fell: exit 0 or 1, for CI.
+    """Check results against limits or a baseline, for CI. Exit code 0: all passed, 1: a check failed.
 
     \b
     dynaviz check recordings/street/octomap/result.json --min AA=90 --min SA=95
@@ -54,14 +55,15 @@ def check(
     from dynaviz.results.collect import collect
 
     if not minima and baseline is None and write_baseline is None:
-        raise UsageError("nothing to check: give --min METRIC=PERCENT or --baseline FILE")
+        raise UsageError("nothing to check. Give --min METRIC=PERCENT or --baseline FILE")
     limits = [_limit(text) for text in minima or []]
-    old = None if baseline is None else core.read_baseline(baseline)
+    entries = None if baseline is None else core.read_baseline(baseline)
     cells = collect(results)
-    found = core.check(cells, limits, old, tolerance, complete=any(path.is_dir() for path in results))
-    if found.findings:
-        show(*_lines(found, fell=True), table(found), *_lines(found, fell=False), _verdict(found, len(cells), baseline))
-    if found.fallen:
+    checked = core.check(cells, limits, entries, tolerance, complete=any(path.is_dir() for path in results))
+    if checked.values:
+        show(*_remarks(checked, failed=True), table(checked), *_remarks(checked, failed=False))
+        show(_summary(checked, len(cells), baseline))
+    if checked.failed:
         raise typer.Exit(1)
     if write_baseline is not None:
         core.write_baseline(write_baseline, (cell.result for cell in cells if cell.result))
@@ -75,83 +77,93 @@ def _limit(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(value)
     except ValueError:
-        raise UsageError(f"--min {text}: give a metric and its least value in percent, as AA=90") from None
+        raise UsageError(f"--min {text}: give a metric and its minimum in percent, such as AA=90") from None
 
 
-def _verdict(found: RegressionCheck, results: int, baseline: Path | None) -> str:
+def _summary(checked: RegressionCheck, results: int, baseline: Path | None) -> str:
+    """The closing line: how many checks failed, and whether the baseline could be raised."""
     from dynaviz.results.regression import CheckOutcome
 
-    compared = [f for f in found.findings if f.verdict is not CheckOutcome.TOLD]
-    better = [f for f in found.findings if f.verdict is CheckOutcome.BETTER]
-    head = f"{len(found.fallen)} of {len(compared)} fell" if found.fallen else f"all {len(compared)} hold"
-    words = f"{results} result{'s' * (results != 1)}: {head}."
-    if better:
-        runs = len({finding.run for finding in better})
-        words += f" {runs} run{'s are' if runs > 1 else ' is'} better; consider updating the baseline {baseline}."
-    return words
+    total = sum(value.outcome is not CheckOutcome.INFO for value in checked.values)
+    improved = {value.run for value in checked.values if value.outcome is CheckOutcome.IMPROVED}
+    failed = len(checked.failed)
+    head = f"{failed} of {_counted(total, 'check')} failed" if failed else f"all {_counted(total, 'check')} passed"
+    text = f"{_counted(results, 'result')}: {head}."
+    if improved:
+        text += f" {_counted(len(improved), 'run')} improved; consider updating the baseline {baseline}."
+    return text
 
 
-def _lines(found: RegressionCheck, fell: bool) -> Iterator[str]:
-    """What has no numbers: before the table if it fell, else after it."""
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _remarks(checked: RegressionCheck, failed: bool) -> Iterator[str]:
+    """Lines for the entries without numbers: failures are shown above the table, all others below it."""
     from rich.markup import escape
 
     from dynaviz.results.regression import CheckOutcome
 
-    for finding in found.findings:
-        if finding.in_words and finding.remark and (finding.verdict is CheckOutcome.FELL) == fell:
-            what = "" if finding.what == "run" else f" {finding.what}"
-            yield ("[bold red]FELL[/]  " if fell else "") + escape(f"{finding.run}:{what} {finding.remark}")
+    for value in checked.values:
+        if value.is_text and value.remark and (value.outcome is CheckOutcome.FAILED) == failed:
+            name = "" if value.name == "run" else f" {value.name}"
+            yield ("[bold red]FAIL[/]  " if failed else "") + escape(f"{value.run}:{name} {value.remark}")
 
 
-def table(found: RegressionCheck) -> Table:
-    """A row a number, failures first, in 80 columns."""
+def table(checked: RegressionCheck) -> Table:
+    """One row per number, failures first, in 80 columns."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
 
     from dynaviz.results.regression import CheckOutcome
 
-    looks = {CheckOutcome.FELL: "[bold red]FELL[/]", CheckOutcome.BETTER: "[green]better[/]", CheckOutcome.HOLDS: "ok"}
+    styles = {
+        CheckOutcome.FAILED: "[bold red]FAIL[/]",
+        CheckOutcome.IMPROVED: "[green]improved[/]",
+        CheckOutcome.PASSED: "ok",
+    }
     rows = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, width=80)
-    rows.caption, rows.caption_justify = "in %; FP: static points removed, FN: dynamic points kept", "left"
+    rows.caption, rows.caption_justify = "In %. FP: static points removed, FN: dynamic points kept.", "left"
     rows.add_column("")
     rows.add_column("run", overflow="fold", ratio=1)
     rows.add_column("metric", no_wrap=True)
     for name in ("value", "limit", "diff"):
         rows.add_column(name, justify="right", no_wrap=True)
     rows.add_column("points", no_wrap=True)
-    numbers = [finding for finding in found.findings if not finding.in_words]
-    holds = [finding for finding in numbers if finding.verdict is CheckOutcome.HOLDS]
-    hidden = holds[max(0, ROWS - len(numbers) + len(holds)) :]
-    for finding in numbers:
-        if not any(finding is other for other in hidden):
-            look = looks.get(finding.verdict, "")
-            rows.add_row(look, escape(finding.run), finding.what, *_numbers(finding), "\n".join(_words(finding)))
+    numbers = [value for value in checked.values if not value.is_text]
+    passed = [value for value in numbers if value.outcome is CheckOutcome.PASSED]
+    hidden = passed[max(0, ROWS - len(numbers) + len(passed)) :]
+    for value in numbers:
+        if not any(value is other for other in hidden):
+            style = styles.get(value.outcome, "")
+            rows.add_row(style, escape(value.run), value.name, *_numbers(value), "\n".join(_points(value)))
     if hidden:
-        rows.caption = f"and {len(hidden)} that hold; {rows.caption}"
+        rows.caption = f"{len(hidden)} more passed. {rows.caption}"
     return rows
 
 
-def _numbers(finding: CheckedValue) -> tuple[str, str, str]:
+def _numbers(checked: CheckedValue) -> tuple[str, str, str]:
     """Value, limit and their difference."""
-    digits = 3 if finding.what == "s/frame" else 2
-    value, limit = ("n/a" if x is None else f"{x:.{digits}f}" for x in (finding.value, finding.limit))
-    if finding.value is None or finding.limit is None:
+    digits = 3 if checked.name == "s/frame" else 2
+    value, limit = ("n/a" if x is None else f"{x:.{digits}f}" for x in (checked.value, checked.limit))
+    if checked.value is None or checked.limit is None:
         return value, limit, ""
-    return value, limit, f"{finding.value - finding.limit:+.{digits}f}"
+    return value, limit, f"{checked.value - checked.limit:+.{digits}f}"
 
 
 SHORT = {"static_removed": "FP", "dynamic_kept": "FN"}
-PARTS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that a metric falls by
+ERRORS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that lower a metric
 
 
-def _words(finding: CheckedValue) -> Iterator[str]:
+def _points(checked: CheckedValue) -> Iterator[str]:
+    """The remark, and for a change the number of wrong points with its difference from the baseline."""
     from dynaviz.results.regression import CheckOutcome
 
-    if finding.remark:
-        yield finding.remark
-    if finding.verdict in (CheckOutcome.FELL, CheckOutcome.BETTER):
-        for part in PARTS.get(finding.what, tuple(SHORT)):
-            if part in finding.counts:
-                count, change = finding.counts[part]
-                yield f"{SHORT[part]} {count:,}" + (f" ({change:+,})" if change else "")
+    if checked.remark:
+        yield checked.remark
+    if checked.outcome in (CheckOutcome.FAILED, CheckOutcome.IMPROVED):
+        for name in ERRORS.get(checked.name, tuple(SHORT)):
+            if name in checked.counts:
+                count, change = checked.counts[name]
+                yield f"{SHORT[name]} {count:,}" + (f" ({change:+,})" if change else "")
