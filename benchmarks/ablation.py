@@ -17,7 +17,7 @@ from dynaviz import api
 from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods import relief, seethrough
+from dynaviz_methods import ground_height, seethrough
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
 CHOSEN = (
@@ -31,7 +31,7 @@ PARTS = {  # constants to change, and reasons to keep
     "no waiting rule": ({}, (WAITED,)),
     "no following": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
     "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, (WAITED,)),
-    "pits are ground": ({"relief.PIT": 1e9}, ()),
+    "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
 PARAMETERS = {
     "guard": (0.0, 0.2, 0.4),
@@ -41,7 +41,7 @@ PARAMETERS = {
     "ground_height": (-100.0, 0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {"seethrough": seethrough, "relief": relief}
+MODULES = {"seethrough": seethrough, "ground_height": ground_height}
 
 
 def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = 
     for scan in scans:
         method.observe(scan.without_truth())
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
-    answers = np.concatenate([removed[method.explain(scan.without_truth())] for scan in scans])
+    answers = np.concatenate([removed[method.label(scan.without_truth()).reasons] for scan in scans])
     truth = np.concatenate([scan.labels for scan in scans])
     return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[truth == Label.DYNAMIC].mean()
 

@@ -47,7 +47,7 @@ def run(
     for scan in scans:
         running.observe(scan)
     observed = time.perf_counter()
-    labels = [running.label(scan) for scan in scans]
+    labels = [running.label(scan).dynamic for scan in scans]
     end = time.perf_counter()
     return begun - start, (observed - begun) / len(scans), (end - observed) / len(scans), np.concatenate(labels)
 

@@ -1,10 +1,10 @@
-"""The contract of a method that tells moving from standing points."""
+"""The contracts of labellers and methods: whoever decides which points of a scan are dynamic, and why."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from dynaviz.arrays import F32, U8, Bool
 from dynaviz.probe import SILENT, Probe, State
@@ -14,27 +14,27 @@ from dynaviz.spatial.extent import Extent
 
 
 class Cause(StrEnum):
-    """Why methods fail, in the paper's terms (Section II and Figs. 2 and 3)."""
+    """Why methods fail, in the terms of the benchmark's paper (Section II and Figs. 2 and 3)."""
 
     GRAZING_RAYS = "grazing rays"  # rays that pass a surface at a small angle make it look free
-    SPARSE_RINGS = "sparse rings"  # the sensor's rings lie too far apart there to judge
-    NOTHING_BEHIND = "nothing behind"  # nothing behind the object ever sent a ray back through it
-    STANDING = "standing too long"  # seen there more often than seen through
-    HEIGHT_LIMIT = "height limit"  # outside the heights that are judged
-    OUT_OF_RANGE = "out of range"  # outside the range or view that is judged
-    NOT_YET_FREE = "not yet known free"  # the space had to be seen free before the object came
+    SPARSE_RINGS = "sparse rings"  # the sensor's rings are too far apart at that range
+    NOTHING_BEHIND = "nothing behind"  # no surface behind the object returned a ray through it
+    STANDING = "standing too long"  # hit more often than crossed by rays
+    HEIGHT_LIMIT = "height limit"  # outside the height band that the method judges
+    OUT_OF_RANGE = "out of range"  # outside the range or field of view that the method judges
+    NOT_YET_FREE = "not yet known free"  # the space was not observed as free before the object arrived
     TAKEN_FOR_GROUND = "taken for ground"  # protected as ground
-    SHARED_CELL = "shared cell"  # judged together with other things in its voxel, bin or cluster
+    SHARED_CELL = "shared cell"  # judged together with other objects in its voxel, bin or cluster
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a point got its label. A code is the position in ``MethodInfo.reasons``.
+    """Why a point got its label. Its code is its position in ``MethodInfo.reasons``.
 
     Attributes:
-        name: short, as in tables.
-        meaning: a line for a reader.
-        cause: what is to blame where the label is wrong; None where the method cannot know.
+        name: short identifier, as in tables.
+        meaning: one line for the reader.
+        cause: the failure cause if the label is wrong; None if the method cannot know.
     """
 
     name: str
@@ -44,13 +44,13 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class MethodInfo:
-    """What there is to know of a method before it runs.
+    """Facts about a method, known before it runs.
 
     Attributes:
-        name: as in the command line, the tables and the recording's paths.
-        title: as a reader would write it.
+        name: as on the command line, in tables and in the recording's paths.
+        title: as written in prose.
         paper: where it was published.
-        reasons: the legend of ``explain``, by code.
+        reasons: the legend of the reason codes, by code.
         emits: the states it can show.
         needs_map: whether it needs the raw map before the first scan (an offline method).
     """
@@ -65,14 +65,14 @@ class MethodInfo:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a method is told before the first scan.
+    """What is known before the first scan.
 
     Attributes:
-        extent: where points will lie: bounds and coarse cells. It may serve to lay out memory, never to decide a label.
-        sensor: facts of the sensor.
-        probe: who listens to the method's states.
-        seed: for everything random; the same seed gives the same labels.
-        raw_map: (M, 3) float32, metres, world frame: all points of all scans, where ``info.needs_map``; else None.
+        extent: bounds and coarse cells of all points. Use it to allocate memory, never to decide a label.
+        sensor: facts about the sensor.
+        probe: receives the method's states.
+        seed: for all randomness; the same seed gives the same labels.
+        raw_map: (M, 3) float32, metres, world frame: all points of all scans if ``info.needs_map``, else None.
     """
 
     extent: Extent
@@ -82,12 +82,50 @@ class Context:
     raw_map: F32 | None = None
 
 
-class Method(Protocol):
-    """Learns from scans, then answers for each of their points.
+@dataclass(frozen=True, slots=True, eq=False)
+class Labels:
+    """The answer for one scan.
 
-    ``begin`` once, ``observe`` for every scan, then ``label`` for every scan once all were observed; in online mode
-    ``label`` comes right after the scan's own ``observe``. Scans carry no ground truth, and their arrays are read-only.
-    Labels depend on nothing but the scans, the parameters and the seed: not on threads, not on who listens.
+    Attributes:
+        dynamic: (N,) bool: True for points that are dynamic and to be removed.
+        reasons: (N,) uint8: for each point the code of the reason for its label, an index into ``info.reasons``.
+    """
+
+    dynamic: Bool
+    reasons: U8
+
+    def __len__(self) -> int:
+        return len(self.dynamic)
+
+
+class Labeller(Protocol):
+    """Labels the points of scans: a method, or the output of another program (``dynaviz.engine.external``).
+
+    ``begin`` is called once per sequence, then ``label`` for each scan. Scans carry no ground truth, and their arrays
+    are read-only.
+    """
+
+    @property
+    def info(self) -> MethodInfo:
+        """Name, title, and the legend of the reason codes."""
+        ...
+
+    def begin(self, context: Context) -> None:
+        """Prepare for a sequence; forget any earlier one."""
+        ...
+
+    def label(self, scan: Scan) -> Labels:
+        """Label each point of a scan."""
+        ...
+
+
+@runtime_checkable
+class Method(Labeller, Protocol):
+    """A labeller that learns from the scans.
+
+    ``begin`` is called once, ``observe`` for every scan, then ``label`` for every scan after all were observed; in
+    online mode ``label`` follows each scan's own ``observe``. Labels depend only on the scans, the parameters and the
+    seed: not on the number of threads, and not on the probe.
 
     ``Params`` is a frozen dataclass of the numbers a user may tune; its fields are the paper's "number of parameters".
     """
@@ -97,18 +135,6 @@ class Method(Protocol):
 
     def __init__(self, params: Any) -> None: ...
 
-    def begin(self, context: Context) -> None:
-        """Prepare for a sequence; forget any earlier one."""
-        ...
-
     def observe(self, scan: Scan) -> None:
         """Learn from one scan."""
-        ...
-
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the point moved and is to be removed. The scan was observed before."""
-        ...
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8: for each point the code of the reason for its label, an index into ``info.reasons``."""
         ...

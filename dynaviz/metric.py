@@ -1,4 +1,4 @@
-"""The contract of a metric: it watches labelled scans go by and adds its section to the result."""
+"""The contract of a metric: it receives each labelled scan and adds its section to the result."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from dynaviz.scan import Scan, outcomes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Labelled:
-    """One scan with a method's answer.
+    """One scan with its labels.
 
     Attributes:
         frame: position in the run, 0, 1, ...; the recording's ``frame`` timeline.
-        scan: the scan, with its ground truth where there is any.
-        dynamic: (N,) bool, the method's answer.
-        reasons: (N,) uint8, the method's reason codes.
+        scan: the scan, with its ground truth if it has any.
+        dynamic: (N,) bool, as in ``Labels``.
+        reasons: (N,) uint8, the reason codes.
         outcome: (N,) uint8, an ``Outcome`` per point.
     """
 
@@ -31,13 +31,13 @@ class Labelled:
 
     @classmethod
     def of(cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8) -> Labelled:
-        """Cross the answer with the scan's ground truth."""
+        """Compare a scan's labels with its ground truth."""
         return cls(frame, scan, dynamic, reasons, outcomes(scan.labels, dynamic))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameHistograms:
-    """A histogram for each frame: edges (B + 1,) float64 and counts (frames, B) int64. The last bin is open."""
+    """A histogram per frame: edges (B + 1,) float64 and counts (frames, B) int64. The last bin is open."""
 
     title: str
     unit: str
@@ -47,12 +47,12 @@ class FrameHistograms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameBoxes:
-    """Cases that have a place in the world, and a box in each of their frames.
+    """Cases located in the world, with a box in each of their frames.
 
     Attributes:
-        labels: a line for each case.
+        labels: one line per case.
         outcomes: (C,) uint8, the ``Outcome`` of the points of each case.
-        low, high: (C, 3) float32, metres, world frame: all that a case ever covers.
+        low, high: (C, 3) float32, metres, world frame: bounds of the case over all frames.
         frames: (B,) int64, case: (B,) int64: a box's frame, and its case.
         box_low, box_high: (B, 3) float32, metres, world frame.
     """
@@ -71,27 +71,27 @@ Figure = FrameHistograms | FrameBoxes
 
 
 class Metric(Protocol):
-    """Counts what happens to the points of a run, in memory that does not grow with their number.
+    """Computes one or more sections of the result, in memory that does not grow with the number of points.
 
-    Constructed anew for each run with the method's info. Two more functions are optional: ``combine(sections)``,
-    static, gives its sections of runs on several sequences as one, by adding counts (see ``Confusion``); and
-    ``cleaned_map(points)`` is shown the map itself, where one is scored that another program wrote (see ``Voxelwise``).
+    Constructed for each run with the method's info. Two functions are optional: the static ``combine(sections)``
+    combines its sections of several sequences by adding counts (see ``Confusion``); ``cleaned_map(points)`` receives
+    the map itself if the map of another program is scored (see ``Voxelwise``).
     """
 
     def __init__(self, info: MethodInfo) -> None: ...
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Take one scan into account, in the order of frames.
+        """Add one scan; scans come in the order of frames.
 
         Returns:
-            Numbers to draw as curves over frames, by path (``"SA/frame"``); NaN where undefined.
+            Values to plot over frames, by path (``"SA/frame"``); NaN where undefined.
         """
         ...
 
     def finish(self) -> Mapping[str, Any]:
-        """Sections of the result, as plain JSON values (None where undefined), once all frames were seen."""
+        """The sections as plain JSON values, None where undefined; called after the last frame."""
         ...
 
     def figures(self) -> Mapping[str, Figure]:
-        """What to draw besides curves, by path, known only at the end; empty where the metric has none."""
+        """Figures other than curves, by path; called after ``finish``. May be empty."""
         ...

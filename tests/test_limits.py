@@ -62,7 +62,7 @@ def test_what_lies_beyond_a_methods_reach_is_kept_and_harms_nobody(name: str) ->
         method.begin(Context(Extent.of(*scans), SENSOR, raw_map=raw_map))
         for scan in scans:
             method.observe(scan)
-        answers.append([(method.label(scan), method.explain(scan)) for scan in scans])
+        answers.append([(method.label(scan).dynamic, method.label(scan).reasons) for scan in scans])
     for (before, _), (after, _) in zip(*answers, strict=False):
         np.testing.assert_array_equal(before, after)
     codes = [reason.name for reason in method.info.reasons]
@@ -125,7 +125,7 @@ def test_a_frame_of_a_million_points() -> None:
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert result.sequence["points"] == len(points)
+    assert result.sequence.points == len(points)
     assert peak < 150 * len(points), f"{peak / len(points):.0f} bytes a point"
 
 

@@ -1,4 +1,4 @@
-"""A run's answers as SemanticKITTI's label files, for tools that read those."""
+"""Export the labels of a run as SemanticKITTI label files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dynaviz.io.semantic_label import write_semantic_labels
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence, stream
 
-STATIC, MOVING = 9, 251  # as SemanticKITTI's task of segmenting moving objects has them
+STATIC, MOVING = 9, 251  # classes of SemanticKITTI's moving object segmentation task
 
 
 def export_labels(
@@ -24,33 +24,33 @@ def export_labels(
     out: str | os.PathLike[str],
     progress: Progress = silent,
 ) -> int:
-    """Write ``NNNNNN.label`` for each frame: a uint32 for each point, 9 for kept and 251 for removed ones.
+    """Write ``NNNNNN.label`` for each frame: a uint32 per point, 9 if the point was kept and 251 if removed.
 
     Args:
-        run: the folder of a run, or its ``labels.npz``.
-        sequence: that of the run, with the same frames; its digest is checked.
-        out: the folder to make; it must not exist yet, and appears whole or not at all.
-        progress: called with a phase, and how many frames of how many are done.
+        run: folder of a run, or its ``labels.npz``.
+        sequence: the sequence of the run, with the same frames; its digest is checked.
+        out: folder to create; it must not exist yet, and is written atomically.
+        progress: called with the phase, the number of frames done, and the total.
 
     Returns:
         Number of removed points.
 
     Raises:
-        DataError: for labels that cannot be read or belong to other data, and for an ``out`` that exists or cannot be
+        DataError: if the labels cannot be read or belong to a different sequence, or ``out`` exists or cannot be
             written.
     """
     path, total, removed = Path(run), len(sequence), 0
     if path.is_dir():
         path /= "labels.npz"
         if not path.is_file():
-            hint = "Give the folder of a whole run (dynaviz run ... -o FOLDER), or a labels.npz"
+            hint = "Give the folder of a finished run (dynaviz run METHOD PATH -o FOLDER), or a labels.npz"
             raise DataError(path.parent, "has no labels.npz", hint=hint)
-    given = PrecomputedLabels(path, path.stem)
+    labels = PrecomputedLabels(path, path.stem)
     with atomic_folder(out) as folder:
-        seen = summarize(sequence, lambda done: progress("checking", done, total))
-        given.check(sequence.name, seen)
+        summary = summarize(sequence, lambda done: progress("checking", done, total))
+        labels.check(sequence.name, summary)
         for done, scan in enumerate(stream(sequence), 1):
-            dynamic = given.label(scan).dynamic
+            dynamic = labels.label(scan).dynamic
             write_semantic_labels(
                 folder / f"{scan.index:06d}.label", np.where(dynamic, MOVING, STATIC).astype(np.uint16)
             )

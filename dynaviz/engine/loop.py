@@ -1,80 +1,87 @@
-"""THE loop: sequence x method x listeners -> Result. Two passes, or one in online mode; only the method is timed."""
+"""The loop: sequence x labeller x listeners -> Result. Two passes, or one in online mode; only the method is timed."""
 
 from __future__ import annotations
 
 import dataclasses
-import resource
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from dynaviz import kernels
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.summary import SequenceSummary, summarize
 from dynaviz.errors import PluginError, UsageError
-from dynaviz.method import Context, Method
+from dynaviz.method import Context, Labeller, Labels, Method
 from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import Result, environment
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo, Source
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial.extent import Extent
 
-MOST_IN_MAP = (1 << 31) - 1  # points that methods which need the raw map can number
+MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
 
 @dataclass(frozen=True)
 class RunSpec:
-    """What a run is, before it starts.
+    """What to run.
 
     Attributes:
-        method: a fresh method; it is told of its parameters already.
+        labeller: a fresh method, which already has its parameters; or the output of another program.
         sequence: what to run it on.
-        params: the method's parameters, an instance of its ``Params``.
+        params: the labeller's parameters, a dataclass; for a method an instance of its ``Params``.
         metrics: fresh metrics.
         online: ask for labels right after each scan was observed.
-        seed: for everything random in the method.
-        variant: a short name for the parameters, for tables.
+        seed: for all randomness in the method.
+        variant: a short name for the parameter set, for tables.
+        preset, parameter_origins: where the parameters come from, as in ``Result``.
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
-        scoring: how answers come about: ``mask`` or ``nn`` (``eval/README.md``).
-        external: the answers are those of another program: nothing is observed here, and its runtime is unknown.
+        scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
     """
 
-    method: Method
+    labeller: Labeller
     sequence: Sequence
     params: Any
     metrics: tuple[Metric, ...] = ()
     online: bool = False
     seed: int = 0
     variant: str = ""
+    preset: str | None = None
+    parameter_origins: Mapping[str, str] = field(default_factory=dict)
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
-    external: bool = False
+
+    @property
+    def method(self) -> Method | None:
+        """The labeller if it is a method, which observes scans and is timed; None for another program's output."""
+        return self.labeller if isinstance(self.labeller, Method) else None
 
 
 class Listener:
-    """Hears of every step of a run; its time is not the method's. Subclasses say what they care for."""
+    """Run callbacks; override those you need. Their time does not count as the method's."""
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Before the first frame."""
 
     def observing(self, frame: int, scan: Scan) -> None:
-        """A scan is about to be observed; states emitted from here on are of this frame."""
+        """Before a scan is observed; states emitted from here on belong to this frame."""
 
     def observed(self, frame: int) -> None:
-        """The method returned; its states of this frame are complete."""
+        """After a scan was observed; its states are complete."""
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """A scan has its labels; curves hold the metrics' numbers at this frame."""
+        """After a scan was labelled; curves are the metrics' values at this frame."""
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
-        """All frames are done."""
+        """After the last frame."""
 
 
 @dataclass
@@ -85,7 +92,7 @@ class Clock:
     prepared: float = 0.0
 
     def prepare(self, call: Callable[[], None]) -> None:
-        """Call, and remember the time as spent before the first frame."""
+        """Call, and keep the time as spent before the first frame."""
         start = time.perf_counter()
         call()
         self.prepared = time.perf_counter() - start
@@ -100,15 +107,11 @@ class Clock:
         self.frames[frame] += seconds
         return answer
 
-    def summary(self) -> dict[str, float | int]:
+    def runtime(self, threads: int) -> Runtime:
         """Mean and standard deviation over frames, as in the paper's runtime table."""
         seconds = np.array(self.frames)
-        return {
-            "mean_s": float(seconds.mean()),
-            "std_s": float(seconds.std()),
-            "frames": len(seconds),
-            "prepare_s": self.prepared,
-        }
+        mean, std = float(seconds.mean()), float(seconds.std())
+        return Runtime(mean, std, len(seconds), self.prepared, threads, peak_rss_mb())
 
 
 def execute(
@@ -116,91 +119,121 @@ def execute(
     listeners: Iterable[Listener] = (),
     probe: Probe = SILENT,
     progress: Progress = silent,
+    source: Callable[[], Source] | None = None,
 ) -> Result:
-    """Run a method over a sequence, score it, and tell the listeners.
+    """Label a sequence, score the labels, and notify the listeners.
 
     Args:
         run: what to run.
-        listeners: recordings and other outputs, told in this order.
-        probe: who looks at the method's states; ``SILENT`` for an honest timing.
+        listeners: recordings and other outputs, called in this order.
+        probe: receives the method's states; use ``SILENT`` for an honest timing.
         progress: called after each frame of each phase.
+        source: called at the end for the section on the file of another program.
 
     Returns:
-        The result; ``instrumented`` tells whether anybody looked at states.
+        The result; ``instrumented`` says whether states were recorded.
+
+    Raises:
+        UsageError: for a sequence with too many points for the method.
+        PluginError: for a method whose labels have the wrong type or shape.
+        DataError: for data that cannot be read.
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
-    threads = kernels.set_threads(run.threads)
-    seen = summarize(run.sequence, lambda done: progress("survey", done, total))
-    if not run.external:
-        _warm_up(run, probe)
-    clock.prepare(lambda: run.method.begin(_context(run, seen, probe)))
+    labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
+    summary = summarize(run.sequence, lambda done: progress("survey", done, total))
+    if method:
+        _warm_up(method, run, probe)
+    clock.prepare(lambda: labeller.begin(_context(run, summary, probe)))
     for listener in listeners:
-        listener.begin(run, seen)
+        listener.begin(run, summary)
 
     def observe(frame: int, scan: Scan) -> None:
         for listener in listeners:
             listener.observing(frame, scan)
-        clock.timed(frame, run.method.observe, scan.without_truth())
+        if method:
+            clock.timed(frame, method.observe, scan.without_truth())
         for listener in listeners:
             listener.observed(frame)
         progress("observe", frame + 1, total)
 
     def label(frame: int, scan: Scan) -> None:
-        bare = scan.without_truth()
-        dynamic = clock.timed(frame, run.method.label, bare)
-        _check(run.method.info.name, dynamic, len(scan))
-        answer.append(dynamic)
-        labelled = Labelled.of(frame, scan, dynamic, run.method.explain(bare))
+        labels = clock.timed(frame, labeller.label, scan.without_truth())
+        _check(labeller.info.name, labels, len(scan))
+        answer.append(labels.dynamic)
+        labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons)
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
             listener.labelled(labelled, curves)
         progress("label", frame + 1, total)
 
-    passes = ([label],) if run.external else ([observe, label],) if run.online else ([observe], [label])
-    for passing in passes:
+    for steps in _passes(run, observe, label):
         for frame, scan in enumerate(stream(run.sequence)):
-            for step in passing:
+            for step in steps:
                 step(frame, scan)
 
-    runtime = _runtime(run, clock, threads)
-    result = _result(run, seen, runtime, answer.sha256(), instrumented=probe is not SILENT and not run.external)
+    # Before the metrics finish: the memory they need then is not the method's.
+    runtime = clock.runtime(threads) if method else Runtime(frames=total)
+    sections = _sections(run.metrics, source)
+    instrumented = method is not None and probe is not SILENT
+    result = _result(run, summary, sections, runtime, answer.sha256(), instrumented)
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)
     return result
 
 
-def _check(method: str, dynamic: Any, points: int) -> None:
-    """Refuse an answer that is no mask: integers would choose points by their numbers where files are written."""
-    if not isinstance(dynamic, np.ndarray) or dynamic.dtype != np.bool_ or dynamic.shape != (points,):
-        kind = f"{dynamic.dtype} {dynamic.shape}" if isinstance(dynamic, np.ndarray) else type(dynamic).__name__
-        raise PluginError(
-            f"{method}: label() answered with {kind}, not with bool ({points},). "
-            "Try it with dynaviz.testing.check_method, which tells more"
-        )
+Step = Callable[[int, Scan], None]
 
 
-def _runtime(run: RunSpec, clock: Clock, threads: int) -> dict[str, Any]:
-    """Seconds and memory, asked before the metrics finish, for what they need then is not the method's.
+def _passes(run: RunSpec, observe: Step, label: Step) -> list[list[Step]]:
+    """What happens to each scan, pass by pass."""
+    if run.method is None:
+        return [[label]]
+    return [[observe, label]] if run.online else [[observe], [label]]
 
-    Of another program only the number of frames is known.
-    """
-    known = {**clock.summary(), "threads": threads, "peak_rss_mb": peak_rss_mb()}
-    return {**dict.fromkeys(known), "frames": known["frames"]} if run.external else known
+
+def _check(method: str, labels: Any, points: int) -> None:
+    """Reject labels of another type: integers would select points by number where files are written."""
+    if not isinstance(labels, Labels):
+        raise PluginError(f"{method}: label() returned {type(labels).__name__}, not dynaviz.method.Labels. {_KIT}")
+    for name, array, dtype in (("dynamic", labels.dynamic, np.bool_), ("reasons", labels.reasons, np.uint8)):
+        if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != (points,):
+            found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+            expected = f"{np.dtype(dtype)} ({points},)"
+            raise PluginError(f"{method}: label() returned {name} as {found}, not {expected}. {_KIT}")
+
+
+_KIT = "Check the method with dynaviz.testing.check_method"
+
+
+def _sections(metrics: Iterable[Metric], source: Callable[[], Source] | None) -> Sections:
+    plain = {key: value for metric in metrics for key, value in metric.finish().items()}
+    try:
+        sections = Sections.of(plain)
+    except msgspec.ValidationError as error:
+        raise PluginError(f"a metric returned an invalid section: {error}") from None
+    return msgspec.structs.replace(sections, source=source() if source else None)
 
 
 def _result(
-    run: RunSpec, seen: SequenceSummary, runtime: dict[str, Any], labels_sha256: str, instrumented: bool
+    run: RunSpec,
+    summary: SequenceSummary,
+    sections: Sections,
+    runtime: Runtime,
+    labels_sha256: str,
+    instrumented: bool,
 ) -> Result:
     return Result(
-        method=run.method.info.name,
+        method=run.labeller.info.name,
         parameters=dataclasses.asdict(run.params),
-        sequence={"name": run.sequence.name, "digest": seen.digest, "frames": seen.frames, "points": seen.points},
-        sections={key: value for metric in run.metrics for key, value in metric.finish().items()},
+        sequence=SequenceInfo(run.sequence.name, summary.digest, summary.frames, summary.points),
+        sections=sections,
         runtime=runtime,
         online=run.online,
         seed=run.seed,
         variant=run.variant,
+        preset=run.preset,
+        parameter_origins=run.parameter_origins,
         scoring=run.scoring,
         labels_sha256=labels_sha256,
         instrumented=instrumented,
@@ -209,35 +242,38 @@ def _result(
     )
 
 
-def peak_rss_mb() -> float:
-    """The most memory this process ever held, in MB."""
+def peak_rss_mb() -> float | None:
+    """Peak memory of this process so far in MB; None on systems without ``resource`` (Windows)."""
+    try:
+        import resource
+    except ImportError:
+        return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
-def _context(run: RunSpec, seen: SequenceSummary, probe: Probe) -> Context:
-    raw_map = None
-    if run.method.info.needs_map:
-        if seen.points > MOST_IN_MAP:
+def _context(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
+    info, raw_map = run.labeller.info, None
+    if info.needs_map:
+        if summary.points > MAX_MAP_POINTS:
             raise UsageError(
-                f"{run.method.info.name} needs the map of all scans: {seen.points:,} points in {seen.frames:,} frames, "
-                f"and {MOST_IN_MAP:,} is the most. Take fewer with --frames A:B or --stride K"
+                f"{info.name} needs the map of all scans, at most {MAX_MAP_POINTS:,} points: {run.sequence.name} has "
+                f"{summary.points:,} in {summary.frames:,} frames. Use fewer with --frames A:B or --stride N"
             )
-        raw_map = np.empty((seen.points, 3), np.float32)
+        raw_map = np.empty((summary.points, 3), np.float32)
         end = 0
         for scan in stream(run.sequence):
             raw_map[end : end + len(scan)] = scan.points
             end += len(scan)
-    return Context(seen.extent, run.sequence.sensor, probe, run.seed, raw_map)
+    return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
-def _warm_up(run: RunSpec, probe: Probe) -> None:
-    """Let a copy of the method see one scan, so that no frame's time holds the loading or compiling of kernels."""
+def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:
+    """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no frame's time."""
     scan = run.sequence[0].without_truth()
-    copy = type(run.method)(run.params)
-    listening = SILENT if probe is SILENT else MemoryProbe()
-    raw_map = scan.points if run.method.info.needs_map else None
-    copy.begin(Context(Extent.of(scan), run.sequence.sensor, listening, run.seed, raw_map))
+    copy = type(method)(run.params)
+    copy_probe = SILENT if probe is SILENT else MemoryProbe()
+    raw_map = scan.points if method.info.needs_map else None
+    copy.begin(Context(Extent.of(scan), run.sequence.sensor, copy_probe, run.seed, raw_map))
     copy.observe(scan)
     copy.label(scan)
-    copy.explain(scan)

@@ -1,4 +1,4 @@
-"""The files of a run beside its recording: labels.npz, static_map.pcd, dynamic_points.pcd, config.toml, result.json."""
+"""The files of a run: labels.npz, static_map.pcd, dynamic_points.pcd, config.toml, result.json."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from dynaviz.params import to_toml
 from dynaviz.results.result import Result
 
 FILES = ("labels.npz", "static_map.pcd", "dynamic_points.pcd")
-"""What the listeners here write."""
+"""Written by the listeners in this module."""
 
 
 class LabelsFile(Listener):
-    """A listener that writes ``labels.npz``.
+    """Writes ``labels.npz``.
 
-    ``dynamic``: one bit per point in the order of the sequence, 1 where the method removed it
+    ``dynamic``: one bit per point in the order of the sequence, 1 if the method removed it
     (``np.unpackbits(z["dynamic"])[: z["points"].sum()]``); ``points``: (frames,) int64 points of each frame;
     ``frames``: (frames,) int64 numbers of the frames; ``reasons``: (points,) uint8 codes; ``reason_names``: their
-    legend; ``sequence_digest`` and ``labels_sha256``: what the labels belong to, and their own digest.
+    legend; ``sequence_digest`` and ``labels_sha256``: digests of the sequence and of the labels.
     """
 
     def __init__(self, folder: Path):
@@ -40,8 +40,8 @@ class LabelsFile(Listener):
 
     def __enter__(self) -> LabelsFile:
         with contextlib.ExitStack() as stack:
-            beside = stack.enter_context(atomic_file(self._path))
-            self._zip = stack.enter_context(zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
+            file = stack.enter_context(atomic_file(self._path))
+            self._zip = stack.enter_context(zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1))
             self._stack = stack.pop_all()
         return self
 
@@ -49,9 +49,9 @@ class LabelsFile(Listener):
         self._stack.__exit__(*error)
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Store what is known, and open the array of reasons, which is written frame by frame."""
+        """Write the legend, and open the array of reasons, which is written frame by frame."""
         self._put("sequence_digest", np.array(summary.digest))
-        self._put("reason_names", np.array([reason.name for reason in run.method.info.reasons]))
+        self._put("reason_names", np.array([reason.name for reason in run.labeller.info.reasons]))
         self._reasons: IO[bytes] = self._stack.enter_context(self._zip.open("reasons.npy", "w", force_zip64=True))
         head = {"descr": "|u1", "fortran_order": False, "shape": (summary.points,)}
         np.lib.format.write_array_header_1_0(self._reasons, head)
@@ -77,11 +77,10 @@ class LabelsFile(Listener):
 
 
 class RemoveStaleOutputs(Listener):
-    """A listener that goes before those that write: at the end of a run it takes away what an earlier one left there.
+    """Removes files of an earlier run at the end of this one. Put it before the listeners that write.
 
-    These are the files whose absence says something: ``result.json`` and ``config.toml``, which come back last, if at
-    all; and ``run.rrd`` where this run's recording is elsewhere. Until then all is as it was, so a run that fails takes
-    nothing from the one before.
+    It removes the files whose presence means something: ``result.json`` and ``config.toml``, which are written last,
+    and ``run.rrd`` if this run's recording is written elsewhere. A run that fails leaves the earlier files untouched.
     """
 
     def __init__(self, folder: Path, recording: Path | None):
@@ -95,7 +94,7 @@ class RemoveStaleOutputs(Listener):
 
 
 class MapFiles(Listener):
-    """A listener that writes ``static_map.pcd`` (what the method kept) and ``dynamic_points.pcd`` (the rest)."""
+    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points)."""
 
     def __init__(self, folder: Path):
         kinds = dict.fromkeys("xyz", np.float32)
@@ -112,18 +111,17 @@ class MapFiles(Listener):
         self._stack.__exit__(*error)
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Append a frame's points to the one or the other."""
+        """Append the points of a frame."""
         for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
             writer.append(**dict(zip("xyz", labelled.scan.points[chosen].T, strict=True)))
 
 
 def write_summary(folder: Path, run: RunSpec, result: Result) -> None:
-    """Write ``config.toml`` and ``result.json``; the latter last, so that its presence says the run is whole.
+    """Write ``config.toml`` and ``result.json``; the latter last: it exists only if the run is complete.
 
-    What another program wrote has no configuration here.
+    The output of another program has no ``config.toml``.
     """
-    if not run.external:
-        write_atomic(
-            folder / "config.toml", to_toml(result.method, run.params, {"online": run.online, "seed": run.seed})
-        )
+    if run.method:
+        settings = {"online": run.online, "seed": run.seed}
+        write_atomic(folder / "config.toml", to_toml(result.method, run.params, settings))
     result.save(folder / "result.json")

@@ -13,7 +13,8 @@ from typing import Any
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import open_file
-from dynaviz.results.result import Result, label
+from dynaviz.results.result import Result, run_label
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 
 HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz run METHOD SEQ -o FOLDER' writes one)"
 
@@ -46,7 +47,7 @@ class StudyRun:
     @property
     def label(self) -> str:
         """The method, and what sets this run of it apart."""
-        return label(self.method, self.variant, self.result is not None and self.result.online)
+        return run_label(self.method, self.variant, self.result is not None and self.result.online)
 
     @property
     def recording(self) -> Path | None:
@@ -92,13 +93,14 @@ def combined(results: Sequence[Result]) -> Result:
     sections: dict[str, Any] = {}
     for metric in registry.loadable("metrics").values():
         if combine := getattr(metric, "combine", None):
-            sections |= combine([result.sections for result in results])
-    total = {key: sum(result.sequence.get(key, 0) for result in results) for key in ("frames", "points")}
-    digest = "+".join(sorted(str(result.sequence.get("digest")) for result in results))
+            sections |= combine([result.sections.plain() for result in results])
+    frames = sum(result.sequence.frames for result in results)
+    points = sum(result.sequence.points for result in results)
+    digest = "+".join(sorted(result.sequence.digest for result in results))
     return replace(
         first,
-        sequence={"name": f"all {len(results)}", "digest": digest, **total},
-        sections=sections,
+        sequence=SequenceInfo(f"all {len(results)}", digest, frames, points),
+        sections=Sections.of(sections),
         runtime=_runtime([result.runtime for result in results]),
         labels_sha256=None,
         recording_sha256=None,
@@ -108,14 +110,17 @@ def combined(results: Sequence[Result]) -> Result:
     )
 
 
-def _runtime(runtimes: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and deviation over the frames of all sequences; none where a map of another program is among them."""
-    if any(runtime.get("mean_s") is None for runtime in runtimes):
-        return {}
-    frames = sum(runtime["frames"] for runtime in runtimes)
-    mean = sum(runtime["frames"] * runtime["mean_s"] for runtime in runtimes) / frames
-    square = sum(runtime["frames"] * (runtime["std_s"] ** 2 + runtime["mean_s"] ** 2) for runtime in runtimes) / frames
-    return {"mean_s": mean, "std_s": math.sqrt(max(0.0, square - mean**2)), "frames": frames}
+def _runtime(runtimes: Sequence[Runtime]) -> Runtime:
+    """Mean and deviation over the frames of all sequences; unknown if a map of another program is among them."""
+    frames, seconds, squares = 0, 0.0, 0.0
+    for runtime in runtimes:
+        if runtime.frames is None or runtime.mean_s is None or runtime.std_s is None:
+            return Runtime()
+        frames += runtime.frames
+        seconds += runtime.frames * runtime.mean_s
+        squares += runtime.frames * (runtime.std_s**2 + runtime.mean_s**2)
+    mean, square = seconds / frames, squares / frames
+    return Runtime(mean, math.sqrt(max(0.0, square - mean**2)), frames)
 
 
 def _found(given: Path) -> Iterator[Path]:
@@ -134,8 +139,7 @@ def _cell(file: Path, given: Path) -> StudyRun:
     if file.name == "error.json":
         return _failed(file, given)
     result = Result.load(file)
-    name = str(result.sequence.get("name", ""))
-    return StudyRun(file, result, None, result.method, name, result.variant, given)
+    return StudyRun(file, result, None, result.method, result.sequence.name, result.variant, given)
 
 
 def _failed(file: Path, given: Path) -> StudyRun:

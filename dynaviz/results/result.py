@@ -1,92 +1,99 @@
-"""Result: everything a run answers, as plain values; saved whole or not at all, and shown as a table."""
+"""Result: everything that a run found; saved whole or not at all, and shown as a table."""
 
 from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
 import json
+import math
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, Literal
 
+import msgspec
+
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
+from dynaviz.results.sections import CaseTotals, Environment, FailureCase, Machine, Runtime, Sections, SequenceInfo
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+    from rich.table import Table
 
 SCHEMA = 1
-RecordMode = Literal["full", "errors", "scores"]  # how much a recording holds
+RecordMode = Literal["full", "errors", "scores"]  # how much a recording contains
 _HINT = "Give the result.json of a run"
 
 
 @dataclass(frozen=True)
 class Result:
-    """The answer of one run; the fields are those of ``result.json``.
+    """The result of one run; the fields are those of ``result.json``.
 
     Attributes:
-        method, sequence: what ran on what; ``sequence`` holds name, digest, frames and points.
-        variant: a short name for the parameters, where a bench runs several sets of them.
-        parameters: the method's parameters; ``n_parameters`` counts them (paper, runtime table).
+        method, sequence: what ran on what.
+        parameters: the method's parameters; ``n_parameters`` in the file counts them (paper, runtime table).
+        sections: what the metrics found.
+        runtime: cost of the method alone.
+        variant: a short name for the parameter set, if a benchmark runs several.
+        preset: name of the preset that was used, or None.
+        parameter_origins: for each parameter the layer that set it: ``default``, ``preset NAME``, a file, ``--set``.
         scoring: ``mask`` (labels by index) or ``nn`` (nearest neighbour in a cleaned map).
-        sections: what the metrics found: counts, metrics, error_distance, breakdown, reasons ...; None where undefined.
-        runtime: mean_s and std_s per frame of the method alone, prepare_s before it, frames, threads, peak_rss_mb.
         labels_sha256: digest of all labels in the order of the sequence.
         recording_sha256: digest of the recording's file, or None.
-        record: how much that recording holds, or None.
+        record: how much that recording contains, or None.
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
-        environment: versions and machine. ``command``: what was typed.
+        environment: package versions and machine.
+        command: what the user typed.
     """
 
     method: str
     parameters: dict[str, Any]
-    sequence: dict[str, Any]
-    sections: dict[str, Any] = field(default_factory=dict)
-    runtime: dict[str, Any] = field(default_factory=dict)
+    sequence: SequenceInfo
+    sections: Sections = field(default_factory=Sections)
+    runtime: Runtime = field(default_factory=Runtime)
     online: bool = False
     seed: int = 0
     variant: str = ""
+    preset: str | None = None
+    parameter_origins: Mapping[str, str] = field(default_factory=dict)
     scoring: str = "mask"
     labels_sha256: str | None = None
     recording_sha256: str | None = None
     record: str | None = None
     instrumented: bool = False
-    environment: dict[str, Any] = field(default_factory=dict)
+    environment: Environment = field(default_factory=Environment)
     command: str = ""
 
     @property
     def metrics(self) -> Mapping[str, float | None]:
         """SA, DA, AA, HA, precision and IoU in percent; None where undefined."""
-        metrics: dict[str, float | None] = self.sections.get("metrics", {})
-        return metrics
+        return self.sections.metrics
 
     @property
     def counts(self) -> Mapping[str, int]:
         """static_kept, static_removed, dynamic_removed, dynamic_kept, unlabelled."""
-        counts: dict[str, int] = self.sections.get("counts", {})
-        return counts
+        return self.sections.counts
 
     @property
-    def failures(self) -> list[dict[str, Any]]:
-        """The failure cases, costliest first; empty where nobody looked for them."""
-        cases: list[dict[str, Any]] = self.sections.get("failures", {}).get("cases", [])
-        return cases
+    def failures(self) -> tuple[FailureCase, ...]:
+        """The failure cases, costliest first; empty if no metric looked for them."""
+        return self.sections.failures.cases if self.sections.failures else ()
 
     @property
-    def causes(self) -> dict[str, dict[str, dict[str, int]]]:
-        """Cases and points by kind of error and cause, most points first; empty where nobody looked for them."""
-        causes: dict[str, dict[str, dict[str, int]]] = self.sections.get("failures", {}).get("causes", {})
-        return causes
+    def causes(self) -> Mapping[str, Mapping[str, CaseTotals]]:
+        """Cases and points by kind of error and cause, most points first; empty if no metric looked for them."""
+        return self.sections.failures.causes if self.sections.failures else {}
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        plain = dataclasses.asdict(self)
-        sections = plain.pop("sections")
-        return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **sections}
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sections"}
+        plain: dict[str, Any] = msgspec.to_builtins(fields)
+        return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **self.sections.plain()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``result.json``, whole or not at all."""
@@ -94,38 +101,35 @@ class Result:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
-        """Read a ``result.json``.
+        """Read a ``result.json``, also of an earlier version.
 
         Raises:
-            DataError: where the file is none, or was written by a newer dynaviz.
+            DataError: if the file is not a result, or was written by a newer dynaviz.
         """
         return cls.from_dict(read_json(path, _HINT), path)
 
     @classmethod
     def from_dict(cls, plain: Any, path: str | os.PathLike[str]) -> Result:
-        """The inverse of ``to_dict``; ``path`` is where the values come from.
+        """The inverse of ``to_dict``; ``path`` names the source in errors.
 
         Raises:
             DataError: as ``load``.
         """
         if not isinstance(plain, dict) or not plain.keys() >= {"method", "parameters", "sequence"}:
             raise DataError(path, "is not the result of a run", hint=_HINT)
-        plain = dict(plain)
-        schema = plain.pop("schema", 0)
+        schema = plain.get("schema", 0)
         if isinstance(schema, int) and schema > SCHEMA:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
-        plain.pop("n_parameters", None)
-        if wrong := next((name for name, kind in _OUTLINE.items() if not fits(plain.get(name, kind), kind)), None):
-            raise DataError(path, f"has something else in '{wrong}' than a result has", hint="Run the method again")
-        known = {f.name for f in dataclasses.fields(cls)} - {"sections"}
-        return cls(
-            **{k: v for k, v in plain.items() if k in known},
-            sections={k: v for k, v in plain.items() if k not in known},
-        )
+        names = {f.name for f in dataclasses.fields(cls)} - {"sections"}
+        fields = {key: value for key, value in plain.items() if key in names}
+        rest = {key: value for key, value in plain.items() if key not in {*names, "schema", "n_parameters", "sections"}}
+        try:
+            result = msgspec.convert(fields, cls)
+            return dataclasses.replace(result, sections=Sections.of(rest))
+        except msgspec.ValidationError as error:
+            raise DataError(path, f"is not a valid result: {error}", hint="Run the method again") from None
 
     def __rich__(self) -> RenderableType:
-        from dynaviz.results.tables import result_table
-
         return result_table([self])
 
     def __str__(self) -> str:
@@ -142,45 +146,94 @@ class Result:
         return console
 
 
-def label(method: str, variant: str, online: bool) -> str:
-    """A method, and what sets a run of it apart."""
+def environment() -> Environment:
+    """Package versions that may affect labels or speed, and this machine."""
+    versions = {name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")}
+    machine = Machine(platform.system(), platform.machine(), os.cpu_count())
+    return Environment({"python": platform.python_version(), **versions}, machine)
+
+
+def run_label(method: str, variant: str, online: bool) -> str:
+    """A method, with what distinguishes this run from its other runs."""
     apart = dict.fromkeys([variant, "online" if online else ""])
     return " ".join([method, *(f"({text})" for text in apart if text)])
 
 
-def fits(value: Any, kind: Any) -> bool:
-    """Whether a value from a file is as a pattern says.
+def result_table(results: Sequence[Result], title: str | None = None) -> Table:
+    """One row per result, in 80 columns; the best AA of each sequence and scoring is bold.
 
-    A pattern is one of several types, or a dict with one pattern for all values, or a list with one for all items; an
-    empty dict or list takes any values. A pattern fits itself.
+    Percentages have two decimals as in the papers, ``n/a`` where undefined. Scores of different scorings (``mask``,
+    ``nn``) cannot be compared: if there are several, the scoring has its own column.
     """
-    if value is kind:
-        return True
-    if isinstance(kind, dict):
-        return isinstance(value, dict) and all(fits(v, k) for k in kind.values() for v in value.values())
-    if isinstance(kind, list):
-        return isinstance(value, list) and all(fits(v, k) for k in kind for v in value)
-    return isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool)
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    scorings = sorted({result.scoring for result in results})
+    table = Table(title=title, caption=_caption(results, scorings), caption_justify="left")
+    table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
+    table.add_column("sequence", overflow="fold")
+    table.add_column("method", no_wrap=not any(result.variant for result in results), overflow="fold")
+    for name in ("SA ↑", "DA ↑", "AA ↑", "HA ↑", "FP", "FN", "s/frame"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if len(scorings) > 1:
+        table.add_column("scoring")
+    best: dict[tuple[str, str], float] = {}
+    for result in results:
+        best[_group(result)] = max(best.get(_group(result), -math.inf), _aa(result))
+    for result, following in itertools.zip_longest(results, results[1:]):
+        aa = _percent(result, "AA")
+        champion = len(results) > 1 and _aa(result) == best[_group(result)] >= 0
+        table.add_row(
+            escape(result.sequence.name),
+            escape(run_label(result.method, result.variant, result.online)),
+            _percent(result, "SA"),
+            _percent(result, "DA"),
+            f"[bold]{aa}[/bold]" if champion else aa,
+            _percent(result, "HA"),
+            _count(result, "static_removed"),
+            _count(result, "dynamic_kept"),
+            _runtime(result),
+            *([result.scoring] if len(scorings) > 1 else []),
+            end_section=following is not None and following.sequence.name != result.sequence.name,
+        )
+    return table
 
 
-_NUMBER, _TEXT = (int, float, type(None)), (str, type(None))
-_OUTLINE: dict[str, Any] = {  # of what every reader of a result relies on; the rest is the metrics' own
-    **dict.fromkeys(("method", "variant", "scoring", "command"), str),
-    **dict.fromkeys(("labels_sha256", "recording_sha256", "record"), _TEXT),
-    **{name: {} for name in ("parameters", "sequence", "environment", "failures")},
-    **dict.fromkeys(("online", "instrumented"), bool),
-    "seed": int,
-    "runtime": {"": _NUMBER},
-    "counts": {"": int},
-    "metrics": {"": _NUMBER},
-    "reasons": {"": {}},
-}
+def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
+    lines = [
+        "SA, DA: static points kept, dynamic points removed, in %; AA = √(SA · DA),",
+        "HA = 2 · SA · DA / (SA + DA)",
+        "FP: static points removed, FN: dynamic points kept",
+        *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
+        *(["* runtime includes recording of states"] if any(result.instrumented for result in results) else []),
+    ]
+    return "\n".join(lines)
 
 
-def environment() -> dict[str, Any]:
-    """Versions of what decides about labels and speed, and the machine."""
-    versions = {name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")}
-    return {
-        "versions": {"python": platform.python_version(), **versions},
-        "machine": {"system": platform.system(), "arch": platform.machine(), "cores": os.cpu_count()},
-    }
+def _group(result: Result) -> tuple[str, str]:
+    """Results that can be compared: the same points, scored the same way."""
+    return result.sequence.digest, result.scoring
+
+
+def _aa(result: Result) -> float:
+    """AA, or minus infinity if undefined."""
+    value = result.metrics.get("AA")
+    return -math.inf if value is None else value
+
+
+def _percent(result: Result, name: str) -> str:
+    value = result.metrics.get(name)
+    return "n/a" if value is None else f"{value:.2f}"
+
+
+def _count(result: Result, part: str) -> str:
+    return f"{result.counts[part]:,}" if part in result.counts else "n/a"
+
+
+def _runtime(result: Result) -> str:
+    """Seconds per frame, with a mark if recording the method's states slowed it down."""
+    mean, std = result.runtime.mean_s, result.runtime.std_s
+    if mean is None:
+        return "n/a"
+    return f"{mean:.3f}" + ("" if std is None else f" ±{std:.3f}") + ("*" if result.instrumented else "")

@@ -79,9 +79,9 @@ def _observe(running: Method, scans: Sequence[Scan]) -> None:
 
 
 def _answers(running: Method, scans: Sequence[Scan]) -> RunLabels:
+    labels = [running.label(scan) for scan in scans]
     return RunLabels(
-        [np.asarray(running.label(scan)).copy() for scan in scans],
-        [np.asarray(running.explain(scan)).copy() for scan in scans],
+        [np.asarray(each.dynamic).copy() for each in labels], [np.asarray(each.reasons).copy() for each in labels]
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import numpy as np
 
@@ -13,12 +12,13 @@ from dynaviz.comparison.answers import Answers
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
+from dynaviz.results.sections import Failures, Sections
 from dynaviz.scan import Outcome, Scan
 from dynaviz.viz import paths
 from dynaviz.viz.reader import DrawnPoints, RunRecording
 
 
-def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
+def failures_of(path: str | os.PathLike[str]) -> Failures:
     """The section ``failures`` of a recorded run (``eval/README.md``).
 
     For a run that was not finished it is computed from the points that were drawn, without classes and objects; a
@@ -31,24 +31,22 @@ def failures_of(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not recording.properties["has_labels"]:
         raise DataError(path, "has no ground truth, so nobody knows what is wrong", hint="Give a run with ground truth")
     result = recording.result
-    if result is not None and "failures" in result.sections:
-        section: dict[str, Any] = result.sections["failures"]
-        return section
+    if result is not None and result.sections.failures:
+        return result.sections.failures
     if recording.properties["mode"] == "scores":
         problem = "has no failure cases, and holds no points to find them"
         raise DataError(path, problem, hint="Run the method again, or with --record errors")
     return _found_again(recording)
 
 
-def _found_again(recording: RunRecording) -> dict[str, Any]:
+def _found_again(recording: RunRecording) -> Failures:
     p = recording.properties
     metric = registry.load("metrics", "failures")(MethodInfo(p["method"], p["title"], "", recording.reasons))
     positions = {frame: parts["Transform3D:translation"][0] for frame, parts in recording.rows(paths.SENSOR)}
     for drawn, answers in zip(recording.drawn(), recording.answers(), strict=False):  # the last may lack its answers
         if drawn.frame in positions:
             metric.update(_labelled(drawn, answers, positions[drawn.frame]))
-    section: dict[str, Any] = metric.finish()["failures"]
-    return section
+    return Sections.of(metric.finish()).failures or Failures()
 
 
 def _labelled(drawn: DrawnPoints, answers: Answers, position: F32) -> Labelled:

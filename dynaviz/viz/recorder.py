@@ -82,7 +82,7 @@ class Recorder(Listener):
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write what is known of the run."""
-        info = run.method.info
+        info = run.labeller.info
         self._info, drawn = info, self.mode != "scores"
         self._states = {state.name: state for state in info.emits} if drawn else {}
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
@@ -155,7 +155,7 @@ class Recorder(Listener):
         return self._sink
 
     def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
-        info = run.method.info
+        info = run.labeller.info
         return {
             "schema": paths.SCHEMA,
             "mode": self.mode,

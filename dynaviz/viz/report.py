@@ -11,6 +11,7 @@ import numpy as np
 from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.results.result import Result
+from dynaviz.results.sections import FailureCase
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 
@@ -58,7 +59,7 @@ def report(info: MethodInfo, result: Result, tally: OutcomeCounts, mode: str) ->
         mode: of the recording.
     """
     parts = [
-        _title(info, result.sequence["name"]),
+        _title(info, result.sequence.name),
         _scores(result),
         _worst(tally),
         _sentences(result),
@@ -72,9 +73,9 @@ def report(info: MethodInfo, result: Result, tally: OutcomeCounts, mode: str) ->
     return "\n\n".join(part for part in parts if part)
 
 
-def listed(result: Result) -> list[dict[str, Any]]:
+def listed(result: Result) -> list[FailureCase]:
     """The failure cases that are worth a look: the costliest ones."""
-    return [case for case in result.failures[:LISTED] if case["cost"] >= WORTH * result.failures[0]["cost"]]
+    return [case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost]
 
 
 def failure_list(result: Result) -> str:
@@ -85,10 +86,10 @@ def failure_list(result: Result) -> str:
     rows = [
         (
             f"[{number}](recording://{paths.CASES}[#{number - 1}])",
-            case["worst_frame"],
-            f"{_DID[case['kind']]} {case['what']}",
-            case["cause"] or "unknown",
-            f"{case['cost']:.2f}",
+            case.worst_frame,
+            f"{_DID[case.kind]} {case.what}",
+            case.cause or "unknown",
+            f"{case.cost:.2f}",
         )
         for number, case in enumerate(cases, 1)
     ]
@@ -110,7 +111,7 @@ def _causes(result: Result) -> str:
         ("false_positive", "Yellow", static, "SA"),
         ("false_negative", "Orange", dynamic, "DA"),
     ):
-        costs = {cause: 100 * count["points"] / whole for cause, count in result.causes.get(kind, {}).items()}
+        costs = {cause: 100 * count.points / whole for cause, count in result.causes.get(kind, {}).items()}
         parts = [f"{cause} {cost:.2f}" for cause, cost in costs.items() if cost >= 0.005]
         if parts:
             lines.append(f"**{colour}** was wrongly {_DID[kind]}. {score} lost, in %: {', '.join(parts)}.")
@@ -119,13 +120,12 @@ def _causes(result: Result) -> str:
 
 def _sentences(result: Result) -> str:
     rows = [
-        (number, f"{case['first_frame']} to {case['last_frame']}", case["sentence"], _most(case["reasons"]))
+        (number, f"{case.first_frame} to {case.last_frame}", case.sentence, _most(case.reasons))
         for number, case in enumerate(listed(result), 1)
     ]
-    others = result.sections.get("failures", {}).get("others", {})
     if not rows:
         return ""
-    rest = len(result.failures) - len(rows) + others.get("cases", 0)
+    rest = len(result.failures) - len(rows) + (result.sections.failures.others.cases if result.sections.failures else 0)
     more = f"\n\nand {rest:,} smaller ones: `dynaviz failures` lists more." if rest else ""
     return "### Failure cases\n\n" + _table([("#", "frames", "what happened", "the method's reason"), *rows]) + more
 
@@ -206,17 +206,17 @@ def _states(info: MethodInfo) -> str:
 
 
 def _run(info: MethodInfo, result: Result) -> str:
-    runtime, mean = result.runtime, result.runtime.get("mean_s")
+    runtime, mean = result.runtime, result.runtime.mean_s
     rows: list[tuple[Any, Any]] = [
-        ("seconds per frame", "n/a" if mean is None else f"{mean:.3f} ± {runtime['std_s']:.3f}"),
+        ("seconds per frame", "n/a" if mean is None else f"{mean:.3f} ± {runtime.std_s or 0:.3f}"),
         ("published in", info.paper),
-        ("frames", result.sequence["frames"]),
-        ("points", f"{result.sequence['points']:,}"),
+        ("frames", result.sequence.frames),
+        ("points", f"{result.sequence.points:,}"),
         ("mode", "online" if result.online else "two passes"),
         ("scoring", result.scoring),
         ("seed", result.seed),
-        ("threads", runtime.get("threads") or "n/a"),
-        ("digest of the sequence", f"`{result.sequence['digest'][:16]}`"),
+        ("threads", runtime.threads or "n/a"),
+        ("digest of the sequence", f"`{result.sequence.digest[:16]}`"),
         ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
     ]
     return "### The run\n\n" + _table([("what", "value"), *rows])

@@ -1,7 +1,7 @@
 """The public DUFOMap program (``pip install dufomap``) as a method of dynaviz.
 
-An example to copy: a method from another package, around a program that somebody else wrote. It needs this file, one
-line in ``pyproject.toml``, and
+An example of wrapping another program as a method, in a package of its own. It needs this file, one line in
+``pyproject.toml``, and
 
     pip install ./examples/dufomap_wheel
     dynaviz run dufomap_wheel PATH --set d_p=2
@@ -14,20 +14,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynaviz.arrays import U8, Bool
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Scalar, State
 from dynaviz.scan import Scan
 
 
 @dataclass(frozen=True)
 class Params:
-    """Each field is a parameter: ``--set d_s=0.3``, presets and ``dynaviz config`` follow from here.
+    """Each field is a parameter for ``--set d_s=0.3``, presets and ``dynaviz config``.
 
     Attributes:
         resolution: edge of a voxel, metres.
-        d_s: this far before a point counts as hit, metres.
-        d_p: voxels around unknown space that cannot be void.
+        d_s: distance in front of a point that counts as hit, metres.
+        d_p: distance from unknown space, in voxels, within which no voxel is void.
         min_range: points nearer to the sensor are not integrated, metres.
         max_range: points farther from the sensor are not integrated, metres.
     """
@@ -39,26 +38,26 @@ class Params:
     max_range: float = 50.0
 
     def __post_init__(self) -> None:
-        # dynaviz shows a ValueError to the user as it is: tell what to give.
+        # The user sees this message as written: state what to give.
         if not self.resolution > 0:
             raise ValueError(f"resolution = {self.resolution}: give a number above 0")
         if not (self.d_s >= 0 and self.d_p >= 0):
-            raise ValueError(f"d_s = {self.d_s}, d_p = {self.d_p}: give numbers of at least 0")
+            raise ValueError(f"d_s = {self.d_s}, d_p = {self.d_p}: give numbers of 0 or more")
 
 
 class DufoMapWheel:
-    """DUFOMap, as its authors wrote it in C++."""
+    """The C++ implementation of DUFOMap by its authors."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         name="dufomap_wheel",
         title="DUFOMap (public program)",
         paper="Duberg, Zhang et al., RA-L 2024",
-        reasons=(  # the codes of explain(), by position
+        reasons=(  # by code
             Reason("void_seen", "removed: its voxel was void in some scan"),
-            Reason("never_void", "kept: its voxel was void in no scan"),
+            Reason("never_void", "kept: its voxel was not void in any scan"),
             Reason("not_finite", "kept unjudged"),
         ),
-        emits=(State("integrated", Scalar, "Points of this scan within the limits of range"),),
+        emits=(State("integrated", Scalar, "Number of points of this scan within the range limits"),),
     )
     Params: ClassVar[type[Any]] = Params
 
@@ -66,15 +65,15 @@ class DufoMapWheel:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """A fresh map. What is heavy to import is imported here, so that ``dynaviz list`` stays fast."""
+        """Start with an empty map. Import the program here, not at the top, so that ``dynaviz list`` stays fast."""
         from dufomap import dufomap
 
         self._probe = context.probe
-        # On several threads the program answers otherwise from run to run; the conformance kit found out.
+        # On several threads, the program's labels vary between runs; the conformance kit detects this.
         self._program = dufomap(self.params.resolution, self.params.d_s, self.params.d_p, num_threads=1)
 
     def observe(self, scan: Scan) -> None:
-        """Integrate the points within range, from each place that rays start from (one, but for merged sensors)."""
+        """Integrate the points within range, from each ray origin (several only for merged sensors)."""
         integrated, places = 0, np.unique(scan.origins, axis=0)
         for place in places:
             points = scan.points[(scan.origins == place).all(1)] if len(places) > 1 else scan.points
@@ -88,15 +87,11 @@ class DufoMapWheel:
                 self._program.run(points, T_world_sensor, cloud_transform=False)  # points are in the world frame
         self._probe.emit("integrated", Scalar(integrated))
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the voxel was ever void."""
+    def label(self, scan: Scan) -> Labels:
+        """Label points dynamic if their voxel was ever void; reasons index ``info.reasons``."""
         dynamic, finite = np.zeros(len(scan), np.bool_), np.isfinite(scan.points).all(1)
         if finite.any():
             dynamic[finite] = self._program.segment(scan.points[finite], scan.T_world_sensor, cloud_transform=False)
-        return dynamic
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, positions in ``info.reasons``."""
-        reasons = np.where(self.label(scan), 0, 1).astype(np.uint8)
-        reasons[~np.isfinite(scan.points).all(1)] = 2
-        return reasons
+        reasons = np.where(dynamic, 0, 1).astype(np.uint8)
+        reasons[~finite] = 2
+        return Labels(dynamic, reasons)

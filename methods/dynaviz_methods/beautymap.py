@@ -30,8 +30,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I32, I64, U8, Bool
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.arrays import F64, I32, I64
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
 from dynaviz.scan import Scan
 
@@ -206,19 +206,16 @@ class BeautyMap:
         )
         self._show(scan, window, seen, said, slope)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the point's slice is removed, or split and the point above its ground."""
-        why = self.explain(scan)
-        dynamic: Bool = (why == SLICE_GONE) | (why == ABOVE_GROUND)
-        return dynamic
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the point's slice is removed, or split and the point above its ground.
 
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``; of several scans, what came nearest to removing the slice."""
-        why: U8 = kernels.columns.reasons(
+        The reason is that of the scan that came nearest to removing the slice.
+        """
+        reasons = kernels.columns.reasons(
             *(scan.points, *self._grid, self._base, float(self.params.h_res), self._fine_step),
             *(self._bits, self._rows, self._steps, self._splits, self._cuts),
         )
-        return why
+        return Labels((reasons == SLICE_GONE) | (reasons == ABOVE_GROUND), reasons)
 
     def _window(self, sensor: F64) -> _Window:
         """The columns around the sensor's; as many before it as from it on."""
@@ -238,7 +235,7 @@ class BeautyMap:
             if self._probe.wants(name):
                 self._probe.emit(name, self._cubes(window, bits))
         if self._probe.wants("fine_ground"):
-            self._probe.emit("fine_ground", Mask(self.explain(scan) == FINE_GROUND))
+            self._probe.emit("fine_ground", Mask(self.label(scan).reasons == FINE_GROUND))
         self._probe.emit("view_slope", Scalar(float(slope)))
 
     def _cubes(self, window: _Window, bits: I32) -> Voxels:

@@ -23,8 +23,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import I64, U8, Bool
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.arrays import I64, Bool
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, read, voxels_of
@@ -119,18 +119,15 @@ class DufoMap:
         if self._listened:
             self._show(seen, voxels[voxels >= 0])
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the voxel was ever seen free."""
-        return read(self._seen_free, self._grid.locate(scan.points))
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``."""
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the voxel was ever seen free."""
         voxels = self._grid.locate(scan.points)
+        dynamic = read(self._seen_free, voxels)
         reasons = np.where(read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)
         reasons[~self._in_range(scan)] = OUT_OF_RANGE
-        reasons[read(self._seen_free, voxels)] = VOID_SEEN
+        reasons[dynamic] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
-        return reasons
+        return Labels(dynamic, reasons)
 
     def _in_range(self, scan: Scan) -> Bool:
         nearest, farthest = float(self.params.min_range), float(self.params.max_range or np.inf)

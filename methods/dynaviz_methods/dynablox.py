@@ -30,7 +30,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import I64, U8, Bool
 from dynaviz.errors import UsageError
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
@@ -191,16 +191,11 @@ class Dynablox:
         self._map.integrate()
         self._show(why, voxels, new, lost)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the point's voxel was free for ever when it came, or as clusters decide."""
-        dynamic: Bool = self._removed[self.explain(scan)]
-        return dynamic
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``, as decided when the scan was observed."""
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the point's voxel was ever-free when the scan was observed, or as clusters decide."""
         bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
-        why: U8 = bits @ np.array([1, 2, 4], np.uint8)
-        return why
+        reasons = bits @ np.array([1, 2, 4], np.uint8)
+        return Labels(self._removed[reasons], reasons)
 
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
         """(N,) uint8, codes of ``REASONS``."""

@@ -22,7 +22,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz_methods.polar import PolarBins
@@ -192,21 +192,15 @@ class Erasor:
             self._show(said)
             self._remove(said)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the map lost the point's voxel; as ``port``, where nothing of the map is near."""
-        if self.params.port:
-            return self._far_from_map(scan)
-        dynamic: Bool = self._reasons(scan) == REMOVED
-        return dynamic
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``."""
-        why = self._reasons(scan)
-        if self.params.port:
-            dynamic = self._far_from_map(scan)
-            why[dynamic & (why != REMOVED)] = FAR_FROM_MAP
-            why[~dynamic & (why == REMOVED)] = NEAR_MAP
-        return why
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the map lost the point's voxel; as ``port``, where no point of the map is near."""
+        reasons = self._reasons(scan)
+        if not self.params.port:
+            return Labels(reasons == REMOVED, reasons)
+        dynamic = self._far_from_map(scan)
+        reasons[dynamic & (reasons != REMOVED)] = FAR_FROM_MAP
+        reasons[~dynamic & (reasons == REMOVED)] = NEAR_MAP
+        return Labels(dynamic, reasons)
 
     def cleaned_map(self) -> F32:
         """(K, 3) float32, metres, world frame: centroids of the voxels that are left, and what ``port`` inserted."""

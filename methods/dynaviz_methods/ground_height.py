@@ -39,7 +39,7 @@ class GroundHeight:
 
     def add(self, points: F32, voxels: I64) -> None:
         """Learn from the points of a scan, (N, 3) float32, metres, in their voxels, (N,) int64, -1 for none."""
-        kernels.relief.add(voxels, kernels.as_readonly(points, np.float32), self._number, self._height)
+        kernels.ground_height.add(voxels, kernels.as_readonly(points, np.float32), self._number, self._height)
         self._stale[self._column[voxels >> 9]] = True
 
     def height(self, points: F32, voxels: I64, position: F64) -> F32:
@@ -53,10 +53,10 @@ class GroundHeight:
             position: (3,) float64, metres, world frame: the sensor.
         """
         stale = np.flatnonzero(self._stale[:-1])
-        kernels.relief.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
+        kernels.ground_height.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
         self._stale[:] = False
         place = (voxels, self._column, self._columns)
-        low, high = kernels.relief.spanned(*place)
+        low, high = kernels.ground_height.spanned(*place)
         middle = np.floor(position[:2] / self._edge).astype(np.int64)
         low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
         if (low > high).any():
@@ -66,9 +66,9 @@ class GroundHeight:
         inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
         surface = np.full(high - low + 1, np.inf)
         surface[xy[inside, 0] - low[0], xy[inside, 1] - low[1]] = floor[inside]
-        surface[kernels.relief.pits(surface, PIT)] = np.inf
-        kernels.relief.lower(surface, self._step)
-        height: F32 = kernels.relief.heights(kernels.as_readonly(points, np.float32), *place, low, surface)
+        surface[kernels.ground_height.pits(surface, PIT)] = np.inf
+        kernels.ground_height.lower(surface, self._step)
+        height: F32 = kernels.ground_height.heights(kernels.as_readonly(points, np.float32), *place, low, surface)
         return height
 
     def quarters(self, voxels: I64) -> I64:

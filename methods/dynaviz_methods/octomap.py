@@ -26,7 +26,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
@@ -163,21 +163,19 @@ class OctoMap:
         if any(self._probe.wants(state.name) for state in STATES[:3]):
             self._show(marks)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the voxel's log-odds are below 0 and the point is not ground."""
-        voxels = self._grid.locate(scan.points)
-        dynamic: Bool = (self._log_odds.ravel()[voxels] < 0) & ~_unpack(self._ground, scan)
-        return dynamic
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the voxel's log-odds are below 0 and the point is not ground.
 
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``; noise that is kept is told as such whatever its voxel met."""
-        voxels, dynamic = self._grid.locate(scan.points), self.label(scan)
+        Noise that is kept has ``NOISE`` as its reason, whatever happened to its voxel.
+        """
+        voxels, ground = self._grid.locate(scan.points), _unpack(self._ground, scan)
+        dynamic = (self._log_odds.ravel()[voxels] < 0) & ~ground
         reasons = np.where(read(self._ever, voxels), HIT, NEVER_CROSSED).astype(np.uint8)
         reasons[_unpack(self._noise, scan)] = NOISE
         reasons[dynamic] = CROSSED
-        reasons[_unpack(self._ground, scan)] = GROUND
+        reasons[ground] = GROUND
         reasons[voxels < 0] = OUT_OF_REACH
-        return reasons
+        return Labels(dynamic, reasons)
 
     def _find_noise(self, scan: Scan) -> Bool:
         return np.zeros(len(scan), np.bool_)

@@ -27,7 +27,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import Scan
 from dynaviz_methods.range_images import chunks, image_views, picture, slices, whole
@@ -203,21 +203,17 @@ class Removert:
             accused = rows[self._dynamic(self._past[rows]) & ~self._dynamic(before)]
             self._draw_accused(scan, self._map[:, accused].T)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the map point is dynamic, or where the scan-side step says so."""
-        by_map = self._dynamic(self._of(scan, self._past))
-        return self._scan_side(scan) if self.params.scan_neighbours else by_map
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``."""
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the map point is, or where the scan-side step finds the point dynamic."""
         past, met = self._of(scan, self._past), self._of(scan, self._met)
-        by_map, dynamic, reasons = self._dynamic(past), self.label(scan), self._verdicts[past]
+        by_map, reasons = self._dynamic(past), self._verdicts[past]
+        dynamic = self._scan_side(scan) if self.params.scan_neighbours else by_map
         kept = reasons == AGREES
         reasons[kept & (met & AGAIN == 0)] = HIDDEN
         reasons[kept & (met & IN_VIEW == 0)] = OUT_OF_VIEW
         reasons[dynamic & ~by_map] = LEFT_ALONE
         reasons[by_map & ~dynamic] = SURROUNDED
-        return reasons
+        return Labels(dynamic, reasons)
 
     def _within_reach(self, scan: Scan, scan_ranges: F32) -> tuple[I64, np.float32]:
         """Chunks of the map near the scan, and the range, metres, beyond which it has nothing to say of a map point."""

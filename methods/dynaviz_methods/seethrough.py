@@ -36,8 +36,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, U8, U64, Bool
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.arrays import F32, I32, I64, U8, U64
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
@@ -106,7 +106,7 @@ REASONS = (
     Reason("alone", "removed: its voxel was seen clear through, though its object was not", Cause.SPARSE_RINGS),
     Reason("waited", "removed: where its object stood before it moved away", Cause.SHARED_CELL),
 )
-REMOVED = np.array([reason.meaning.startswith("removed") for reason in REASONS])
+REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear through; scans that did", value_range=(1, 6)),
     State("passed", Voxels, "Voxels with points that its rays crossed near something it hit: no evidence"),
@@ -205,19 +205,19 @@ class SeeThrough:
         self._dynamic[places[why == SEEN_THROUGH]] = now
         self._show(why, marks.blocks, crossed & ~hit, near)
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where the point is of something dynamic. Trails need scans to be asked for in order."""
-        dynamic: Bool = REMOVED[self.explain(scan)]
-        return dynamic
+    def label(self, scan: Scan) -> Labels:
+        """Dynamic where the point belongs to a dynamic object.
 
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, codes of ``REASONS``; decided when a scan is first asked for."""
+        Decided when a scan is labelled for the first time. Objects are followed from scan to scan, so label scans in
+        order.
+        """
         if scan.index not in self._reasons:
             why = self._judge(scan, *self._located(scan), self._movers)
             even, odd = np.append(why, np.zeros(len(why) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
         pairs = self._reasons[scan.index]
-        return np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
+        reasons = np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
+        return Labels(REMOVED[reasons], reasons)
 
     def _located(self, scan: Scan) -> tuple[F32, I64, I64]:
         """Its points (N, 3), their voxels (N,), -1 for none, and the quarters of columns (N,) that these are in."""

@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from helpers.worlds import InMemory, room
@@ -17,6 +18,7 @@ from scipy.spatial import cKDTree
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import read_pcd, write_pcd
+from dynaviz.results.sections import Runtime
 from dynaviz.scan import Scan, select_frames
 
 
@@ -89,19 +91,19 @@ def test_labels_of_a_run_are_scored_as_the_run(little_room: InMemory, tmp_path: 
     assert (again.method, again.scoring, again.labels_sha256) == ("again", "mask", run.labels_sha256)
     assert again.sequence == run.sequence
     for section in ("counts", "metrics", "error_distance", "breakdown", "voxelwise"):
-        assert again.sections[section] == run.sections[section]
-    assert again.sections["reasons"]["false_positive"] == run.sections["reasons"]["false_positive"]
+        assert getattr(again.sections, section) == getattr(run.sections, section)
+    assert again.sections.reasons.false_positive == run.sections.reasons.false_positive
 
 
-def test_labels_of_other_data_are_refused(little_room: InMemory, tmp_path: Path) -> None:
+def test_labels_of_another_sequence_are_rejected(little_room: InMemory, tmp_path: Path) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="none")
     for other in (select_frames(little_room, "1:"), room(seed=1)):
-        with pytest.raises(DataError, match=r"labels\.npz: belongs to other data.*--frames"):
+        with pytest.raises(DataError, match=r"labels\.npz: is from a different sequence.*--frames"):
             dv.score(tmp_path / "labels.npz", other, out=tmp_path / "out")
         assert not list((tmp_path / "out").glob("*.*")), "nothing is written"
 
 
-def test_labels_that_are_none(little_room: InMemory, tmp_path: Path) -> None:
+def test_damaged_labels_are_rejected(little_room: InMemory, tmp_path: Path) -> None:
     path = tmp_path / "labels.npz"
     dv.run("octomap", little_room, out=tmp_path, record="none")
     with np.load(path) as z:
@@ -115,29 +117,28 @@ def test_labels_that_are_none(little_room: InMemory, tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
         dv.score(path, little_room)
     np.savez(path, **{**whole, "dynamic": whole["dynamic"][:-1]})
-    with pytest.raises(DataError, match="do not fit together"):
+    with pytest.raises(DataError, match="arrays have different lengths"):
         dv.score(path, little_room)
     np.savez(path, **{**whole, "frames": whole["frames"][:-1]})
     with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
         dv.score(path, little_room)
 
 
-def test_nothing_is_said_of_the_runtime_of_another_program(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_runtime_of_another_program_is_unknown(little_room: InMemory, tmp_path: Path) -> None:
     path = save(tmp_path / "erasor_output.pcd", cloud(little_room)[0])
     result = dv.score(path, little_room, out=tmp_path / "out", record="scores")
-    assert result.runtime.pop("frames") == len(little_room)
-    assert set(result.runtime.values()) == {None}
+    assert result.runtime == Runtime(frames=len(little_room))
     assert not result.instrumented
     assert "n/a" in str(result)
     assert "erasor_output" in str(result)
     assert not (tmp_path / "out/config.toml").exists()
-    source = result.sections["source"]
-    assert (source["file"], source["sha256"]) == (path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+    source = result.sections.source
+    assert (source.file, source.sha256) == (path.name, hashlib.sha256(path.read_bytes()).hexdigest())
     saved = json.loads((tmp_path / "out/result.json").read_text())
-    assert (saved["scoring"], saved["source"]) == ("nn", source)
+    assert (saved["scoring"], saved["source"]) == ("nn", msgspec.to_builtins(source))
 
 
-def test_the_recording_holds_every_answer(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_recording_contains_every_label(little_room: InMemory, tmp_path: Path) -> None:
     from dynaviz.viz.reader import RunRecording
 
     points, labels = cloud(little_room)
@@ -155,27 +156,29 @@ def test_points_without_coordinates_are_kept(tmp_path: Path) -> None:
     scan = Scan(0, points, np.eye(4), labels=np.array([0, 0, 1, 0], np.uint8))
     result = dv.score(save(tmp_path / "map.pcd", points[:1]), InMemory([scan]))
     assert result.counts == counts(np.array([False, False, True, False]), scan.labels)
-    assert result.sections["reasons"]["static_kept"] == {"not_finite": 2, "near_kept_point": 1}
+    assert result.sections.reasons.static_kept == {"not_finite": 2, "near_kept_point": 1}
 
 
-def test_points_of_the_map_that_are_not_finite_are_left_out(little_room: InMemory, tmp_path: Path) -> None:
+def test_points_of_the_map_that_are_not_finite_are_ignored(little_room: InMemory, tmp_path: Path) -> None:
     points, _ = cloud(little_room)
     expected = dv.score(save(tmp_path / "map.pcd", points[:900]), little_room)
     save(tmp_path / "map.pcd", np.concatenate([points[:900], np.full((100, 3), np.nan), [[np.inf, 0, 0]]]))
     with pytest.warns(UserWarning, match=r"map\.pcd: 101 of 1,001 points are not finite"):
         result = dv.score(tmp_path / "map.pcd", little_room)
     assert result.counts == expected.counts
-    assert result.sections["source"]["not_finite"] == 101
+    assert result.sections.source.not_finite == 101
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1, 500.0), (1000, 0.0), (1, 5e6), (1e30, 0.0)])
-def test_a_map_in_another_frame_is_warned_of(little_room: InMemory, tmp_path: Path, scale: float, shift: float) -> None:
+def test_a_map_in_another_frame_raises_a_warning(
+    little_room: InMemory, tmp_path: Path, scale: float, shift: float
+) -> None:
     points, labels = cloud(little_room)
     path = save(tmp_path / "map.pcd", points.astype(np.float64) * scale + shift)
-    with pytest.warns(UserWarning, match=r"only 0(\.\d+)? % of the static points .* another frame\. It spans"):
+    with pytest.warns(UserWarning, match=r"only 0(\.\d+)? % of the static points .* another frame\. The map spans"):
         result = dv.score(path, little_room)
     assert result.counts["dynamic_kept"] <= 1
-    assert len(result.sections["source"]["remarks"]) == 1
+    assert len(result.sections.source.remarks) == 1
     assert sum(result.counts.values()) == len(labels)
 
 
@@ -191,25 +194,25 @@ def test_voxels_are_kept_by_points_of_the_map_itself(little_room: InMemory, tmp_
     voxels = np.unique(np.floor(points[labels == 0].astype(np.float64) * 5), axis=0)
     result = dv.score(save(tmp_path / "map.pcd", (voxels + 0.5) / 5), little_room)
     assert result.metrics["SA"] < 50
-    assert (result.sections["voxelwise"]["PR"], result.sections["voxelwise"]["RR"]) == (100, 100)
-    half = dv.score(save(tmp_path / "map.pcd", (voxels[::2] + 0.5) / 5), little_room).sections["voxelwise"]
-    assert (half["static"], half["static_kept"]) == (len(voxels), len(voxels[::2]))
+    assert (result.sections.voxelwise.PR, result.sections.voxelwise.RR) == (100, 100)
+    half = dv.score(save(tmp_path / "map.pcd", (voxels[::2] + 0.5) / 5), little_room).sections.voxelwise
+    assert (half.static, half.static_kept) == (len(voxels), len(voxels[::2]))
 
 
-def test_a_map_of_nothing_is_refused(little_room: InMemory, tmp_path: Path) -> None:
+def test_an_empty_map_is_rejected(little_room: InMemory, tmp_path: Path) -> None:
     for points in (np.zeros((0, 3)), np.full((3, 3), np.nan)):
-        with pytest.raises(DataError, match=r"map\.pcd: has no point"):
+        with pytest.raises(DataError, match=r"map\.pcd: contains no point"):
             dv.score(save(tmp_path / "map.pcd", points), little_room)
 
 
 @pytest.mark.parametrize("radius", [-0.1, np.inf, np.nan])
-def test_a_radius_that_is_none(little_room: InMemory, tmp_path: Path, radius: float) -> None:
+def test_an_invalid_radius_is_rejected(little_room: InMemory, tmp_path: Path, radius: float) -> None:
     with pytest.raises(UsageError, match="radius = "):
         dv.score(save(tmp_path / "map.pcd", np.zeros((1, 3))), little_room, radius=radius)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", "a\n"])
-def test_a_name_that_is_none(little_room: InMemory, tmp_path: Path, name: str) -> None:
+def test_an_invalid_name_is_rejected(little_room: InMemory, tmp_path: Path, name: str) -> None:
     with pytest.raises(UsageError, match="name = "):
         dv.score(save(tmp_path / "map.pcd", np.zeros((1, 3))), little_room, name=name)
 
@@ -219,10 +222,10 @@ def test_without_ground_truth_there_is_nothing_to_score(tmp_path: Path) -> None:
         dv.score(save(tmp_path / "map.pcd", np.zeros((1, 3))), room(labelled=False))
 
 
-def test_a_map_is_not_replaced_by_its_own_score(little_room: InMemory, tmp_path: Path) -> None:
+def test_a_score_does_not_overwrite_its_map(little_room: InMemory, tmp_path: Path) -> None:
     dv.run("octomap", little_room, out=tmp_path, record="none")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for name in ("static_map.pcd", "labels.npz"):
-        with pytest.raises(UsageError, match="would be replaced"):
+        with pytest.raises(UsageError, match="would overwrite"):
             dv.score(tmp_path / name, little_room, out=tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

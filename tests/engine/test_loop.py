@@ -18,7 +18,7 @@ from dynaviz.engine.outputs import LabelsFile, MapFiles
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import PluginError
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.metric import Figure, Labelled
 from dynaviz.probe import SILENT, MemoryProbe, Scalar, State
 from dynaviz.results.result import Result
@@ -54,12 +54,10 @@ class Above:
         self.calls.append(("observe", scan.index))
         self.context.probe.emit("observed", Scalar(len(self.calls)))
 
-    def label(self, scan: Scan) -> np.ndarray:
+    def label(self, scan: Scan) -> Labels:
         self.calls.append(("label", scan.index))
-        return scan.points[:, 2] > self.params.height
-
-    def explain(self, scan: Scan) -> np.ndarray:
-        return (scan.points[:, 2] > self.params.height).astype(np.uint8)
+        dynamic = scan.points[:, 2] > self.params.height
+        return Labels(dynamic, dynamic.astype(np.uint8))
 
 
 class Total:
@@ -96,7 +94,7 @@ class Diary(Listener):
         self.said.append(("labelled", labelled.frame, dict(curves)))
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
-        self.said.append(("finish", result.sections))
+        self.said.append(("finish", result.sections.other))
 
 
 def a_run(sequence: InMemory, **changes: Any) -> RunSpec:
@@ -107,12 +105,12 @@ def a_run(sequence: InMemory, **changes: Any) -> RunSpec:
 def test_two_passes_or_one(little_room: InMemory) -> None:
     run = a_run(little_room)
     execute(run)
-    assert run.method.calls == [(c, 10 + f) for c in ("observe", "label") for f in range(6)]
+    assert run.labeller.calls == [(c, 10 + f) for c in ("observe", "label") for f in range(6)]
     execute(replace(run, online=True))
-    assert run.method.calls == [(c, 10 + f) for f in range(6) for c in ("observe", "label")]
+    assert run.labeller.calls == [(c, 10 + f) for f in range(6) for c in ("observe", "label")]
 
 
-def test_listeners_hear_everything_in_order(little_room: InMemory) -> None:
+def test_callbacks_are_called_in_order(little_room: InMemory) -> None:
     diary = Diary()
     execute(a_run(little_room, online=True), [diary])
     n = len(little_room[0])
@@ -120,28 +118,36 @@ def test_listeners_hear_everything_in_order(little_room: InMemory) -> None:
     assert diary.said[-1] == ("finish", {"total": 6 * n})
 
 
-def test_result_tells_what_ran(little_room: InMemory) -> None:
+def test_the_result_describes_the_run(little_room: InMemory) -> None:
     result = execute(a_run(little_room, seed=3, command="typed"))
     assert (result.method, result.parameters, result.seed, result.command) == ("above", {"height": 0.5}, 3, "typed")
-    assert result.sequence["frames"] == result.runtime["frames"] == 6
-    assert result.sections == {"total": result.sequence["points"]}
+    assert result.sequence.frames == result.runtime.frames == 6
+    assert result.sections.plain() == {"total": result.sequence.points}
     assert not result.instrumented
-    assert result.runtime["mean_s"] > 0
+    assert result.runtime.mean_s > 0
     everything = np.concatenate([scan.points[:, 2] > 0.5 for scan in little_room.scans])
     assert result.labels_sha256 == hashlib.sha256(np.packbits(everything).tobytes()).hexdigest()
 
 
 @pytest.mark.parametrize(
-    "answer", [lambda n: np.zeros(n, np.uint8), lambda n: np.zeros(n + 1, bool), lambda n: [False]]
+    "answer",
+    [
+        lambda n: np.zeros(n, bool),
+        lambda n: Labels(np.zeros(n, np.uint8), np.zeros(n, np.uint8)),
+        lambda n: Labels(np.zeros(n + 1, bool), np.zeros(n, np.uint8)),
+        lambda n: Labels([False], np.zeros(n, np.uint8)),
+        lambda n: Labels(np.zeros(n, bool), np.zeros(n, np.int64)),
+        lambda n: Labels(np.zeros(n, bool), np.zeros(n - 1, np.uint8)),
+    ],
 )
-def test_an_answer_that_is_no_mask_is_refused(little_room: InMemory, answer: Any) -> None:
+def test_labels_of_the_wrong_type_or_shape_are_rejected(little_room: InMemory, answer: Any) -> None:
     run = a_run(little_room)
-    run.method.label = lambda scan: answer(len(scan))  # type: ignore[method-assign]
-    with pytest.raises(PluginError, match=r"label\(\) answered with .*, not with bool"):
+    run.labeller.label = lambda scan: answer(len(scan))  # type: ignore[method-assign]
+    with pytest.raises(PluginError, match=r"above: label\(\) returned .*, not (dynaviz.method.Labels|bool |uint8 )"):
         execute(run)
 
 
-def test_a_probe_hears_states_and_the_result_says_so(little_room: InMemory) -> None:
+def test_a_probe_receives_states_and_the_run_counts_as_instrumented(little_room: InMemory) -> None:
     probe = MemoryProbe()
     assert execute(a_run(little_room), probe=probe).instrumented
     assert [value.value for value in probe.values["observed"]] == [1, 2, 3, 4, 5, 6]
@@ -151,13 +157,13 @@ def test_a_method_that_needs_the_map_gets_all_points(little_room: InMemory) -> N
     class Offline(Above):
         info = replace(Above.info, needs_map=True)
 
-    run = a_run(little_room, method=Offline(AboveParams()))
+    run = a_run(little_room, labeller=Offline(AboveParams()))
     execute(run)
-    np.testing.assert_array_equal(run.method.context.raw_map, np.concatenate([s.points for s in little_room.scans]))
+    np.testing.assert_array_equal(run.labeller.context.raw_map, np.concatenate([s.points for s in little_room.scans]))
     plain = a_run(little_room)
     execute(plain)
-    assert plain.method.context.raw_map is None
-    assert plain.method.context.probe is SILENT
+    assert plain.labeller.context.raw_map is None
+    assert plain.labeller.context.probe is SILENT
 
 
 def test_an_error_while_reading_ends_the_run_and_leaves_no_file(little_room: InMemory, tmp_path: Path) -> None:
@@ -176,7 +182,7 @@ def test_an_error_while_reading_ends_the_run_and_leaves_no_file(little_room: InM
     assert not [t for t in threading.enumerate() if t.name == "read-ahead"]
 
 
-def test_files_hold_the_answer(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_files_contain_the_labels(little_room: InMemory, tmp_path: Path) -> None:
     from dynaviz.io.pcd import read_pcd
 
     with LabelsFile(tmp_path) as labels, MapFiles(tmp_path) as maps:
@@ -188,7 +194,7 @@ def test_files_hold_the_answer(little_room: InMemory, tmp_path: Path) -> None:
         np.testing.assert_array_equal(z["reasons"], expected)
         assert z["reason_names"].tolist() == ["low", "high"]
         assert z["frames"].tolist() == [10, 11, 12, 13, 14, 15]
-        assert str(z["sequence_digest"]) == result.sequence["digest"]
+        assert str(z["sequence_digest"]) == result.sequence.digest
         assert str(z["labels_sha256"]) == result.labels_sha256 == hashlib.sha256(z["dynamic"].tobytes()).hexdigest()
     np.testing.assert_array_equal(read_pcd(tmp_path / "static_map.pcd").xyz, everything[~expected])
     np.testing.assert_array_equal(read_pcd(tmp_path / "dynamic_points.pcd").xyz, everything[expected])

@@ -47,14 +47,14 @@ def test_ray_origins_count_and_points_that_are_not_finite_do_not() -> None:
     np.testing.assert_array_equal(extent.cells, [[1, 1, 1]])
 
 
-def test_a_sequence_of_empty_scans_has_a_survey() -> None:
+def test_a_sequence_of_empty_scans_has_a_summary() -> None:
     seen = summarize(InMemory([Scan(0, np.zeros((0, 3), np.float32), np.eye(4))]))
     assert (seen.frames, seen.points, len(seen.extent.cells)) == (1, 0, 0)
 
 
 @pytest.mark.parametrize("far", [5.4e6, -1e30])
-def test_a_world_too_far_from_its_origin_is_told(far: float) -> None:
-    with pytest.raises(DynavizError, match=r"frame 3: something lies .* km from the world's origin"):
+def test_points_too_far_from_the_origin_are_rejected(far: float) -> None:
+    with pytest.raises(DynavizError, match=r"frame 3: a point or sensor position is .* km from the world's origin"):
         Extent.of(Scan(3, np.array([[0, far, 0]], np.float32), np.eye(4)))
 
 

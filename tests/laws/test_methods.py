@@ -55,7 +55,7 @@ def labels(name: str, scans: list[Scan]) -> list[Bool]:
     running.begin(Context(Extent.of(*bare), SENSOR, raw_map=raw_map))
     for scan in bare:
         running.observe(scan)
-    return [running.label(scan).copy() for scan in bare]
+    return [running.label(scan).dynamic.copy() for scan in bare]
 
 
 @cache

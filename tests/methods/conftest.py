@@ -43,7 +43,7 @@ class Golden:
     def run(self, method, preset=None, **values):
         """All labels."""
         running = self.observed(method, resolve(method, preset).params if preset else method.Params(**values))
-        return np.concatenate([running.label(scan) for scan in self.scans])
+        return np.concatenate([running.label(scan).dynamic for scan in self.scans])
 
     def scores(self, removed):
         """SA, DA and AA, percent."""

@@ -79,7 +79,7 @@ def run(scans, probe=SILENT, **values):
 
 
 def names(method, s) -> list[str]:
-    return [method.info.reasons[code].name for code in method.explain(s)]
+    return [method.info.reasons[code].name for code in method.label(s).reasons]
 
 
 @pytest.mark.parametrize("values", [(16.0, 1.0, 0.5), (10.0, 0.5, 0.2), (40.0, 0.8, 0.35)])
@@ -94,7 +94,7 @@ def test_agrees_with_the_obvious_way_point_by_point(values, scene, seed):
     removed = 0
     for s in scans:
         expected = np.array([reference.label(p) for p in s.points])
-        np.testing.assert_array_equal(method.label(s), expected)
+        np.testing.assert_array_equal(method.label(s).dynamic, expected)
         removed += expected.sum()
     assert removed > 50
 
@@ -107,8 +107,8 @@ def test_what_a_scan_should_see_and_does_not_is_removed():
     method = run([there, gone])
     assert names(method, there)[-4:] == ["above_fine_ground"] * 2 + ["not_in_scan"] * 2
     assert set(names(method, there)[-21:-4]) == {"fine_ground"}
-    assert method.label(there)[-4:].all()
-    assert not method.label(there)[:-4].any()
+    assert method.label(there).dynamic[-4:].all()
+    assert not method.label(there).dynamic[:-4].any()
 
 
 def test_what_a_slice_that_is_split_holds_above_a_gap_of_fine_bins_is_kept():
@@ -161,7 +161,7 @@ def test_slice_0_reaches_a_slice_below_the_base_and_no_further():
     s = scan(0, np.concatenate([floor(), pit]))
     method = run([s, scan(1, floor())])
     assert names(method, s)[-2:] == ["always_seen", "unjudged"]
-    assert not method.label(s).any()
+    assert not method.label(s).dynamic.any()
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_ground_that_is_not_seen_protects_what_is_far():
 def test_the_lowest_slice_is_ground():
     scans = [scan(0, floor()), scan(1, floor()[:100])]
     assert "ground_slice" in names(run(scans), scans[0])
-    assert not run(scans).label(scans[0]).any()
+    assert not run(scans).label(scans[0]).dynamic.any()
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_odd_scans_are_kept(points):
     points = np.array(points, np.float32).reshape(-1, 3)
     s = scan(0, points)
     method = run([s], probe=MemoryProbe())
-    assert not method.label(s).any()
+    assert not method.label(s).dynamic.any()
     judged = (np.abs(points) < (32768, 32768, 1e6)).all(1)
     assert [name == "unjudged" for name in names(method, s)] == (~judged).tolist()
 
@@ -225,11 +225,11 @@ def test_odd_scans_are_kept(points):
 def test_points_and_sensors_outside_the_map_are_kept_and_harmless():
     scans = yard(2)
     method = run(scans)
-    before = [method.label(s) for s in scans]
+    before = [method.label(s).dynamic for s in scans]
     for sensor in ((1e6, 0, 0), (-60.0, 5.0, 1.0), (np.nan, 0.0, 0.0)):
         method.observe(scan(9, floor()[:5], sensor))
     for s, labels in zip(scans, before, strict=True):
-        np.testing.assert_array_equal(method.label(s), labels)
+        np.testing.assert_array_equal(method.label(s).dynamic, labels)
     outside = scan(9, [(500.0, 0, 0), (-500.0, 0, 0)])
     method.observe(outside)
     assert names(method, outside) == ["unjudged"] * 2
@@ -240,16 +240,16 @@ def test_points_straight_above_and_sensors_far_above_or_below_are_harmless(heigh
     scans = yard(2)
     steep = np.array([(1e-30, 0.0, 1.0), (0.0, 0.0, 5.0), (1e-20, 1e-20, 1e30)])
     method = run([*scans, scan(8, steep, (0.0, 0.0, 0.5)), scan(9, floor(), (0.0, 0.0, height))])
-    assert not any(method.label(s).all() for s in scans)
+    assert not any(method.label(s).dynamic.all() for s in scans)
 
 
 def test_threads_and_listeners_decide_nothing():
     scans = yard()
     try:
         kernels.set_threads(1)
-        alone = [run(scans).label(s) for s in scans]
+        alone = [run(scans).label(s).dynamic for s in scans]
         kernels.set_threads(None)
-        together = [run(scans, probe=MemoryProbe()).label(s) for s in scans]
+        together = [run(scans, probe=MemoryProbe()).label(s).dynamic for s in scans]
     finally:
         kernels.set_threads(None)
     np.testing.assert_array_equal(np.concatenate(alone), np.concatenate(together))
@@ -260,7 +260,7 @@ def test_the_order_of_scans_decides_nothing():
     scans = yard()
     back = run(scans[::-1])
     for s in scans:
-        np.testing.assert_array_equal(run(scans).label(s), back.label(s))
+        np.testing.assert_array_equal(run(scans).label(s).dynamic, back.label(s).dynamic)
 
 
 def test_a_shift_of_the_world_and_a_turn_of_the_sensor_hardly_change_a_label():
@@ -269,19 +269,19 @@ def test_a_shift_of_the_world_and_a_turn_of_the_sensor_hardly_change_a_label():
     turned = turn(50.0, 0.0, 0.0, 0.0)
     shifted = [Scan(s.index, moved(s, T).points, T @ s.T_world_sensor @ turned) for s in scans]
     before, after = run(scans), run(shifted)
-    changed = [before.label(s) != after.label(t) for s, t in zip(scans, shifted, strict=True)]
+    changed = [before.label(s).dynamic != after.label(t).dynamic for s, t in zip(scans, shifted, strict=True)]
     assert np.concatenate(changed).mean() < 1e-3
 
 
 def test_begin_forgets_the_earlier_sequence():
     scans = yard()
     method = run(scans)
-    first = [method.label(s) for s in scans]
+    first = [method.label(s).dynamic for s in scans]
     method.begin(Context(EXTENT, raw_map=np.concatenate([s.points for s in scans])))
-    assert not any(method.label(s).any() for s in scans)
+    assert not any(method.label(s).dynamic.any() for s in scans)
     for s in scans:
         method.observe(s)
-    np.testing.assert_array_equal(np.concatenate(first), np.concatenate([method.label(s) for s in scans]))
+    np.testing.assert_array_equal(np.concatenate(first), np.concatenate([method.label(s).dynamic for s in scans]))
 
 
 def test_states_are_those_announced_and_tell_what_became_of_each_slice():
@@ -310,7 +310,7 @@ def test_a_read_only_map_in_any_layout_gives_the_same():
     method.begin(Context(EXTENT, raw_map=raw))
     for s in scans:
         method.observe(s)
-    np.testing.assert_array_equal(method.label(scans[0]), run(scans).label(scans[0]))
+    np.testing.assert_array_equal(method.label(scans[0]).dynamic, run(scans).label(scans[0]).dynamic)
 
 
 @pytest.mark.parametrize("values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}])

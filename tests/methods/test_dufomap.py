@@ -57,11 +57,11 @@ def run(scans, **values) -> DufoMap:
 
 
 def labels(method, scans) -> np.ndarray:
-    return np.concatenate([method.label(s) for s in scans])
+    return np.concatenate([method.label(s).dynamic for s in scans])
 
 
 def names(method, s) -> list[str]:
-    return [method.info.reasons[code].name for code in method.explain(s)]
+    return [method.info.reasons[code].name for code in method.label(s).reasons]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(values):
     for s in scans:
         method.observe(s)
         reference.observe(s)
-        np.testing.assert_array_equal(method.label(s), reference.label(s))  # online
+        np.testing.assert_array_equal(method.label(s).dynamic, reference.label(s))  # online
     keys = [tuple(k) for k in method._grid.keys(np.arange(len(method._grid) * VOXELS)).tolist()]
     for bits, voxels in ((method._seen_free, reference.seen_free), (method._crossed, reference.crossed)):
         marked = np.unpackbits(bits[:-1].view(np.uint8), bitorder="little")
@@ -90,12 +90,12 @@ def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(values):
     resolution = method.params.resolution
     for s in scans:
         dynamic = reference.label(s)
-        np.testing.assert_array_equal(method.label(s), dynamic)
+        np.testing.assert_array_equal(method.label(s).dynamic, dynamic)
         crossed = [key(p, resolution) in reference.crossed for p in s.points]
         r = np.linalg.norm(s.points - s.origins, axis=1)
         out = (r <= reference.min_range) | (r >= reference.max_range)
         reasons = np.where(dynamic, 0, np.where(out, 3, np.where(crossed, 1, 2)))
-        np.testing.assert_array_equal(method.explain(s), reasons)
+        np.testing.assert_array_equal(method.label(s).reasons, reasons)
     assert reference.seen_free or values["unknown_margin"] == 9
 
 
@@ -119,7 +119,7 @@ def test_what_was_void_once_stays_so_whatever_the_order():
     answers = []
     for s in came_first:
         online.observe(s)
-        answers.append(online.label(s))
+        answers.append(online.label(s).dynamic)
     by_the_end = labels(forward, came_first)
     assert (np.concatenate(answers) <= by_the_end).all()
     assert np.concatenate(answers).sum() < by_the_end.sum()
@@ -145,7 +145,7 @@ def test_odd_scans_are_kept(points, origin, values):
     # The extent as a survey of the sane points tells it.
     extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], origin))
     ran = run([s], extent=extent, **values)
-    assert not ran.label(s).any()
+    assert not ran.label(s).dynamic.any()
     judged = (np.abs(points) < 3276.8 * values.get("resolution", 0.1) / 0.1).all(1)
     assert [name == "out_of_reach" for name in names(ran, s)] == (~judged).tolist()
 
@@ -153,10 +153,10 @@ def test_odd_scans_are_kept(points, origin, values):
 def test_a_point_at_the_sensor_shuts_it_in_unless_it_is_too_near():
     walls, thing = room(0)[0].points, (0.45, -0.3, 0.0)
     scans = [scan(0, np.concatenate([walls, [(0.0, 0.0, 0.01)]])), scan(1, [thing])]
-    assert run(scans).label(scans[1]).all()
+    assert run(scans).label(scans[1]).dynamic.all()
     assert names(run(scans), scans[0])[-1] == "void_seen"
     shut = run(scans, min_range=0.0)
-    assert not shut.label(scans[1]).any()
+    assert not shut.label(scans[1]).dynamic.any()
     assert names(shut, scans[1]) == ["never_crossed"]
 
 

@@ -46,5 +46,5 @@ def online_labels(scans, **values):
     labels = []
     for scan in scans:
         method.observe(scan)
-        labels.append(method.label(scan))
+        labels.append(method.label(scan).dynamic)
     return np.concatenate(labels)

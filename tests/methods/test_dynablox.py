@@ -90,7 +90,7 @@ def run(scans, params=COARSE, probe=SILENT, extent=None, sensor=SENSOR):
 
 
 def reasons(method, scans):
-    return np.concatenate([method.explain(scan) for scan in scans])
+    return np.concatenate([method.label(scan).reasons for scan in scans])
 
 
 def waiting(frames: int, arrives: int) -> list[Scan]:
@@ -132,7 +132,7 @@ def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
     for scan in scans:
         method.observe(scan)
         expected = reference.observe(scan)
-        np.testing.assert_array_equal(method.explain(scan), expected)
+        np.testing.assert_array_equal(method.label(scan).reasons, expected)
         names |= {NAME[code] for code in expected}
     assert "never_free" in names
     assert any(name.startswith("ever_free") for name in names)
@@ -160,8 +160,8 @@ def room_scans():
 def arriving(method, scans, arrives):
     """The share of what came that is removed, frame by frame from its arrival on; and their reasons."""
     came = np.hypot(*(scans[arrives].points[:, :2].T - np.float32(0.1))) < 4
-    labels = [method.label(scan)[came].mean() for scan in scans]
-    return labels[arrives:], [set(method.explain(scan)[came].tolist()) for scan in scans[arrives:]]
+    labels = [method.label(scan).dynamic[came].mean() for scan in scans]
+    return labels[arrives:], [set(method.label(scan).reasons[came].tolist()) for scan in scans[arrives:]]
 
 
 def test_what_comes_is_removed_until_it_has_stayed_for_long():
@@ -188,7 +188,7 @@ def test_clusters_decide_where_asked(room_scans):
     why = reasons(plain, room_scans)
     np.testing.assert_array_equal(why, reasons(decided, room_scans))
     for method, removed in ((plain, (FREE, FREE_SMALL, FREE_LARGE)), (decided, (FREE, BESIDE))):
-        labels = np.concatenate([method.label(scan) for scan in room_scans])
+        labels = np.concatenate([method.label(scan).dynamic for scan in room_scans])
         np.testing.assert_array_equal(labels, np.isin(why, removed))
 
 
@@ -218,24 +218,24 @@ def test_odd_scans_are_kept(points):
     method = run(
         scans, DynabloxParams(burn_in=1, temporal_buffer=1), extent=Extent.of(Scan(0, points[sane], np.eye(4)))
     )
-    assert not any(method.label(scan).any() for scan in scans)
+    assert not any(method.label(scan).dynamic.any() for scan in scans)
     away = np.linalg.norm(points.astype(float), axis=1)
     taken = (away >= 0.3) & np.isfinite(away)
     expected = np.where(taken, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE)
-    np.testing.assert_array_equal(method.explain(scans[-1]), expected)
+    np.testing.assert_array_equal(method.label(scans[-1]).reasons, expected)
 
 
 def test_an_empty_scan_between_others_forgets_nothing(room_scans):
     empty = Scan(99, np.empty((0, 3), np.float32), np.eye(4))
     method = run([*room_scans[:8], empty, *room_scans[8:]], extent=Extent.of(*room_scans))
-    assert method.label(room_scans[8]).any()
-    assert len(method.label(empty)) == 0
+    assert method.label(room_scans[8]).dynamic.any()
+    assert len(method.label(empty).dynamic) == 0
 
 
 def test_an_extent_that_misses_points_keeps_them_unjudged():
     scan = Scan(0, np.array([(1.0, 0, 0), (50.0, 0, 0), (1.7, 0, 0)], np.float32), np.eye(4))
     method = run([scan], DynabloxParams(), extent=Extent.of(dataclasses.replace(scan, points=scan.points[:1])))
-    assert method.explain(scan).tolist() == [NEVER_FREE, OUT_OF_REACH, OUT_OF_REACH]
+    assert method.label(scan).reasons.tolist() == [NEVER_FREE, OUT_OF_REACH, OUT_OF_REACH]
 
 
 def test_threads_and_listeners_decide_nothing(room_scans):
@@ -259,11 +259,11 @@ def test_the_extent_decides_nothing(room_scans):
 
 def test_labels_asked_online_or_later_are_the_same_and_begin_forgets(room_scans):
     method = run(room_scans)
-    later = [method.label(scan) for scan in room_scans]
+    later = [method.label(scan).dynamic for scan in room_scans]
     method.begin(Context(Extent.of(*room_scans), SENSOR))
     for scan, expected in zip(room_scans, later, strict=True):
         method.observe(scan)
-        np.testing.assert_array_equal(method.label(scan), expected)
+        np.testing.assert_array_equal(method.label(scan).dynamic, expected)
 
 
 def test_states_are_those_announced_and_tell_the_map(room_scans):
@@ -277,7 +277,7 @@ def test_states_are_those_announced_and_tell_the_map(room_scans):
     free = np.bitwise_count(method._map.free).sum()
     assert gained - lost == free == probe.values["free_voxels"][-1].value > 0
     for scan, intruded, clusters in zip(room_scans, probe.values["intruded"], probe.values["clusters"], strict=True):
-        why = method.explain(scan)
+        why = method.label(scan).reasons
         flagged = (why >= FREE) & (why <= FREE_LARGE)
         assert intruded.values.sum() == flagged.sum() == np.isin(clusters.classes, (1, 3, 4)).sum()
         keys = {tuple(k) for k in np.floor(scan.points[flagged] / np.float32(0.4)).astype(int).tolist()}

@@ -57,11 +57,11 @@ def run(scans, params=SMALL, probe=SILENT, sensor=None):
 
 
 def labels(method, scans):
-    return np.concatenate([method.label(s) for s in scans])
+    return np.concatenate([method.label(s).dynamic for s in scans])
 
 
 def names(method, s):
-    return [REASONS[code].name for code in method.explain(s)]
+    return [REASONS[code].name for code in method.label(s).reasons]
 
 
 VARIANTS = [
@@ -113,19 +113,19 @@ def test_without_voxels_every_point_is_judged_by_itself():
 def test_removal_is_final_and_online_labels_only_grow():
     scans = street()
     method = run(scans)
-    final = [method.label(s) for s in scans]
+    final = [method.label(s).dynamic for s in scans]
     method.begin(Context(Extent.of(*scans), Sensor(height=HEIGHT), raw_map=np.concatenate([s.points for s in scans])))
     method.observe(scans[0])
-    before = method.label(scans[0])
+    before = method.label(scans[0]).dynamic
     assert not before.any()
     for s in scans[1:]:
         method.observe(s)
-        now = method.label(scans[0])
+        now = method.label(scans[0]).dynamic
         assert (now >= before).all()
         before = now
     assert before.any()
     for s, answer in zip(scans, final, strict=True):
-        np.testing.assert_array_equal(method.label(s), answer)
+        np.testing.assert_array_equal(method.label(s).dynamic, answer)
 
 
 @pytest.mark.parametrize("port", [False, True])
@@ -149,7 +149,7 @@ def test_the_port_labels_by_the_map_that_is_left():
     np.testing.assert_array_equal(labels(method, scans), nearest > 0.05)
     for s in scans:
         removed = {"bin_ratio", "far_from_map"}
-        assert [name in removed for name in names(method, s)] == method.label(s).tolist()
+        assert [name in removed for name in names(method, s)] == method.label(s).dynamic.tolist()
     raw, _ = thinned(np.concatenate([s.points for s in scans]), 0.1)
     inserted = cKDTree(raw).query(method.cleaned_map())[0] > 0
     of_scans = np.concatenate([thinned(s.points, 0.1)[0] for s in scans[1::2]])
@@ -202,7 +202,7 @@ def test_odd_scans_are_kept(points, port):
     method = Erasor(dataclasses.replace(SMALL, removal_interval=1, port=port))
     method.begin(Context(extent, Sensor(height=HEIGHT), raw_map=s.points))
     method.observe(s)
-    assert not method.label(s).any()
+    assert not method.label(s).dynamic.any()
     judged = (np.abs(s.points) < 1e5).all(1)
     assert [name == "unjudged" for name in names(method, s)] == (~judged).tolist()
 
@@ -213,7 +213,7 @@ def test_scans_far_from_the_map_say_nothing_of_it():
     away = [scan(100 + k, s.points + 500, s.position + 500) for k, s in enumerate(alone)]
     mixed = [s for pair in zip(alone, away, strict=True) for s in pair]
     method = run(mixed)
-    assert not any(method.label(s).any() for s in alone)
+    assert not any(method.label(s).dynamic.any() for s in alone)
     assert {name for s in alone for name in names(method, s)} == {"beyond_range"}
 
 

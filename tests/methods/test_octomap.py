@@ -59,7 +59,7 @@ def run(method, scans, seed=0, probe=SILENT, params=None, extent=None):
 
 
 def labels(method, scans):
-    return np.concatenate([method.label(s) for s in scans])
+    return np.concatenate([method.label(s).dynamic for s in scans])
 
 
 @pytest.mark.parametrize("resolution", [0.1, 0.2, 0.25, 0.3, 0.37])
@@ -74,7 +74,7 @@ def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(resolution
     expected = np.array([reference.log_odds.get(tuple(k), 0) for k in method._grid.keys(voxels).tolist()], np.float32)
     np.testing.assert_array_equal(method._log_odds[:-1].ravel(), expected)
     for s in scans:
-        dynamic, why = method.label(s), method.explain(s)
+        dynamic, why = method.label(s).dynamic, method.label(s).reasons
         np.testing.assert_array_equal(dynamic, reference.label(s))
         crossed = np.array([key(p, resolution) in reference.ever_crossed for p in s.points])
         np.testing.assert_array_equal(why, np.where(dynamic, 1, np.where(crossed, 0, 2)))
@@ -99,14 +99,14 @@ def test_log_odds_count_and_clamp():
     for n, expected in ((8, 3.4761 - 8 * 0.405465), (9, 3.4761 - 9 * 0.405465), (20, -1.99243)):
         method = run(OctoMap, hits + misses[:n], extent=Extent.of(*hits, *misses))
         assert method._log_odds.ravel()[method._grid.locate(hits[0].points)] == pytest.approx(expected, abs=1e-3)
-        assert method.label(hits[0]).tolist() == [expected < 0]
+        assert method.label(hits[0]).dynamic.tolist() == [expected < 0]
 
 
 def test_crossed_and_hit_by_one_scan_counts_both():
     both = scan(0, [(1.02, 0.05, 0.05), (2.05, 0.05, 0.05)], (0.05, 0.05, 0.05))
     method = run(OctoMap, [both])
     assert method._log_odds.ravel()[method._grid.locate(both.points)] == pytest.approx([0.441833, 0.847298], abs=1e-5)
-    assert method.explain(both).tolist() == [0, 2]
+    assert method.label(both).reasons.tolist() == [0, 2]
 
 
 @pytest.mark.parametrize("method", FAMILY)
@@ -127,8 +127,8 @@ def test_odd_scans_are_kept(method, points):
     # The extent as a survey of the sane points tells it.
     extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], (0.0, 0.0, 0.0)))
     ran = run(method, [s], extent=extent)
-    assert not ran.label(s).any()
-    names = [ran.info.reasons[code].name for code in ran.explain(s)]
+    assert not ran.label(s).dynamic.any()
+    names = [ran.info.reasons[code].name for code in ran.label(s).reasons]
     judged = (np.abs(points) < 3276.8).all(1)
     assert [name == "out_of_reach" for name in names] == (~judged).tolist()
 
@@ -136,13 +136,13 @@ def test_odd_scans_are_kept(method, points):
 def test_a_sensor_beyond_reach_casts_no_ray_but_its_points_hit():
     s = scan(0, [(3276.0, 0.0, 0.0), (3270.0, 0.0, 0.0)], (3300.0, 0.0, 0.0))
     method = run(OctoMap, [s])
-    assert [method.info.reasons[code].name for code in method.explain(s)] == ["never_crossed"] * 2
+    assert [method.info.reasons[code].name for code in method.label(s).reasons] == ["never_crossed"] * 2
 
 
 def test_an_extent_that_misses_points_keeps_them_unjudged():
     s = scan(0, [(1.0, 0, 0), (50.0, 0, 0)], (0.0, 0, 0))
     method = run(OctoMap, [s], extent=Extent.of(scan(0, s.points[:1], (0.0, 0, 0))))
-    assert method.explain(s).tolist() == [2, 3]
+    assert method.label(s).reasons.tolist() == [2, 3]
 
 
 @pytest.mark.parametrize("method", FAMILY)
@@ -184,8 +184,12 @@ def test_ground_is_kept_and_does_not_mark_its_voxels():
     scans = ground_and_walls()
     floor = slice(0, 1500)
     plain, with_ground = run(OctoMap, scans), run(OctoMapG, scans)
-    assert sum(plain.label(s)[floor].sum() for s in scans) > sum(with_ground.label(s)[floor].sum() for s in scans) == 0
-    codes = with_ground.explain(scans[0])
+    assert (
+        sum(plain.label(s).dynamic[floor].sum() for s in scans)
+        > sum(with_ground.label(s).dynamic[floor].sum() for s in scans)
+        == 0
+    )
+    codes = with_ground.label(scans[0]).reasons
     assert (codes[floor] == 4).all()
     ground_alone = with_ground._grid.locate(scans[0].points[floor][np.abs(scans[0].points[floor, 0] + 4) < 2])
     assert (with_ground._log_odds.ravel()[ground_alone] <= 0).all()
@@ -198,8 +202,8 @@ def test_rays_to_the_ground_are_cast_or_not():
     scans = [scan(0, below + between, (0.0, 0.0, 1.0))] + [scan(k, below, (0.0, 0.0, 1.0)) for k in range(1, 6)]
     cast = run(OctoMapG, scans)
     uncast = run(OctoMapG, scans, params=OctoMapG.Params(cast_ground_rays=False))
-    assert cast.label(scans[0])[-1]
-    assert not uncast.label(scans[0])[-1]
+    assert cast.label(scans[0]).dynamic[-1]
+    assert not uncast.label(scans[0]).dynamic[-1]
 
 
 def test_noise_marks_its_voxel_but_casts_no_ray():
@@ -210,7 +214,7 @@ def test_noise_marks_its_voxel_but_casts_no_ray():
     method = run(OctoMapGF, scans)
     voxel = method._grid.locate(scans[0].points)
     assert method._log_odds.ravel()[voxel[-1]] == pytest.approx(3 * 0.847298, abs=1e-5)
-    assert method.explain(scans[0])[-1] == 5
+    assert method.label(scans[0]).reasons[-1] == 5
     behind = method._grid.locate(np.array([(7.95, 0.0, 0.0)], np.float32))
     assert method._log_odds.ravel()[behind] == 0
 

@@ -70,11 +70,11 @@ def context(scans, probe=SILENT, sensor=SENSOR):
 
 
 def labels(method, scans):
-    return np.concatenate([method.label(s) for s in scans])
+    return np.concatenate([method.label(s).dynamic for s in scans])
 
 
 def names(method, s):
-    return [REASONS[code].name for code in method.explain(s)]
+    return [REASONS[code].name for code in method.label(s).reasons]
 
 
 VARIANTS = [
@@ -124,12 +124,12 @@ def test_the_ball_goes_and_the_rest_stays():
 def test_threads_and_listeners_decide_nothing(values):
     scans, params = street(), dataclasses.replace(COARSE, **values)
     answer = labels(run(scans, params), scans)
-    codes = [run(scans, params).explain(s) for s in scans[:2]]
+    codes = [run(scans, params).label(s).reasons for s in scans[:2]]
     try:
         kernels.set_threads(1)
         again = run(scans, params, probe=MemoryProbe())
         np.testing.assert_array_equal(labels(again, scans), answer)
-        np.testing.assert_array_equal([again.explain(s) for s in scans[:2]], codes)
+        np.testing.assert_array_equal([again.label(s).reasons for s in scans[:2]], codes)
     finally:
         kernels.set_threads(None)
     assert answer.any()
@@ -144,7 +144,7 @@ def test_map_points_beyond_reach_are_left_out_and_nothing_else_changes(port):
         near.append(scan(k, s.points + shift, s.position + shift))
     far = [scan(s.index, np.vstack([s.points, s.position + np.array((0, 9e4, 9e4))]), s.position) for s in near]
     all_of_it, cut = run(far, params), run(near, params)
-    expected = np.concatenate([all_of_it.label(s)[:-1] for s in far])
+    expected = np.concatenate([all_of_it.label(s).dynamic[:-1] for s in far])
     np.testing.assert_array_equal(labels(cut, near), expected)
     assert 0 < expected.mean() < 0.5
 
@@ -157,7 +157,7 @@ def test_removal_is_final_and_begin_forgets():
     before = np.zeros(len(scans[0]), np.bool_)
     for s in scans:
         method.observe(s)
-        now = method.label(scans[0])
+        now = method.label(scans[0]).dynamic
         assert (now >= before).all()
         before = now
     assert before.any()
@@ -182,7 +182,7 @@ def test_what_a_reason_says():
 def test_the_threshold_is_a_fraction_of_the_range(nearer, removed):
     for factor in (1, 5):
         scans = [scan(0, [(nearer * factor, 0, 0)]), scan(1, [(10.0 * factor, 0, 0)])]
-        assert run(scans).label(scans[0]).tolist() == [removed]
+        assert run(scans).label(scans[0]).dynamic.tolist() == [removed]
 
 
 def test_a_point_is_static_again_where_the_revert_image_does_not_see_past_it():
@@ -201,9 +201,9 @@ def test_the_port_judges_one_map_point_of_a_pixel():
     behind_one_another = [(5.0, 0, 0), (5.1, 0, 0), (5.2, 0, 0)]
     scans = [scan(0, behind_one_another), scan(1, [(10.0, 0, 0)])]
     params = dataclasses.replace(COARSE, voxel=0.0)
-    assert run(scans, params).label(scans[0]).tolist() == [True] * 3
+    assert run(scans, params).label(scans[0]).dynamic.tolist() == [True] * 3
     port = dataclasses.replace(params, port=True)
-    assert run(scans, port).label(scans[0]).tolist() == [True, False, False]
+    assert run(scans, port).label(scans[0]).dynamic.tolist() == [True, False, False]
 
 
 def test_states_are_those_announced_and_fit_together():
@@ -265,7 +265,7 @@ def test_a_picture_shows_up_above_and_left_to_the_left():
 def test_odd_scans_are_kept(points, values):
     s = scan(0, points)
     method = run([s], dataclasses.replace(COARSE, **values), probe=MemoryProbe())
-    assert not method.label(s).any()
+    assert not method.label(s).dynamic.any()
     unplaced = ~(np.abs(s.points) < (3e5 if values.get("voxel") != 0.0 else np.inf)).all(1)
     assert np.array([name == "out_of_view" for name in names(method, s)])[unplaced].all()
 

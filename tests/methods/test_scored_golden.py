@@ -40,7 +40,7 @@ def test_every_labelled_point_of_erasors_map_as_by_scipy_and_open3d(golden):
     points = golden.points[labelled]
     scored = ExternalMap(path, "erasor")
     scored.begin(Context(Extent.of(*golden.scans)))
-    removed = scored.label(Scan(0, points, np.eye(4)))
+    removed = scored.label(Scan(0, points, np.eye(4))).dynamic
     distance, _ = cKDTree(scored.points.astype(np.float64)).query(points.astype(np.float64), workers=-1)
     on_the_border = np.abs(distance - 0.05) < 1e-8
     assert np.array_equal(removed[~on_the_border], distance[~on_the_border] > 0.05)

@@ -79,7 +79,9 @@ def test_labels_are_those_of_a_plain_reference() -> None:
         reference.observe(scan)
     expected = [reference.label(scan) for scan in thin]
     assert 50 < sum(map(np.sum, expected)) < 0.4 * sum(map(len, expected))
-    differing = sum(int((method.label(scan) != labels).sum()) for scan, labels in zip(thin, expected, strict=True))
+    differing = sum(
+        int((method.label(scan).dynamic != labels).sum()) for scan, labels in zip(thin, expected, strict=True)
+    )
     assert differing <= 2, "rays through corners of voxels alone may be walked otherwise"
 
 
@@ -89,7 +91,7 @@ def test_a_mover_falls_whole_and_what_stands_stays() -> None:
     method = running(scans)
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0))
     for scan in scans:
-        why = method.explain(scan)
+        why = method.label(scan).reasons
         moving = why[n : n + b]
         high = scan.points[n : n + b, 2] > 0.25
         assert np.isin(moving[high], SEEN_THROUGH).all()
@@ -103,12 +105,12 @@ def test_a_car_that_came_and_parked_is_followed_where_it_stands() -> None:
     scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
     method = running(scans)
     n = len(GROUND) + len(wall())
-    reasons = [method.explain(scan)[n:] for scan in scans]
+    reasons = [method.label(scan).reasons[n:] for scan in scans]
     high = [scan.points[n:, 2] > 0.25 for scan in scans]
     assert all(REMOVED[why[up]].all() for why, up in zip(reasons, high, strict=True))
     assert (reasons[-1][high[-1]] == FOLLOWED_ON).all(), "it stood for longer than its place was seen empty"
     always = running(scans[12:])
-    assert not any(always.label(scan).any() for scan in scans[12:]), "one that never moves stays"
+    assert not any(always.label(scan).dynamic.any() for scan in scans[12:]), "one that never moves stays"
 
 
 def test_what_stood_for_long_and_drove_off_has_waited() -> None:
@@ -117,10 +119,10 @@ def test_what_stood_for_long_and_drove_off_has_waited() -> None:
     method, alone = running(scans), running(scans[:60])
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
-        why, high = method.explain(scan), scan.points[n : n + b, 2] > 0.25
+        why, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
         assert (why[n : n + b][high] == WAITED).all(), "its place was seen clear through too seldom to prove anything"
         assert not REMOVED[why[n + b :]].any()
-        assert not alone.label(scan).any(), "nobody has seen it move yet"
+        assert not alone.label(scan).dynamic.any(), "nobody has seen it move yet"
 
 
 def test_reflections_below_the_ground_do_not_lower_it() -> None:
@@ -211,10 +213,10 @@ def test_objects_are_connected_components(seed: int, size: float) -> None:
 def test_a_label_is_decided_once_and_told_again() -> None:
     scans = [scan.without_truth() for scan in crossing(10)]
     method = running(scans)
-    first = [method.label(scan) for scan in scans]
+    first = [method.label(scan).dynamic for scan in scans]
     for scan, labels in reversed(list(zip(scans, first, strict=True))):
-        np.testing.assert_array_equal(method.label(scan), labels)
-        np.testing.assert_array_equal(REMOVED[method.explain(scan)], labels)
+        np.testing.assert_array_equal(method.label(scan).dynamic, labels)
+        np.testing.assert_array_equal(REMOVED[method.label(scan).reasons], labels)
 
 
 def test_states_tell_what_was_seen_and_change_nothing() -> None:
@@ -222,7 +224,7 @@ def test_states_tell_what_was_seen_and_change_nothing() -> None:
     probe = MemoryProbe()
     watched, alone = running(scans, probe=probe), running(scans)
     for scan in scans:
-        np.testing.assert_array_equal(watched.explain(scan), alone.explain(scan))
+        np.testing.assert_array_equal(watched.label(scan).reasons, alone.label(scan).reasons)
     clear = probe.values["clear"][-1]
     assert clear.values.min() >= 1
     assert clear.size == 0.1
@@ -238,8 +240,8 @@ def test_what_has_no_voxel_is_kept_and_says_so() -> None:
     method.begin(Context(Extent.of(*[s for k, s in enumerate(scans) if k != 2])))
     for scan in scans:
         method.observe(scan)
-    assert (method.explain(scans[2])[:3] == OUT_OF_REACH).all()
-    assert not method.label(scans[2])[:3].any()
+    assert (method.label(scans[2]).reasons[:3] == OUT_OF_REACH).all()
+    assert not method.label(scans[2]).dynamic[:3].any()
 
 
 def test_the_crossing_is_cleaned() -> None:
@@ -247,7 +249,7 @@ def test_the_crossing_is_cleaned() -> None:
     method = running([scan.without_truth() for scan in scans])
     kept = removed = static = dynamic = 0
     for scan in scans:
-        answer, truth = method.label(scan), scan.labels == Label.DYNAMIC
+        answer, truth = method.label(scan).dynamic, scan.labels == Label.DYNAMIC
         kept, static = kept + (~answer & ~truth).sum(), static + (~truth).sum()
         removed, dynamic = removed + (answer & truth).sum(), dynamic + truth.sum()
     assert kept > 0.98 * static

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dynaviz import registry
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State
 from dynaviz.scan import Label, Scan
 from dynaviz.testing import CHECKS, check_method, crossing
@@ -26,6 +26,10 @@ def test_conforms(name: str, check: Callable[[Any, Any], None], request: pytest.
         request.applymarker(pytest.mark.xfail(raises=AssertionError, strict=True))
     method = registry.load("methods", name)
     check(method, method.Params())
+
+
+def labels(dynamic: Any) -> Labels:
+    return Labels(dynamic, dynamic.astype(np.uint8))
 
 
 class Farthest:
@@ -52,15 +56,12 @@ class Farthest:
     def observe(self, scan: Scan) -> None:
         self.probe.emit("limit", Scalar(self.params.limit))
         if self.probe.wants("far"):
-            self.probe.emit("far", Mask(self.label(scan)))
+            self.probe.emit("far", Mask(self.label(scan).dynamic))
 
-    def label(self, scan: Scan) -> Any:
+    def label(self, scan: Scan) -> Labels:
         with np.errstate(invalid="ignore"):
             distance = np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1)
-        return np.isfinite(distance) & (distance > self.params.limit)
-
-    def explain(self, scan: Scan) -> Any:
-        return self.label(scan).astype(np.uint8)
+        return labels(np.isfinite(distance) & (distance > self.params.limit))
 
 
 def test_a_method_that_keeps_to_the_contract_passes() -> None:
@@ -68,14 +69,14 @@ def test_a_method_that_keeps_to_the_contract_passes() -> None:
 
 
 class LooksAtTheWorldsAxes(Farthest):
-    def label(self, scan: Scan) -> Any:
-        return np.nan_to_num(scan.points[:, 0], posinf=0) > 5
+    def label(self, scan: Scan) -> Labels:
+        return labels(np.nan_to_num(scan.points[:, 0], posinf=0) > 5)
 
 
 class Counts(Farthest):
-    def label(self, scan: Scan) -> Any:
+    def label(self, scan: Scan) -> Labels:
         self.asked = getattr(self, "asked", 0) + 1
-        return super().label(scan) & (self.asked % 2 == 0)
+        return labels(super().label(scan).dynamic & (self.asked % 2 == 0))
 
 
 class Talks(Farthest):
@@ -95,23 +96,23 @@ class Changes(Farthest):
 
 
 class Changed(Farthest):
-    def label(self, scan: Scan) -> Any:
-        return super().label(scan) ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1))
+    def label(self, scan: Scan) -> Labels:
+        return labels(super().label(scan).dynamic ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1)))
 
 
 class ShortOfOne(Farthest):
-    def label(self, scan: Scan) -> Any:
-        return super().label(scan)[1:]
+    def label(self, scan: Scan) -> Labels:
+        return labels(super().label(scan).dynamic[1:])
 
 
 class RemovesNan(Farthest):
-    def label(self, scan: Scan) -> Any:
-        return super().label(scan) | np.isnan(scan.points).any(1)
+    def label(self, scan: Scan) -> Labels:
+        return labels(super().label(scan).dynamic | np.isnan(scan.points).any(1))
 
 
 class OneReason(Farthest):
-    def explain(self, scan: Scan) -> Any:
-        return np.zeros(len(scan), np.uint8)
+    def label(self, scan: Scan) -> Labels:
+        return Labels(super().label(scan).dynamic, np.zeros(len(scan), np.uint8))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from dynaviz.results.sections import SequenceInfo
+
 
 @dataclass(frozen=True, slots=True)
 class Published:
@@ -91,7 +93,7 @@ class Match:
     doubt: str
 
 
-def matching(sequence: Mapping[str, Any], frames: Sequence[int] = ()) -> Match | None:
+def matching(sequence: SequenceInfo, frames: Sequence[int] = ()) -> Match | None:
     """The public sequence that a result may belong to, by its name; None where there is none.
 
     Args:
@@ -100,14 +102,14 @@ def matching(sequence: Mapping[str, Any], frames: Sequence[int] = ()) -> Match |
     """
     for name in published_sequences():
         facts = _load(name)["sequence"]
-        if sequence.get("name") in facts["names"]:
+        if sequence.name in facts["names"]:
             same, doubt = _likeness(facts, sequence, frames)
             return Match(name, same, doubt)
     return None
 
 
-def _likeness(facts: Mapping[str, Any], sequence: Mapping[str, Any], frames: Sequence[int]) -> tuple[bool, str]:
-    here = f"{sequence.get('frames', 0):,} frames"
+def _likeness(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[int]) -> tuple[bool, str]:
+    here = f"{sequence.frames:,} frames"
     there = f"{facts['frames']:,} frames"
     numbered = "first" in facts and len(frames) > 0
     if numbered:
@@ -115,7 +117,7 @@ def _likeness(facts: Mapping[str, Any], sequence: Mapping[str, Any], frames: Seq
         there += f" from {facts['first']} to {facts['last']}"
     if here != there:
         return False, f"Only the name matches: {here} here, {there} there."
-    points, known = sequence.get("points", 0), facts.get("points")
+    points, known = sequence.points, facts.get("points")
     if known is None:
         return True, f"Name and frames match ({there}); the number of points was not published."
     if points != known:

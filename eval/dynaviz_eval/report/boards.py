@@ -7,11 +7,11 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from dynaviz.reporting import Study
 from dynaviz.results.collect import StudyRun, combined
 from dynaviz.results.result import Result
+from dynaviz.results.sections import Reasons, SequenceInfo
 
 UNKNOWN = "unknown"  # the cause of what no method explains
 SCORES = ("SA", "DA", "AA", "HA")
@@ -58,7 +58,7 @@ class ScoreBoard:
     sequences: int = 1
 
     @property
-    def facts(self) -> Mapping[str, Any]:
+    def facts(self) -> SequenceInfo:
         """Name, digest, frames and points of the sequence."""
         return self.rows[0].result.sequence
 
@@ -81,7 +81,7 @@ def boards(study: Study) -> list[ScoreBoard]:
     groups: dict[tuple[str, str], list[StudyRun]] = {}
     for cell in study.cells:
         if cell.result is not None:
-            digest = str(cell.result.sequence.get("digest"))
+            digest = cell.result.sequence.digest
             groups.setdefault((digest, cell.result.scoring), []).append(cell)
     labels = _labels(study, groups.values())
     titles = _titles(groups)
@@ -193,9 +193,9 @@ def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
     points: Counter[str] = Counter()
     for result in results:
         if known:
-            points.update({cause: count["points"] for cause, count in result.causes.get(kind, {}).items()})
+            points.update({cause: count.points for cause, count in result.causes.get(kind, {}).items()})
         else:
-            points.update(result.sections.get("reasons", {}).get(kind, {}))
+            points.update(getattr(result.sections.reasons or Reasons(), kind))
     total = sum(result.counts.get(wrong, 0) for result in results)
     return Losses(
         100 * total / whole,
@@ -219,11 +219,10 @@ def by_method(every: Iterable[ScoreBoard]) -> dict[tuple[str, str], list[ScoreRo
 
 def setting(result: Result) -> str:
     """The machine and the threads that a runtime belongs to."""
-    machine = result.environment.get("machine", {})
-    cores, threads = machine.get("cores"), result.runtime.get("threads")
+    machine, threads = result.environment.machine, result.runtime.threads
     parts = [
-        " ".join(str(machine[key]) for key in ("system", "arch") if machine.get(key)),
-        f"{cores} cores" if cores else "",
+        " ".join(filter(None, (machine.system, machine.arch))),
+        f"{machine.cores} cores" if machine.cores else "",
         f"{threads} thread{'s' * (threads != 1)}" if threads else "",
     ]
     return ", ".join(part for part in parts if part) or "unknown machine"
@@ -236,7 +235,7 @@ def fastest(board: ScoreBoard) -> set[str]:
     """
     groups: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for row in board.rows:
-        mean = row.result.runtime.get("mean_s")
+        mean = row.result.runtime.mean_s
         if mean is not None and not row.result.instrumented:
             groups[setting(row.result)][row.label] = -round(mean, 3)
     return {label for values in groups.values() if len(values) > 1 for label in _highest(values)}
@@ -244,4 +243,4 @@ def fastest(board: ScoreBoard) -> set[str]:
 
 def n_parameters(result: Result) -> int | None:
     """How many parameters a method has; None for a map of another program, whose parameters nobody knows."""
-    return None if "source" in result.sections else len(result.parameters)
+    return None if result.sections.source else len(result.parameters)

@@ -6,6 +6,8 @@ import csv
 import io
 import json
 
+import msgspec
+
 from dynaviz.reporting import Study
 from dynaviz.results.collect import StudyRun
 from dynaviz_eval.report.boards import n_parameters
@@ -42,16 +44,16 @@ def _line(study: Study, cell: StudyRun) -> dict[str, object]:
         "online": result.online,
         "seed": result.seed,
         "scoring": result.scoring,
-        "frames": result.sequence.get("frames"),
-        "points": result.sequence.get("points"),
+        "frames": result.sequence.frames,
+        "points": result.sequence.points,
         **{name: result.counts.get(name) for name in _COUNTS},
         **{name: result.metrics.get(name) for name in _METRICS},
-        **{f"runtime_{name}": result.runtime.get(name) for name in _RUNTIME},
+        **{f"runtime_{name}": getattr(result.runtime, name) for name in _RUNTIME},
         "instrumented": result.instrumented,
-        "machine": json.dumps(result.environment.get("machine", {}), sort_keys=True),
+        "machine": json.dumps(msgspec.to_builtins(result.environment.machine), sort_keys=True),
         "n_parameters": n_parameters(result),
         "parameters": json.dumps(result.parameters, sort_keys=True),
-        "sequence_digest": result.sequence.get("digest"),
+        "sequence_digest": result.sequence.digest,
         "labels_sha256": result.labels_sha256,
         "recording_sha256": result.recording_sha256,
         "recording": study.link(cell.recording) if cell.recording else None,

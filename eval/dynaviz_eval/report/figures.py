@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynaviz.results.sections import ErrorDistances, IntervalRow
 from dynaviz_eval.error_distance import BIN, LIMIT
 from dynaviz_eval.report.boards import KINDS, ScoreBoard, ScoreRow, by_method, losses
 from dynaviz_eval.report.drawing import FAINT, INK, Palette, panels, style, svg
@@ -70,7 +71,7 @@ def speed(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
             for row in _timed(board):
                 look = looks.point(row.result.method)
                 hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
-                axes.plot(row.result.runtime["mean_s"], row.score("AA") or 0.0, linestyle="", **look, **hollow)
+                axes.plot(_seconds(row), row.score("AA") or 0.0, linestyle="", **look, **hollow)
             axes.set(title=board.title, xlabel="seconds per frame (log)")
             _log(axes)
         _legend(figure, [row for board in drawn for row in board.rows], looks, lines=False)
@@ -86,18 +87,18 @@ def speed(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
 
 def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     """SA and DA by range from the sensor."""
-    drawn = [row for row in best_of_each_method(board) if row.result.sections.get("breakdown", {}).get("range")]
+    drawn = [row for row in best_of_each_method(board) if ranges_of(row)]
     if not drawn:
         return None
     with style():
         figure, grid = panels(2, 2.9, across=2)
-        bins = drawn[0].result.sections["breakdown"]["range"]
-        ticks = [f"{b['from'] or 0:.0f}–{b['to']:.0f}" if b["to"] is not None else f"{b['from']:.0f}+" for b in bins]
+        bins = ranges_of(drawn[0])
+        ticks = [f"{b.low or 0:.0f}–{b.high:.0f}" if b.high is not None else f"{b.low:.0f}+" for b in bins]
         for axes, (kind, (score, right, wrong)) in zip(grid, KINDS.items(), strict=True):
             for row in drawn:
-                here = row.result.sections["breakdown"]["range"]
-                values = [np.nan if b[score] is None else b[score] for b in here]
-                few = [b[right] + b[wrong] < FEW for b in here]
+                here = ranges_of(row)
+                values = [np.nan if getattr(b, score) is None else getattr(b, score) for b in here]
+                few = [getattr(b, right) + getattr(b, wrong) < FEW for b in here]
                 look = looks.line(row.result.method)
                 axes.plot(range(len(here)), values, **{**look, "marker": ""})
                 for at, (value, hollow) in enumerate(zip(values, few, strict=True)):
@@ -116,7 +117,7 @@ def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
 
 def distances(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     """How far wrong points lie from right ones, a line of bars a method (paper, Fig. 5)."""
-    drawn = [row for row in best_of_each_method(board) if row.result.sections.get("error_distance")]
+    drawn = [row for row in best_of_each_method(board) if row.result.sections.error_distance]
     if not drawn:
         return None
     titles = {
@@ -148,10 +149,15 @@ def distances(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | No
         return ReportFigure(name, svg(figure, name, caption), caption)
 
 
+def ranges_of(row: ScoreRow) -> tuple[IntervalRow, ...]:
+    """A run's scores by range."""
+    return row.result.sections.breakdown.range if row.result.sections.breakdown else ()
+
+
 def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) -> None:
-    section = row.result.sections["error_distance"].get(kind, {})
+    section = row.result.sections.error_distance.get(kind, ErrorDistances())
     histogram, number = (
-        section.get("histogram"),
+        section.histogram,
         row.result.counts.get("dynamic_kept" if kind == "false_negative" else "static_removed", 0),
     )
     axes.axhline(base, color=FAINT, linewidth=0.8)
@@ -163,8 +169,8 @@ def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) ->
         colour = looks.point(row.result.method)["color"]
         for heights, ends in ((shares[:-1], edges), (shares[-1:], LIMIT + 0.06 + np.array([0, BIN]))):
             axes.stairs(base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0)
-        if section.get("p10") is not None:
-            axes.plot([section["p10"]] * 2, [base, base + 0.9], color=INK, linestyle=(0, (2, 1)), linewidth=1.3)
+        if section.p10 is not None:
+            axes.plot([section.p10] * 2, [base, base + 0.9], color=INK, linestyle=(0, (2, 1)), linewidth=1.3)
     axes.text(LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK)
 
 
@@ -240,7 +246,7 @@ def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
     drawn = {method: rows for method, rows in sorted(variants.items()) if len(rows) > 1}
     if not drawn:
         return None
-    timed = {method: [row for row in rows if row.result.runtime.get("mean_s")] for method, rows in drawn.items()}
+    timed = {method: [row for row in rows if row.result.runtime.mean_s] for method, rows in drawn.items()}
     views: list[tuple[str, list[ScoreRow], str, str, Callable[[ScoreRow], float], Callable[[ScoreRow], float]]] = []
     for method, rows in drawn.items():
         views.append((method, rows, "SA [%]", "DA [%]", lambda r: r.score("SA") or 0.0, lambda r: r.score("DA") or 0.0))
@@ -251,7 +257,7 @@ def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
                     timed[method],
                     "seconds per frame (log)",
                     "AA [%]",
-                    lambda r: r.result.runtime["mean_s"],
+                    _seconds,
                     lambda r: r.score("AA") or 0.0,
                 )
             )
@@ -291,8 +297,12 @@ def best_of_each_method(board: ScoreBoard) -> list[ScoreRow]:
     return list(best.values())
 
 
+def _seconds(row: ScoreRow) -> float:
+    return row.result.runtime.mean_s or 0.0
+
+
 def _timed(board: ScoreBoard) -> list[ScoreRow]:
-    return [row for row in board.rows if row.result.runtime.get("mean_s") and row.score("AA") is not None]
+    return [row for row in board.rows if row.result.runtime.mean_s and row.score("AA") is not None]
 
 
 def _iso(axes: Axes, low: Sequence[float]) -> None:

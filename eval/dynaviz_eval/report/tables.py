@@ -120,7 +120,7 @@ def count(value: int | None) -> Value:
 
 def runtime(result: Result, bold: bool = False) -> Value:
     """Seconds per frame, mean and standard deviation, marked where recording slowed the method down."""
-    mean, std = result.runtime.get("mean_s"), result.runtime.get("std_s")
+    mean, std = result.runtime.mean_s, result.runtime.std_s
     if mean is None:
         return Value(NONE)
     mark = MARK if result.instrumented else ""
@@ -139,8 +139,8 @@ def _order(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list
 
 def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
     methods = {cell.method for cell in study.cells}
-    known = {board.facts.get("name") for board in single}
-    sequences = {board.facts.get("digest") for board in single} | {
+    known = {board.facts.name for board in single}
+    sequences = {board.facts.digest for board in single} | {
         cell.sequence for cell in study.cells if cell.sequence not in known
     }
     failed = sum(cell.result is None for cell in study.cells)
@@ -226,7 +226,7 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
 
 def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
     """The paper's second table; a machine and number of threads of its own for each block of rows."""
-    timed = [row.result for board in single for row in board.rows if row.result.runtime.get("mean_s") is not None]
+    timed = [row.result for board in single for row in board.rows if row.result.runtime.mean_s is not None]
     settings = sorted({setting(result) for result in timed})
     several = len(settings) > 1
     columns = [Column("method", number=False), *([Column("machine", number=False)] if several else [])]
@@ -259,13 +259,13 @@ def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Ta
 
 def _where(result: Result) -> str:
     """The setting of a runtime; empty where there is no runtime."""
-    return "" if result.runtime.get("mean_s") is None else setting(result)
+    return "" if result.runtime.mean_s is None else setting(result)
 
 
 def match(board: ScoreBoard) -> Match | None:
     """The public sequence that a board may be of."""
-    rows = board.rows[0].result.sections.get("breakdown", {}).get("frame", [])
-    return matching(board.facts, [row["index"] for row in rows])
+    breakdown = board.rows[0].result.sections.breakdown
+    return matching(board.facts, [row.index for row in breakdown.frame] if breakdown else [])
 
 
 def _public(board: ScoreBoard, number: int) -> Table | None:
@@ -363,7 +363,7 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
                 named(row.label),
                 Value(title, title),
                 Value(board.scoring, board.scoring),
-                count(row.result.sequence.get("frames")),
+                count(row.result.sequence.frames),
                 *(count(row.result.counts.get(name)) for name in names),
                 Value((row.result.labels_sha256 or NONE)[:8], row.result.labels_sha256),
                 Value(path or "none", path, link=path),

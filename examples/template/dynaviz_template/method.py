@@ -1,8 +1,8 @@
-"""A method: what is seldom there has moved.
+"""An example method: points in rarely occupied voxels are dynamic.
 
 for each scan
-    count one more scan for each voxel that holds a point of it
-a point is dynamic if fewer than min_scans scans had a point in its voxel
+    add 1 to the count of each voxel that contains a point of the scan
+a point is dynamic if fewer than min_scans scans have a point in its voxel
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynaviz.arrays import I64, U8, Bool
-from dynaviz.method import Cause, Context, MethodInfo, Reason
+from dynaviz.arrays import I64
+from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.grid import in_key_range, pack, unpack
@@ -21,18 +21,18 @@ from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 @dataclass(frozen=True)
 class SeldomParams:
-    """Each field is a parameter: ``--set min_scans=5``, presets, ``dynaviz config`` and ``--grid`` follow from here.
+    """Each field is a parameter for ``--set min_scans=5``, presets, ``dynaviz config`` and ``--grid``.
 
     Attributes:
         resolution: edge of a voxel, metres.
-        min_scans: scans that must have a point in a voxel for its points to be kept.
+        min_scans: a point is kept if at least this many scans have a point in its voxel.
     """
 
     resolution: float = 0.5
     min_scans: int = 3
 
     def __post_init__(self) -> None:
-        # dynaviz shows a ValueError to the user as it is: tell what to give.
+        # The user sees this message as written: state what to give.
         if not 0 < self.resolution < float("inf"):
             raise ValueError(f"resolution = {self.resolution}: give metres above 0")
         if self.min_scans < 1:
@@ -43,18 +43,18 @@ SELDOM, OFTEN, NO_VOXEL = range(3)
 
 
 class Seldom:
-    """Removes what few scans saw."""
+    """Remove points in voxels that few scans hit."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         name="seldom",
-        title="Seldom seen",
+        title="Rarely seen",
         paper="an example",
-        reasons=(  # the codes of explain(), by position; each is for kept or for removed points, never for both
-            Reason("seldom_seen", "removed: too few scans had a point in its voxel", Cause.SPARSE_RINGS),
-            Reason("often_seen", "kept: enough scans had a point in its voxel", Cause.STANDING),
-            Reason("no_voxel", "kept unjudged: not finite, or too far from the world's origin", Cause.OUT_OF_RANGE),
+        reasons=(  # by code; each reason is for kept or for removed points, never for both
+            Reason("seldom_seen", "removed: too few scans have a point in its voxel", Cause.SPARSE_RINGS),
+            Reason("often_seen", "kept: enough scans have a point in its voxel", Cause.STANDING),
+            Reason("no_voxel", "kept unjudged: not finite, or too far from the world origin", Cause.OUT_OF_RANGE),
         ),
-        emits=(State("scans", Voxels, "Voxels of this scan; scans that had a point in them", value_range=(0.0, 10.0)),),
+        emits=(State("scans", Voxels, "Voxels of this scan; scans with a point there", value_range=(0.0, 10.0)),),
     )
     Params: ClassVar[type[Any]] = SeldomParams
 
@@ -67,7 +67,7 @@ class Seldom:
         self._keys, self._scans = np.empty(0, np.int64), np.empty(0, np.int64)
 
     def observe(self, scan: Scan) -> None:
-        """Count one more scan for each voxel that holds a point of it."""
+        """Add 1 to the count of each voxel that contains a point of the scan."""
         near = in_key_range(scan.points, self.params.resolution)
         here = np.unique(pack(scan.points[near], self.params.resolution))
         merged = np.union1d(self._keys, here)
@@ -75,23 +75,18 @@ class Seldom:
         scans[np.searchsorted(merged, self._keys)] = self._scans
         scans[np.searchsorted(merged, here)] += 1
         self._keys, self._scans = merged, scans
-        if self._probe.wants("scans"):  # costs nothing where nobody looks
+        if self._probe.wants("scans"):  # skip the work if the state is not recorded
             values = self._count(here).astype(np.float32)
             self._probe.emit("scans", Voxels(unpack(here), self.params.resolution, values))
 
-    def label(self, scan: Scan) -> Bool:
-        """(N,) bool: True where too few scans had a point."""
-        dynamic: Bool = self.explain(scan) == SELDOM
-        return dynamic
-
-    def explain(self, scan: Scan) -> U8:
-        """(N,) uint8, positions in ``info.reasons``."""
+    def label(self, scan: Scan) -> Labels:
+        """Label points dynamic if too few scans have a point in their voxel; reasons index ``info.reasons``."""
         near = in_key_range(scan.points, self.params.resolution)
         reasons = np.full(len(scan), NO_VOXEL, np.uint8)
         counts = self._count(pack(scan.points[near], self.params.resolution))
         reasons[near] = np.where(counts < self.params.min_scans, SELDOM, OFTEN)
-        return reasons
+        return Labels(reasons == SELDOM, reasons)
 
     def _count(self, keys: I64) -> I64:
-        """Scans of voxels that were all observed."""
+        """Number of scans per voxel, (K,) int64, for keys that were all observed."""
         return self._scans[np.searchsorted(self._keys, keys)]

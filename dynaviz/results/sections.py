@@ -1,0 +1,259 @@
+"""The typed parts of a result. They read and write the JSON of ``result.json``; unknown keys are ignored.
+
+Percentages are None where undefined: without dynamic ground truth there is no DA, and so no AA and no HA.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+from msgspec import Struct, field
+
+
+class SequenceInfo(Struct, frozen=True):
+    """What a run ran on; ``digest`` covers points, poses and labels of all frames."""
+
+    name: str = ""
+    digest: str = ""
+    frames: int = 0
+    points: int = 0
+
+
+class Runtime(Struct, frozen=True):
+    """Cost of the method alone, per frame; None where unknown, as for a map of another program."""
+
+    mean_s: float | None = None
+    std_s: float | None = None
+    frames: int | None = None
+    prepare_s: float | None = None  # before the first frame
+    threads: int | None = None
+    peak_rss_mb: float | None = None
+
+
+class Machine(Struct, frozen=True):
+    """Where a run took place."""
+
+    system: str | None = None
+    arch: str | None = None
+    cores: int | None = None
+
+    def __str__(self) -> str:
+        return " ".join(str(value) for value in (self.system, self.arch, self.cores) if value is not None)
+
+
+class Environment(Struct, frozen=True):
+    """Package versions that may affect labels or speed, and the machine."""
+
+    versions: Mapping[str, str] = {}
+    machine: Machine = Machine()
+
+
+class Source(Struct, frozen=True):
+    """The file of another program that was scored; the numbers are None for labels.
+
+    Attributes:
+        static_within_1_m: percent of the static points with a point of the map within 1 m.
+        remarks: what a user should know before trusting the scores, one line each.
+    """
+
+    file: str = ""
+    sha256: str = ""
+    points: int | None = None
+    not_finite: int | None = None
+    static_within_1_m: float | None = None
+    remarks: tuple[str, ...] = ()
+
+
+class _Row(Struct, frozen=True, kw_only=True):
+    """Points by ground truth and answer, with the accuracies in percent."""
+
+    static_kept: int = 0
+    static_removed: int = 0
+    dynamic_removed: int = 0
+    dynamic_kept: int = 0
+    unlabelled: int = 0
+    SA: float | None = None
+    DA: float | None = None
+    AA: float | None = None
+    HA: float | None = None
+
+
+class IntervalRow(_Row, frozen=True, kw_only=True):
+    """An interval of range or height, metres; open ends are None."""
+
+    low: float | None = field(name="from", default=None)
+    high: float | None = field(name="to", default=None)
+
+
+class FrameRow(_Row, frozen=True, kw_only=True):
+    """A frame: its position in the run, and its number in the data set."""
+
+    frame: int
+    index: int
+
+
+class ObjectRow(_Row, frozen=True, kw_only=True):
+    """An object, by class and instance number."""
+
+    class_: int | None = field(name="class", default=None)
+    instance: int | None = None
+    first_frame: int = 0
+    last_frame: int = 0
+    points: int = 0
+
+
+class Breakdown(Struct, frozen=True):
+    """Scores by range from the sensor, height above ground, frame and object."""
+
+    range: tuple[IntervalRow, ...] = ()
+    height: tuple[IntervalRow, ...] = ()
+    frame: tuple[FrameRow, ...] = ()
+    object: tuple[ObjectRow, ...] = ()
+
+
+class ErrorDistances(Struct, frozen=True):
+    """Distances from wrong points to the nearest right ones: percentiles in metres, and percent within a distance."""
+
+    p10: float | None = None
+    p50: float | None = None
+    p90: float | None = None
+    within_01: float | None = field(name="within_0.1", default=None)
+    within_03: float | None = field(name="within_0.3", default=None)
+    within_10: float | None = field(name="within_1.0", default=None)
+    histogram: tuple[int, ...] | None = None
+    count: int = 0
+
+
+class RangeSpan(Struct, frozen=True):
+    """Ranges of a case's points from the sensor, metres."""
+
+    min: float
+    mean: float
+    max: float
+
+
+class FailureCase(Struct, frozen=True):
+    """Wrong points that belong together.
+
+    Attributes:
+        kind: ``false_negative`` or ``false_positive``.
+        points: how many points are wrong; a point counts once per frame.
+        cost: percentage points of DA or SA.
+        first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
+        low, high: corners, (3,) metres, world frame.
+        range: from the sensor, metres.
+        moved: metres, how far the case moved.
+        reasons: points by reason, most frequent first.
+        cause: the failure cause (``dynaviz.method.Cause``), or None.
+        class_, instance: of the ground truth, or None.
+        what: what it is, in words; sentence: a description for the reader.
+    """
+
+    kind: str
+    points: int
+    cost: float
+    first_frame: int
+    last_frame: int
+    worst_frame: int
+    frames: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    range: RangeSpan
+    moved: float
+    reasons: Mapping[str, int]
+    cause: str | None = None
+    class_: int | None = field(name="class", default=None)
+    instance: int | None = None
+    what: str = ""
+    sentence: str = ""
+
+    @property
+    def metric(self) -> str:
+        """The score that it costs: DA for points wrongly kept, SA for points wrongly removed."""
+        return "DA" if self.kind == "false_negative" else "SA"
+
+
+class CaseTotals(Struct, frozen=True):
+    """Numbers of cases and of their points."""
+
+    cases: int = 0
+    points: int = 0
+
+
+class Failures(Struct, frozen=True):
+    """Failure cases, costliest first; ``causes``: totals by kind and cause; ``others``: cases that are not listed."""
+
+    cases: tuple[FailureCase, ...] = ()
+    causes: Mapping[str, Mapping[str, CaseTotals]] = {}
+    others: CaseTotals = CaseTotals()
+
+
+class ReasonCost(Struct, frozen=True):
+    """Percentage points of SA and DA that the wrong points of a reason cost."""
+
+    SA: float | None = None
+    DA: float | None = None
+
+
+class Reasons(Struct, frozen=True):
+    """Points by reason for each outcome, most frequent first; costs; and the legend."""
+
+    false_negative: Mapping[str, int] = {}
+    false_positive: Mapping[str, int] = {}
+    dynamic_removed: Mapping[str, int] = {}
+    static_kept: Mapping[str, int] = {}
+    cost: Mapping[str, ReasonCost] = {}
+    legend: Mapping[str, str] = {}
+
+
+class Voxelwise(Struct, frozen=True):
+    """Preservation and rejection rate over voxels, percent; ``edge_m``: edge of a voxel; numbers of voxels."""
+
+    edge_m: float = 0.0
+    PR: float | None = None
+    RR: float | None = None
+    F1: float | None = None
+    static: int = 0
+    static_kept: int = 0
+    dynamic: int = 0
+    dynamic_kept: int = 0
+
+
+class Sections(Struct, frozen=True, omit_defaults=True):
+    """What the metrics found; None or empty where a metric did not run.
+
+    Attributes:
+        counts: points by ground truth and answer: static_kept, static_removed, dynamic_removed, dynamic_kept,
+            unlabelled.
+        metrics: SA, DA, AA, HA, precision and IoU in percent.
+        error_distance: by kind of error.
+        other: sections of metrics from other packages, as plain JSON values.
+    """
+
+    source: Source | None = None
+    breakdown: Breakdown | None = None
+    counts: Mapping[str, int] = {}
+    metrics: Mapping[str, float | None] = {}
+    error_distance: Mapping[str, ErrorDistances] = {}
+    failures: Failures | None = None
+    reasons: Reasons | None = None
+    voxelwise: Voxelwise | None = None
+    other: Mapping[str, Any] = {}
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Sections:
+        """From plain JSON values, as metrics return them and ``result.json`` contains them.
+
+        Raises:
+            msgspec.ValidationError: for a value of the wrong type; the message names its place.
+        """
+        known = {key: value for key, value in plain.items() if key in cls.__struct_fields__ and key != "other"}
+        sections = msgspec.convert(known, cls)
+        return msgspec.structs.replace(sections, other={k: v for k, v in plain.items() if k not in known})
+
+    def plain(self) -> dict[str, Any]:
+        """Plain JSON values, the inverse of ``of``."""
+        plain: dict[str, Any] = msgspec.to_builtins(self)
+        return {**{key: value for key, value in plain.items() if key != "other"}, **self.other}
