@@ -74,24 +74,24 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         "online": cell.what.online,
         "seed": cell.what.seed,
         "recording": recorded,
-        **{package: here["versions"][package] for package in DECIDING},
+        **{package: here.versions[package] for package in DECIDING},
     }
     told: dict[str, Any] = {
-        "sequence": result.sequence.get("name"),
-        "digest": result.sequence.get("digest"),
+        "sequence": result.sequence.name,
+        "digest": result.sequence.digest,
         "method": result.method,
         "variant": result.variant,
         "parameters": result.parameters,
         "online": result.online,
         "seed": result.seed,
         "recording": result.record,
-        **{package: there.get("versions", {}).get(package) for package in DECIDING},
+        **{package: there.versions.get(package) for package in DECIDING},
     }
     if cell.timing:
-        asked |= {"machine": here["machine"], "threads": here["machine"]["cores"], "states recorded": False}
+        asked |= {"machine": here.machine, "threads": here.machine.cores, "states recorded": False}
         told |= {
-            "machine": there.get("machine"),
-            "threads": result.runtime.get("threads"),
+            "machine": there.machine,
+            "threads": result.runtime.threads,
             "states recorded": result.instrumented,
         }
     for name, value in asked.items():

@@ -95,7 +95,7 @@ class Leaderboard:
         from rich.markup import escape
         from rich.table import Table
 
-        from dynaviz.results.tables import result_table
+        from dynaviz.results.result import result_table
 
         parts: list[RenderableType] = []
         learnt = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]
@@ -118,10 +118,10 @@ class Leaderboard:
 
 def _ranked(results: Sequence[Result]) -> list[Result]:
     """Sequence by sequence as they come, the best AA first, undefined ones last."""
-    order = list(dict.fromkeys(str(result.sequence.get("name")) for result in results))
+    order = list(dict.fromkeys(result.sequence.name for result in results))
 
     def rank(result: Result) -> tuple[int, float]:
         aa = result.metrics.get("AA")
-        return order.index(str(result.sequence.get("name"))), -math.inf if aa is None else aa
+        return order.index(result.sequence.name), -math.inf if aa is None else aa
 
     return sorted(results, key=lambda result: (rank(result)[0], -rank(result)[1]))
