@@ -1,4 +1,4 @@
-"""Recorder: listens to a run and to its method, and writes the recording frame by frame."""
+"""Recorder: writes the recording of a run, frame by frame."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+import msgspec
+import msgspec
 import numpy as np
 import rerun as rr
 
@@ -27,24 +29,24 @@ from dynaviz.viz.layout import layout
 from dynaviz.viz.report import OutcomeCounts, before, failure_list, listed, report
 from dynaviz.viz.scene import MapDrawing
 
-STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states that are drawn in the world
+STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states with coordinates
 
 
 class Recorder(Listener):
-    """Writes the recording of a run; both a listener and the method's probe.
+    """Writes the recording of a run; a listener of the run and the probe of its method.
 
     ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when
-    the run is done. Whatever ends the run earlier leaves ``.run.rrd.part`` beside it, with every frame so far.
+    the run finishes. If the run ends early, ``.run.rrd.part`` in the same folder contains every frame so far.
 
     Args:
         path: the recording.
-        mode: ``errors`` draws what is wrong, ``full`` every point, ``scores`` none. Answers, truth and reasons of all
-            points are in each.
-        live: open a viewer that follows the run; closing it disturbs nothing.
+        mode: ``errors`` draws wrong and dynamic points, ``full`` every point, ``scores`` none. All modes store the
+            label, ground truth and reason of every point.
+        live: open a viewer that follows the run; it may be closed at any time.
 
     Raises:
-        UsageError: for a mode that does not exist, or ``live`` without a screen.
-        DataError: where the folder cannot be written.
+        UsageError: for an unknown mode, or ``live`` without a screen.
+        DataError: if the folder cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], mode: RecordMode = "errors", live: bool = False):
@@ -55,7 +57,7 @@ class Recorder(Listener):
         self._sink: sink.RecordingFile | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
-        self._tally = OutcomeCounts()
+        self._outcomes = OutcomeCounts()
 
     def __enter__(self) -> Recorder:
         return self
@@ -72,16 +74,16 @@ class Recorder(Listener):
         return sha256(self.path)
 
     def wants(self, name: str) -> bool:
-        """States are drawn wherever the recording holds geometry."""
+        """Declared states, unless the mode is ``scores``."""
         return self.mode != "scores" and (self._sink is None or name in self._states)
 
     def emit(self, name: str, value: Value) -> None:
-        """Keep a reference until the method returns; it is drawn then, outside of the method's time."""
+        """Keep a reference; the state is drawn after the method returns, outside of its measured time."""
         if name in self._states:
             self._queue.append((self._states[name], value))
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Open the file and write what is known of the run."""
+        """Open the file and write the properties of the run."""
         info = run.labeller.info
         self._info, drawn = info, self.mode != "scores"
         self._states = {state.name: state for state in info.emits} if drawn else {}
@@ -103,18 +105,18 @@ class Recorder(Listener):
         self._sink.flush()
 
     def observing(self, frame: int, scan: Scan) -> None:
-        """Remember whose states are to come."""
+        """Remember the scan of the next states."""
         self._scan = scan
 
     def observed(self, frame: int) -> None:
-        """Draw the states that the method showed while it observed."""
+        """Draw the states emitted by ``observe``."""
         if self._queue:
             self._open.at(frame, self._scan.stamp_ns)
             self._draw_states(self._scan)
             self._open.flush()
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Write a frame: its points by outcome, all answers without loss, and the curves."""
+        """Write a frame: its points by outcome, the labels of all points, and the curves."""
         scan = labelled.scan
         self._open.at(labelled.frame, scan.stamp_ns)
         self._draw_states(scan)
@@ -123,7 +125,7 @@ class Recorder(Listener):
             self._scene.frame(labelled)
         packed = answers.Answers.of(labelled).packed()
         self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
-        wrong = self._tally.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
+        wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
         for kind, count in zip(("false_negatives", "false_positives"), wrong, strict=True):
             self._curves.add(f"{paths.WRONG}/{kind}", labelled.frame, scan.stamp_ns, count)
         for name, value in curves.items():
@@ -131,7 +133,7 @@ class Recorder(Listener):
         self._open.flush()
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
-        """Write what is known only at the end, close the file, and give it its name."""
+        """Write the map, figures and result, close the file, and give it its final name."""
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
@@ -141,7 +143,7 @@ class Recorder(Listener):
             elif self._scene is not None:
                 self._scene.boxes(name, figure, len(listed(result)))
         self._mark_worst()
-        self._report(report(self._info, result, self._tally, self.mode))
+        self._report(report(self._info, result, self._outcomes, self.mode))
         self._document(paths.FAILURE_LIST, failure_list(result))
         self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
@@ -151,7 +153,7 @@ class Recorder(Listener):
     @property
     def _open(self) -> sink.RecordingFile:
         if self._sink is None:
-            raise RuntimeError("a recorder listens from begin to finish, once")
+            raise RuntimeError("a recorder records one run: call begin before, and nothing after finish")
         return self._sink
 
     def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
@@ -171,7 +173,7 @@ class Recorder(Listener):
             "seed": run.seed,
             "online": run.online,
             "command": run.command,
-            "environment_json": json.dumps(environment()),
+            "environment_json": json.dumps(msgspec.to_builtins(environment())),
         }
 
     def _write_legends(self) -> None:
@@ -190,21 +192,21 @@ class Recorder(Listener):
         self._queue.clear()
 
     def _histogram(self, path: str, histogram: FrameHistograms) -> None:
-        """The run's histogram and its 10 % line as one picture, the frames' own to scrub through."""
+        """The histogram of the run with its 10 % line, and those of the frames on the timeline."""
         edges, total = histogram.edges.copy(), histogram.counts.sum(0)
-        if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the one before
+        if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the previous one
             edges[-1] = 2 * edges[-2] - edges[-3]
         self._open.log(f"{path}/run", _bars(total, edges), static=True)
         if total.sum():
             width = 0.003 * (edges[-1] - edges[0])
             line = rr.BarChart([float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=_MARK)
             self._open.log(f"{path}/p10", line, static=True)
-        for (frame, *_), counts in zip(self._tally.frames, histogram.counts, strict=True):
+        for (frame, *_), counts in zip(self._outcomes.frames, histogram.counts, strict=True):
             self._open.at(frame, None)
             self._open.log(path, _bars(counts, edges))
 
     def _mark_worst(self) -> None:
-        worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._tally.worst())
+        worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst())
         style = rr.SeriesPoints(colors=[240, 240, 240], markers="diamond", marker_sizes=4, names="worst frames")
         self._open.log(paths.WORST, style, static=True)
         if worst:
@@ -230,6 +232,6 @@ def _bars(counts: Any, edges: Any) -> rr.BarChart:
 
 
 def _tenth(counts: Any, edges: Any) -> float:
-    """Where a tenth of the counts lies below, within a bin by its share."""
+    """The value below which a tenth of the counts lies, interpolated within its bin."""
     below = np.concatenate([[0], np.cumsum(counts)])
     return float(np.interp(0.1 * below[-1], below, edges))

@@ -135,7 +135,7 @@ def test_the_runtime_of_another_program_is_unknown(little_room: InMemory, tmp_pa
     source = result.sections.source
     assert (source.file, source.sha256) == (path.name, hashlib.sha256(path.read_bytes()).hexdigest())
     saved = json.loads((tmp_path / "out/result.json").read_text())
-    assert (saved["scoring"], saved["source"]) == ("nn", msgspec.to_builtins(source))
+    assert (saved["scoring"], saved["source"]) == ("nn", json.loads(msgspec.json.encode(source)))
 
 
 def test_the_recording_contains_every_label(little_room: InMemory, tmp_path: Path) -> None:
