@@ -101,7 +101,7 @@ def of_tutorial(folder: Path) -> None:
     save(picture(runs["octomap"], folder, 41, "frame", (1100, 640)), "frame")
     save(picture(runs["octomap"], folder, 41, "failures", (520, 560)), "failures")
     save(picture(runs["octomap"], folder, 41, "wrong points per frame", (900, 400)), "wrong")
-    save(picture(runs["octomap"], folder, 41, "kept: error distance [m]", (900, 400)), "distance")
+    save(picture(runs["octomap"], folder, 41, "FN: distance [m]", (900, 400)), "distance")
     save(picture(runs["octomap"], folder, 41, "hit", (1100, 640)), "hit")
     dv.compare(runs["octomap"], runs["dufomap"], out=folder / "compare.rrd")
     save(picture(folder / "compare.rrd", folder, 35, None, WINDOW), "compared")

@@ -231,7 +231,7 @@ def failures(kind: Any) -> str:
     ]
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
     cases = "\n".join(
-        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {case.get('sentence') or sentence(case)}"
+        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {sentence(case)}"
         for position, case in enumerate(run["cases"], 1)
     )
     return (
