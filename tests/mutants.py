@@ -1,8 +1,8 @@
-"""Change the evaluation in one place at a time, and tell which changes no test notices; tests/README.md explains those.
+"""Change the evaluation in one place at a time, and list the changes that no test detects; tests/README.md explains them.
 
     python tests/mutants.py [MODULE ...] [--sample N]
 
-Each mutant lives in a forked process; no file changes. Texts, types and arguments that only guard stay as they are.
+Each mutant runs in a forked process; no file is changed. Texts, types and arguments that only guard are not mutated.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import hypothesis
-import numba  # noqa: F401  # what is imported here, no mutant waits for
+import numba  # noqa: F401  # imported once here, so the mutants' processes need not
 import pytest
 import scipy.sparse.csgraph  # noqa: F401
 
@@ -36,7 +36,7 @@ MODULES = (
     "attribution",
     "spool",
 )
-SECONDS = 90  # a change may never end
+SECONDS = 90  # a mutant may loop forever
 GUARDS = {"strict", "frozen", "slots", "eq", "assume_unique"}
 SWAPS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -87,7 +87,7 @@ def mutants(tree: ast.Module) -> Iterator[tuple[str, ast.Module]]:
 
 
 def survives(name: str, mutant: ast.Module) -> bool:
-    """Whether all tests pass with a mutant in the place of a module."""
+    """Whether all tests pass with a mutant in place of a module."""
     if child := os.fork():
         return os.waitpid(child, 0)[1] == 0
     failed = 1
@@ -106,16 +106,16 @@ def survives(name: str, mutant: ast.Module) -> bool:
 
 
 def main() -> None:
-    """Try all mutants, or some of them, and print those that survive."""
+    """Try all mutants, or a sample, and print the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("modules", nargs="*", default=MODULES, metavar="MODULE")
-    parser.add_argument("--sample", type=int, default=sys.maxsize, metavar="N", help="try only so many of each module")
+    parser.add_argument("--sample", type=int, default=sys.maxsize, metavar="N", help="try at most N mutants per module")
     options = parser.parse_args()
     hypothesis.settings.register_profile("mutants", **PROFILE)
     for name in options.modules:
         tree = ast.parse((PACKAGE / f"{name}.py").read_text())
         if not survives(name, tree):
-            sys.exit(f"{name}: its tests fail without any change. Mend that first.")
+            sys.exit(f"{name}: its tests fail without a mutant. Fix them first.")
         every, tried, killed = list(mutants(tree)), collections.Counter(), collections.Counter()
         chosen = sorted(random.Random(0).sample(range(len(every)), min(options.sample, len(every))))
         for kind, mutant in (every[i] for i in chosen):
@@ -125,7 +125,7 @@ def main() -> None:
                 pairs = zip(ast.unparse(tree).splitlines(), ast.unparse(mutant).splitlines(), strict=False)
                 print(f"{name}: {kind}", *next(p for p in pairs if p[0] != p[1]), sep="\n    ", flush=True)
         by_kind = ", ".join(f"{kind} {killed[kind]} of {count}" for kind, count in sorted(tried.items()))
-        print(f"{name}: {killed.total()} of {tried.total()} killed ({by_kind}); {len(every)} in all", flush=True)
+        print(f"{name}: {killed.total()} of {tried.total()} killed ({by_kind}); {len(every)} in total", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The same four counts, apart by range, by height above the ground, by frame and by object."""
+"""The four counts by range, by height above the ground, by frame and by object."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ GROUND_CELL = 1.0  # metres
 
 
 class Breakdown:
-    """Section ``breakdown`` with lists ``range``, ``height``, ``frame`` and ``object``, counts beside each percentage.
+    """Section ``breakdown``: lists ``range``, ``height``, ``frame`` and ``object`` with counts and percentages.
 
-    Range and height bins include their lower edge, ``from``; a missing edge (None) is an open end. Points without
-    finite coordinates count in the last bin.
+    Range and height bins include their lower edge, ``from``; None is an open end. Points without finite coordinates
+    count in the last bin.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -36,8 +36,8 @@ class Breakdown:
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
         scan, outcome = labelled.scan, labelled.outcome
-        self._range += _cross(_ranges(scan), RANGES, outcome)
-        self._height += _cross(heights_above_ground(scan.points), HEIGHTS, outcome)
+        self._range += _count_by_bin(_ranges(scan), RANGES, outcome)
+        self._height += _count_by_bin(heights_above_ground(scan.points), HEIGHTS, outcome)
         self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
         self._objects.add(labelled)
         return {}
@@ -59,7 +59,7 @@ class Breakdown:
 
 
 class _Objects:
-    """Counts by class and instance; an object that stops and gets another class by that begins another row."""
+    """Counts by class and instance. An object that stops, and changes its class because of that, starts a new row."""
 
     def __init__(self) -> None:
         self._by_outcome: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(Outcome), np.int64))
@@ -84,7 +84,7 @@ class _Objects:
             self._frames[key] = self._frames.get(key, (labelled.frame, 0))[0], labelled.frame
 
     def rows(self) -> list[dict[str, Any]]:
-        """Objects with any dynamic point, the one with the most missed points first."""
+        """Objects with at least one dynamic point, most missed points first."""
         rows = []
         for (of_class, instance), by_outcome in self._by_outcome.items():
             counts, (first, last) = Counts.of_histogram(by_outcome), self._frames[of_class, instance]
@@ -95,34 +95,34 @@ class _Objects:
 
 
 def heights_above_ground(points: F32) -> F32:
-    """Height of each point above the local ground, as the scan itself shows it; no ground truth is used.
+    """Height of each point above the local ground, estimated from the scan alone, without ground truth.
 
-    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile where these
-    hold fewer than 20 points, so that a few reflections below the ground do not matter. Where a scan sees no ground
-    within that window (a roof, a wall behind a fence), heights are above the lowest thing that it sees.
+    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile if these
+    contain fewer than 20 points, so a few reflections below the ground do not matter. Where a scan has no ground points
+    within that window (a roof, a wall behind a fence), heights are relative to the lowest visible surface.
 
     Args:
         points: (N, 3) float32, metres, world frame, z up.
 
     Returns:
-        (N,) float32, metres; NaN for points without finite coordinates.
+        (N,) float32, metres; NaN for points with non-finite coordinates.
     """
     heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
     return heights
 
 
 def _ranges(scan: Scan) -> F32:
-    """(N,) float32, metres: distance of each point from where its ray started."""
+    """(N,) float32, metres: range of each point from the origin of its ray."""
     x, y, z = (scan.points[:, axis] - scan.origins[:, axis].astype(np.float32) for axis in range(3))
     ranges: F32 = np.sqrt(x * x + y * y + z * z)
     return ranges
 
 
-def _cross(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
+def _count_by_bin(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
     """(bins, outcomes) numbers of points."""
     bins = np.zeros(len(values), np.uint8)
     for edge in edges[1:-1]:
-        bins += ~(values < edge)  # so NaN goes to the last bin
+        bins += ~(values < edge)  # True for NaN, which counts in the last bin
     crossed = np.bincount(bins * len(Outcome) + outcome, minlength=(len(edges) - 1) * len(Outcome))
     return crossed.reshape(-1, len(Outcome))
 

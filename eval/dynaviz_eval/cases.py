@@ -1,4 +1,4 @@
-"""Wrong points joined into cases while frames go by, in memory that grows neither with points nor with small cases."""
+"""Join wrong points into cases, frame by frame; memory grows neither with points nor with small cases."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8, Bool, Intp
 from dynaviz.spatial.grid import pack
 
-EDGE = 0.5  # metres: points in cells that touch are of one case
-GAP = 10  # frames that a cell is remembered: what comes back later is another case
-KEEP = 100  # cases that are told one by one
-EVERY = 16  # frames between two times of forgetting what is over and small
+EDGE = 0.5  # metres: points in touching cells belong to one case
+GAP = 10  # frames for which a cell is remembered: points that return later start a new case
+KEEP = 100  # cases listed individually
+EVERY = 16  # frames between two clean-ups, which drop small cases that are over
 CASE, LAST = 1, 2  # columns of remembered cells
 
 
 class Cases:
     """Joins the points of one kind of error into cases.
 
-    A case grows by cells that touch it in space, in the same frame or up to ``GAP`` frames later; so it follows what
-    moves. Points of different groups never join. ``rows`` holds what is left: for each case and frame one row.
+    A case grows by cells that touch it, in the same frame or up to ``GAP`` frames later, so it follows moving objects.
+    Points of different groups never join. ``rows`` contains one row per case and frame, for the cases that are kept.
 
     Args:
         reasons: number of reason codes.
-        span: metres that a case may extend along an axis; what is larger falls into several.
-        forgotten: told of small cases that are over, a row each (``summed``): they are not kept.
+        span: maximum extent of a case along an axis, metres; larger ones are split.
+        dropped: receives the small cases that are over and no longer kept, one row each (``summed``).
     """
 
     def __init__(
-        self, reasons: int, span: float, forgotten: Callable[[NDArray[np.void]], None] = lambda cases: None
+        self, reasons: int, span: float, dropped: Callable[[NDArray[np.void]], None] = lambda cases: None
     ) -> None:
         self._limit = int(min(span / EDGE, 1 << 30))
         self.kind = np.dtype(
             [
                 ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64), ("cells", np.int64),
-                ("beside", np.int64), ("low", np.float32, 3), ("high", np.float32, 3), ("near", np.float32),
+                ("near_dynamic", np.int64), ("low", np.float32, 3), ("high", np.float32, 3), ("near", np.float32),
                 ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
             ]
         )  # fmt: skip
         self.rows = np.empty(0, self.kind)
-        self._forgotten = forgotten
+        self._dropped = dropped
         self._new: list[NDArray[np.void]] = []
         self._table, self._cells = np.full(1024, -1, np.int64), np.empty((1024, 3), np.int64)
         self._remembered = 0
@@ -50,8 +50,8 @@ class Cases:
         self._low = self._high = np.empty((0, 3), np.int32)
         self._used = 0
 
-    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, beside: Bool) -> None:
-        """Add the wrong points of a frame; frames come in order.
+    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, near_dynamic: Bool) -> None:
+        """Add the wrong points of a frame. Call it in the order of frames.
 
         Args:
             frame: position in the run.
@@ -59,7 +59,7 @@ class Cases:
             groups: (N,) int64.
             reasons: (N,) uint8 codes.
             ranges: (N,) float32, metres from the sensor.
-            beside: (N,) bool: something moves right beside it.
+            near_dynamic: (N,) bool, True next to a dynamic point.
         """
         if len(points):
             case, order, starts, cells = self._link(frame, points, groups)
@@ -72,7 +72,7 @@ class Cases:
             for name, values in (("high", points), ("far", ranges)):
                 rows[name] = np.maximum.reduceat(values[order], starts)
             rows["ranges"] = np.add.reduceat(ranges[order].astype(np.float64), starts)
-            rows["beside"] = np.add.reduceat(beside[order].astype(np.int64), starts)
+            rows["near_dynamic"] = np.add.reduceat(near_dynamic[order].astype(np.int64), starts)
             which = np.repeat(np.arange(len(starts)), rows["points"])
             codes = rows.dtype["reasons"].shape[0]
             crossed = np.bincount(which * codes + np.minimum(reasons[order], codes - 1), minlength=len(starts) * codes)
@@ -82,14 +82,14 @@ class Cases:
             self.settle(frame)
 
     def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, Intp, Intp, I64]:
-        """Cases of a frame, points in their order, where each case starts there, and how many cells it has."""
+        """Cases of a frame, the order of points by case, where each case starts in it, and its number of new cells."""
         self._make_room(len(points))
         of_point, first, fresh, self._used = kernels.cases.link(
             pack(points, EDGE), groups, frame, GAP, self._limit,
             self._table, self._cells, self._parent, self._low, self._high, self._used,
         )  # fmt: skip
         self._remembered += fresh
-        of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # some were joined after they got theirs
+        of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # cases may have joined since
         order = np.argsort(of_point, kind="stable")
         case, starts = np.unique(of_point[order], return_index=True)
         return case.astype(np.int64), order, starts, np.add.reduceat(first[order].astype(np.int64), starts)
@@ -111,11 +111,11 @@ class Cases:
             self._parent, self._low, self._high = parent, low, high
 
     def settle(self, frame: int) -> None:
-        """Number cases anew, and forget those that are over by this frame and not among the ``KEEP`` largest."""
+        """Renumber the cases, and drop those that are over by this frame and not among the ``KEEP`` largest."""
         rows = np.concatenate([self.rows, *self._new])
         self._new = []
         rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
-        rows, _ = _pooled(rows, ("case", "frame"))  # what were several cases in a frame may have become one
+        rows, _ = _pooled(rows, ("case", "frame"))  # several cases of a frame may have joined
         old, which = np.unique(rows["case"], return_inverse=True)
         points, last = np.bincount(which, rows["points"], len(old)), np.zeros(len(old), np.int64)
         np.maximum.at(last, which, rows["frame"])
@@ -123,7 +123,7 @@ class Cases:
         largest = np.zeros(len(old), np.bool_)
         largest[np.argsort(-points, kind="stable")[:KEEP]] = True
         keep = ~done | largest
-        self._forgotten(summed(rows[~keep[which]]))
+        self._dropped(summed(rows[~keep[which]]))
         self.rows, new = rows[keep[which]], np.cumsum(keep) - 1
         self.rows["case"] = new[which][keep[which]]
         self._forget(frame, old, keep, new)
@@ -143,13 +143,13 @@ class Cases:
 
 
 def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
-    """Rows that agree in some fields pooled into one, and how many each was; sorted by these fields."""
+    """Pool rows with equal values in some fields: the pooled rows sorted by these, and the number of rows of each."""
     rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
     changes = np.any([np.diff(rows[name]) != 0 for name in by], axis=0)
     starts = np.flatnonzero(np.append(len(rows) > 0, changes))[: len(rows)]
     pooled = rows[starts]
     if len(starts):
-        for name in ("points", "cells", "beside", "ranges", "reasons"):
+        for name in ("points", "cells", "near_dynamic", "ranges", "reasons"):
             pooled[name] = np.add.reduceat(rows[name], starts)
         for name in ("low", "near"):
             pooled[name] = np.minimum.reduceat(rows[name], starts)
@@ -159,10 +159,10 @@ def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.voi
 
 
 def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """One row a case, over all of its frames.
+    """One row per case, over all of its frames.
 
-    ``frame`` is the one with the most points; besides there are ``first`` and ``last`` frame, the number of ``frames``,
-    and how far it ``moved``: metres from where it lies in its first three frames to where it lies in its last three.
+    ``frame`` is the one with the most points. Additional fields: ``first`` and ``last`` frame, the number of
+    ``frames``, and ``moved``: metres between the mean centre of its first three frames and that of its last three.
     """
     rows = rows[np.lexsort((rows["frame"], rows["case"]))]
     pooled, frames = _pooled(rows, ("case",))

@@ -1,4 +1,4 @@
-"""The headline: four counts, and every percentage derived from them (paper, "Metric"; eval/README.md)."""
+"""The main metric: four counts, and the percentages derived from them (paper, "Metric"; eval/README.md)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from dynaviz.scan import Outcome
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Numbers of points by ground truth and answer; those of frames or sequences combine by adding them.
+    """Numbers of points by ground truth and answer. Add the counts of frames or sequences to combine them.
 
-    Percentages are NaN where undefined: without dynamic ground truth there is no DA, and so no AA and no HA.
+    Percentages are NaN where undefined: without dynamic ground truth there is no DA, and hence no AA and no HA.
     """
 
     static_kept: int = 0
@@ -36,7 +36,7 @@ class Counts:
 
     @classmethod
     def of_histogram(cls, by_outcome: Any) -> Counts:
-        """From the numbers of points by ``Outcome``, (6,) integers."""
+        """Counts from the numbers of points by ``Outcome``, (6,) integers."""
         n = [int(count) for count in by_outcome]
         return cls(
             static_kept=n[Outcome.STATIC_KEPT],
@@ -51,12 +51,12 @@ class Counts:
 
     @property
     def SA(self) -> float:
-        """Static accuracy, percent: how much of the static ground truth was kept."""
+        """Static accuracy, percent: share of the static points that were kept."""
         return _percent(self.static_kept, self.static_kept + self.static_removed)
 
     @property
     def DA(self) -> float:
-        """Dynamic accuracy, percent: how much of the dynamic ground truth was removed."""
+        """Dynamic accuracy, percent: share of the dynamic points that were removed."""
         return _percent(self.dynamic_removed, self.dynamic_removed + self.dynamic_kept)
 
     @property
@@ -72,7 +72,7 @@ class Counts:
 
     @property
     def precision(self) -> float:
-        """How much of what was removed is dynamic, percent."""
+        """Share of the removed labelled points that are dynamic, percent."""
         return _percent(self.dynamic_removed, self.dynamic_removed + self.static_removed)
 
     @property
@@ -86,7 +86,7 @@ class Counts:
         return {name: None if math.isnan(value) else value for name, value in values.items()}
 
     def row(self) -> dict[str, float | None]:
-        """Counts and the headline beside each other, as in the rows of a breakdown."""
+        """Counts and accuracies in one dictionary, as in the rows of a breakdown."""
         metrics = self.metrics()
         return {**dataclasses.asdict(self), **{name: metrics[name] for name in ("SA", "DA", "AA", "HA")}}
 
@@ -100,7 +100,7 @@ def _sections(counts: Counts) -> dict[str, Any]:
 
 
 class Confusion:
-    """Sections ``counts`` and ``metrics``; curves of SA, DA, AA and HA of each frame and up to it."""
+    """Sections ``counts`` and ``metrics``; curves of SA, DA, AA and HA, of each frame and cumulative."""
 
     def __init__(self, info: MethodInfo) -> None:
         self._total = Counts()
@@ -118,7 +118,7 @@ class Confusion:
 
     @staticmethod
     def combine(sections: Iterable[Mapping[str, Any]]) -> Mapping[str, Any]:
-        """The sections of several results as one, by adding counts."""
+        """Combine the sections of several results by adding their counts."""
         return _sections(sum((Counts(**each["counts"]) for each in sections), Counts()))
 
     def figures(self) -> Mapping[str, Figure]:

@@ -1,4 +1,4 @@
-"""How far a wrong point lies from the right points of its kind (paper, "Metric" and Fig. 5)."""
+"""Distances from wrong points to the nearest correct point of the same ground truth (paper, "Metric" and Fig. 5)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from dynaviz.scan import Outcome
 from dynaviz.spatial.nearest import nearest_distance
 from dynaviz_eval.spool import PointSpool
 
-LIMIT = 2.0  # metres: beyond, only that a distance is larger
+LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
-_HALO = LIMIT + 0.1  # metres: more than rounding can lose far from the origin
-_BLOCK = 3_000_000  # points of each side in memory at once
+_HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
+_BLOCK = 3_000_000  # wrong and correct points each in memory at once
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -31,34 +31,34 @@ _PAIRS = {
 
 
 class ErrorDistance:
-    """Section ``error_distance``: how far wrong points lie from right ones.
+    """Section ``error_distance``: distances from wrong points to correct ones.
 
     From each false negative to the nearest true positive of the whole run, and from each false positive to the nearest
-    true negative. Points wait on disk until the run is over: the nearest right point may come in any later frame.
+    true negative. Points are stored on disk until the run is over: the nearest correct point may be in any later frame.
     """
 
     def __init__(self, info: MethodInfo) -> None:
-        self._spills = {outcome: PointSpool() for wrong, right, _ in _PAIRS.values() for outcome in (wrong, right)}
+        self._spools = {outcome: PointSpool() for wrong, correct, _ in _PAIRS.values() for outcome in (wrong, correct)}
         self._frames = 0
         self._by_frame: dict[str, I64] = {}
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Put the points of one scan aside; those without finite coordinates have no distance."""
+        """Store the points of one scan; points with non-finite coordinates have no distance."""
         self._frames = labelled.frame + 1
-        for outcome, spill in self._spills.items():
-            spill.append(labelled.frame, np.compress(labelled.outcome == outcome, labelled.scan.points, 0))
+        for outcome, spool in self._spools.items():
+            spool.append(labelled.frame, np.compress(labelled.outcome == outcome, labelled.scan.points, 0))
         return {}
 
     def finish(self) -> Mapping[str, Any]:
-        """The section; the temporary files are gone afterwards."""
+        """The section. Deletes the temporary files."""
         section = {}
-        for name, (wrong, right, _) in _PAIRS.items():
-            fine, by_frame = distances(self._spills[wrong], self._spills[right], self._frames)
+        for name, (wrong, correct, _) in _PAIRS.items():
+            fine, by_frame = distances(self._spools[wrong], self._spools[correct], self._frames)
             section[name] = summary(fine)
             if fine.any():
                 self._by_frame[name] = by_frame
-        for spill in self._spills.values():
-            spill.close()
+        for spool in self._spools.values():
+            spool.close()
         return {"error_distance": section}
 
     def figures(self) -> Mapping[str, Figure]:
@@ -69,25 +69,26 @@ class ErrorDistance:
         }
 
 
-def distances(wrong: PointSpool, right: PointSpool, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
-    """Exact distances from each wrong point to the nearest right one, as histograms.
+def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
+    """Exact distances from each wrong point to the nearest correct one, as histograms.
 
-    The world is cut into slabs across its longest side. Right points come from a slab widened by the limit, about
-    ``block`` of them at a time, and a wrong point keeps the least of its distances.
+    The world is divided into slabs along its longest side. Correct points are read from a slab widened by the limit,
+    about ``block`` at a time, and each wrong point keeps its smallest distance.
 
     Returns:
-        fine: counts by 0.1 mm up to the limit, and in the last bin of what lies farther; zero where either is empty.
-        by_frame: (frames, 41) counts by ``EDGES``.
+        fine: counts in bins of 0.1 mm up to the limit, and one last bin for larger distances; all zero if there are no
+            wrong or no correct points.
+        by_frame: (frames, 41) counts in the bins of ``EDGES``.
     """
     fine, by_frame = np.zeros(_FINE + 1, np.int64), np.zeros((frames, len(EDGES) - 1), np.int64)
-    if not wrong.points or not right.points:
+    if not wrong.points or not correct.points:
         return fine, by_frame
     low, high = wrong.bounds()
     axis = int(np.argmax(high - low))
-    for left, end in _slabs(wrong, right, axis, block):
+    for left, end in _slabs(wrong, correct, axis, block):
         for queries, of_frame in wrong.blocks(axis, left, end, block):
             distance = np.full(len(queries), np.inf, np.float32)
-            for reference, _ in right.blocks(axis, left - _HALO, end + _HALO, block):
+            for reference, _ in correct.blocks(axis, left - _HALO, end + _HALO, block):
                 near = _within(reference, queries.min(0) - _HALO, queries.max(0) + _HALO)
                 np.minimum(distance, nearest_distance(queries, reference[near], LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
@@ -97,11 +98,11 @@ def distances(wrong: PointSpool, right: PointSpool, frames: int, block: int = _B
     return fine, by_frame
 
 
-def _slabs(wrong: PointSpool, right: PointSpool, axis: int, block: int) -> list[tuple[float, float]]:
-    """Intervals along an axis that hold about as many points each, and together all of the line."""
+def _slabs(wrong: PointSpool, correct: PointSpool, axis: int, block: int) -> list[tuple[float, float]]:
+    """Intervals that cover a whole axis and contain about equally many points each."""
     step = 64
-    sample = np.concatenate([wrong.sample(axis, step), right.sample(axis, step)])
-    count = -(-(wrong.points + right.points) // block)
+    sample = np.concatenate([wrong.sample(axis, step), correct.sample(axis, step)])
+    count = -(-(wrong.points + correct.points) // block)
     cuts = np.unique(np.quantile(sample.astype(np.float64), np.arange(1, count) / count))
     edges = [-np.inf, *cuts.tolist(), np.inf]
     return list(itertools.pairwise(edges))
@@ -115,10 +116,9 @@ def _within(points: F32, low: F32, high: F32) -> Bool:
 
 
 def summary(fine: I64) -> dict[str, Any]:
-    """Percentiles, shares and the histogram of distances that were counted by ``distances``, as plain JSON values.
+    """Percentiles, shares and the histogram of the distances counted by ``distances``, as plain JSON values.
 
-    All None without any wrong point, or without any right point to measure to. A percentile is None, too, where it lies
-    beyond 2 m.
+    All None without wrong points, or without correct points to measure to. A percentile beyond 2 m is None as well.
     """
     count = int(fine.sum())
     cumulative = np.cumsum(fine)

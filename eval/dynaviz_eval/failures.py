@@ -1,4 +1,4 @@
-"""Failure cases: wrong points that belong together, and what is to blame for them in the paper's terms."""
+"""Failure cases: wrong points that belong together, and their causes in the paper's terms."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from dynaviz.spatial.grid import in_key_range, pack
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 
-SPAN = 20.0  # metres: a hole in the map is told in parts of at most this size; what moved may leave a longer trail
+SPAN = 20.0  # metres: maximum size of a false-positive case; larger holes are split. Trails of movers may be longer
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
 class Failures:
-    """Section ``failures``: where, when and why points are wrong, the costliest case first.
+    """Section ``failures``: where, when and why points are wrong, costliest case first.
 
-    ``cases``: at most 100; of each its ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
-    ``last_frame``, ``worst_frame``, ``low`` and ``high`` corner (metres, world frame), ``range`` from the sensor
-    (metres), how far it ``moved`` (metres), ``reasons`` by count, ``cause``, ``class``, ``instance``, ``what`` it is,
-    and a ``sentence``. ``causes``: cases and points of each kind by cause, of all cases; ``others``: those not listed.
+    ``cases``: at most 100, each with ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
+    ``last_frame``, ``worst_frame``, number of ``frames``, ``low`` and ``high`` corner (metres, world frame), ``range``
+    from the sensor (metres), distance ``moved`` (metres), ``reasons`` with their counts, ``cause``, ``class``,
+    ``instance``, ``what`` it is, and a ``sentence``. ``causes``: numbers of cases and points by kind and cause, of all
+    cases. ``others``: cases and points that are not listed.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -44,49 +45,49 @@ class Failures:
         self._names: dict[int, str] = {}
         self._totals = dict.fromkeys(_KINDS, 0)
         self._frame = 0
-        self._told: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        self._listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Join the wrong points of a scan to cases."""
+        """Join the wrong points of a scan into cases."""
         scan, self._frame = labelled.scan, labelled.frame
         if scan.labels is None:
             return {}
-        self._names |= {number: name for number, name in scan.class_names.items() if number}  # 0 is no class
+        self._names |= {number: name for number, name in scan.class_names.items() if number}  # 0 means unlabelled
         self._totals["false_negative"] += int((scan.labels == Label.DYNAMIC).sum())
         self._totals["false_positive"] += int((scan.labels == Label.STATIC).sum())
         for kind, cases in self._cases.items():
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
-            wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # not those without a place
+            wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # drop non-finite and very distant points
             points, groups = scan.points[wrong], _groups(scan, wrong, kind)
             ranges = np.sqrt(((points - _origins(scan, wrong)) ** 2).sum(1))
-            beside = _beside(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
-            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, beside)
+            near = _near_dynamic(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
+            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near)
         return {}
 
     def finish(self) -> Mapping[str, Any]:
         """The section."""
-        told: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
         for kind, cases in self._cases.items():
-            cases.settle(self._frame + GAP + 1)  # by then all are over
-            told += self._described(kind, cases.rows)
+            cases.settle(self._frame + GAP + 1)  # all cases are over by then
+            listed += self._described(kind, cases.rows)
             self._count(kind, summed(cases.rows))
-        told.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))
-        self._told = told[:KEEP]
+        listed.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))
+        self._listed = listed[:KEEP]
         counts = [count for by in self._causes.values() for count in by.values()]
         others = {
-            "cases": sum(count["cases"] for count in counts) - len(self._told),
-            "points": sum(count["points"] for count in counts) - sum(case["points"] for case, _ in self._told),
+            "cases": sum(count["cases"] for count in counts) - len(self._listed),
+            "points": sum(count["points"] for count in counts) - sum(case["points"] for case, _ in self._listed),
         }
         ordered = {kind: dict(sorted(by.items(), key=lambda i: -i[1]["points"])) for kind, by in self._causes.items()}
-        return {"failures": {"cases": [case for case, _ in self._told], "causes": ordered, "others": others}}
+        return {"failures": {"cases": [case for case, _ in self._listed], "causes": ordered, "others": others}}
 
     def figures(self) -> Mapping[str, Figure]:
-        """A box around each case in each of its frames."""
-        if not self._told:
+        """A box around each case, overall and in each of its frames."""
+        if not self._listed:
             return {}
-        cases = [case for case, _ in self._told]
-        rows = np.concatenate([rows for _, rows in self._told])
-        number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in self._told])
+        cases = [case for case, _ in self._listed]
+        rows = np.concatenate([rows for _, rows in self._listed])
+        number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in self._listed])
         low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
         return {
             "failures": FrameBoxes(
@@ -102,7 +103,7 @@ class Failures:
         }
 
     def _count(self, kind: str, over: NDArray[np.void]) -> None:
-        """Add cases that are over to those of their causes."""
+        """Add cases that are over to the counts of their causes."""
         for cause, points in zip(causes_of(kind, over, self._reasons), over["points"].tolist(), strict=True):
             count = self._causes[kind][str(cause or "unknown")]
             count["cases"] += 1
@@ -144,7 +145,7 @@ class Failures:
 
 
 def _groups(scan: Scan, chosen: Intp, kind: str) -> I64:
-    """Class, and for what moves the object, as one number; 0 where the data tell neither."""
+    """Class, and for dynamic points the object, packed into one number; 0 if unknown."""
     groups = np.zeros(len(chosen), np.int64)
     if scan.classes is not None:
         groups += (scan.classes[chosen].astype(np.int64) + 1) << 32
@@ -158,15 +159,15 @@ def _origins(scan: Scan, chosen: Intp) -> F32:
     return origins.astype(np.float32)
 
 
-def _beside(points: F32, scan: Scan) -> Bool:
-    """(N,) bool: whether something that moves lies in a point's cell, or in one that touches it, in the same scan."""
-    moving = scan.points[scan.labels == Label.DYNAMIC]
-    moving = moving[in_key_range(moving, EDGE)]
-    if not len(moving) or not len(points):
+def _near_dynamic(points: F32, scan: Scan) -> Bool:
+    """(N,) bool: whether the scan has dynamic points in a point's cell, or in a cell that touches it."""
+    dynamic = scan.points[scan.labels == Label.DYNAMIC]
+    dynamic = dynamic[in_key_range(dynamic, EDGE)]
+    if not len(dynamic) or not len(points):
         return np.zeros(len(points), np.bool_)
     steps = np.arange(-1, 2)
     around = ((steps[:, None, None] << X_SHIFT) + (steps[:, None] << Y_SHIFT) + steps).ravel()
-    near = np.unique(np.unique(pack(moving, EDGE))[:, None] + around)
+    near = np.unique(np.unique(pack(dynamic, EDGE))[:, None] + around)
     return np.isin(pack(points, EDGE), near)
 
 

@@ -1,4 +1,4 @@
-"""Why points were kept or removed, crossed with whether that was right: what each kind of failure costs."""
+"""The method's reasons by outcome, and the cost of wrong points by reason."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _KINDS = {
 
 
 class Reasons:
-    """Section ``reasons``: for each outcome how many points each reason led to it, what that costs, and the legend.
+    """Section ``reasons``: points by outcome and reason, the cost of each reason, and the meaning of each.
 
-    ``cost`` tells how many percentage points of SA and DA a reason's wrong points take away; the costs of all reasons
-    add up to 100 - SA and 100 - DA.
+    ``cost`` is the number of percentage points of SA and DA lost to the wrong points of a reason; the costs of all
+    reasons add up to 100 - SA and 100 - DA.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -33,7 +33,7 @@ class Reasons:
         self._crossed = np.zeros((len(Outcome), _CODES), np.int64)
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Add the points of one scan; the curves count the wrong points of this frame by reason."""
+        """Add the points of one scan. The curves are the wrong points of this frame by reason."""
         flat = labelled.outcome * np.int32(_CODES) + labelled.reasons
         crossed = np.bincount(flat, minlength=self._crossed.size).reshape(self._crossed.shape)
         self._crossed += crossed
@@ -44,7 +44,7 @@ class Reasons:
         }
 
     def finish(self) -> Mapping[str, Any]:
-        """The section; most frequent reasons first."""
+        """The section, most frequent reasons first."""
         counts = Counts.of_histogram(self._crossed.sum(1))
         static, dynamic = counts.static_kept + counts.static_removed, counts.dynamic_kept + counts.dynamic_removed
         wrong = self._crossed[Outcome.FALSE_POSITIVE], self._crossed[Outcome.FALSE_NEGATIVE]
@@ -69,5 +69,5 @@ class Reasons:
         return {self._name(code): int(counts[code]) for code in order.tolist() if counts[code]}
 
     def _name(self, code: int) -> str:
-        """The reason's name; a code beyond the legend is a method's fault and shows as such."""
+        """The name of a reason; a code that the method does not declare shows as a number."""
         return self._legend[code].name if code < len(self._legend) else f"code {code}"

@@ -1,4 +1,4 @@
-"""Points kept on disk while a run goes on, so that memory does not grow with its length."""
+"""Points stored on disk during a run, so that memory does not grow with its length."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dynaviz.errors import DynavizError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Span:
-    """Where the points of one frame lie: in the file, and in the world."""
+    """The points of one frame: their position in the file, and their bounds in the world."""
 
     frame: int
     start: int
@@ -25,12 +25,12 @@ class _Span:
 
 
 class PointSpool:
-    """(N, 3) float32 points, metres, world frame, frame by frame in a temporary file.
+    """(N, 3) float32 points, metres, world frame, stored frame by frame in a temporary file.
 
-    The file has no name where the system allows that, and in any case goes with this object.
+    The file has no name if the system allows that. It is deleted with this object.
 
     Raises:
-        DynavizError: where the disk is full.
+        DynavizError: if the disk is full.
     """
 
     def __init__(self) -> None:
@@ -57,39 +57,39 @@ class PointSpool:
         except OSError as error:
             where, size = tempfile.gettempdir(), self._end / 1e6
             raise DynavizError(
-                f"{where}: cannot hold {size:.0f} MB of temporary points ({error.strerror}). "
-                "Make room there, or set TMPDIR to a folder on a larger disk."
+                f"{where}: cannot write {size:.0f} MB of temporary points ({error.strerror}). "
+                "Free some space, or set TMPDIR to a folder on a larger disk."
             ) from None
 
     def bounds(self) -> tuple[F64, F64]:
-        """Low and high corner, (3,) float64 each, of at least one point."""
+        """Low and high corner, (3,) float64 each. Needs at least one point."""
         return np.min([e.low for e in self._extents], axis=0), np.max([e.high for e in self._extents], axis=0)
 
     def sample(self, axis: int, step: int) -> F32:
-        """One coordinate of every ``step``-th point of each frame, at least one a frame."""
-        # Copies, because a view would keep all points of its frame in memory.
+        """One coordinate of every ``step``-th point of each frame, at least one per frame."""
+        # Copy: a view would keep all points of its frame in memory.
         return np.concatenate([self._read(extent)[::step, axis].copy() for extent in self._extents])
 
     def blocks(self, axis: int, low: float, high: float, size: int) -> Iterator[tuple[F32, I64]]:
-        """Points with low <= p[axis] < high and their frames, about ``size`` of them at a time.
+        """Points with low <= p[axis] < high and their frames, about ``size`` at a time.
 
-        A block is valid until the next one: they share one buffer.
+        A block is valid until the next one, because they share a buffer.
         """
         crossing = [e for e in self._extents if e.high[axis] >= low and e.low[axis] < high]
-        room = min(size + max((e.count for e in crossing), default=0), sum(e.count for e in crossing))
-        points, frames, held = np.empty((room, 3), np.float32), np.empty(room, np.int64), 0
+        capacity = min(size + max((e.count for e in crossing), default=0), sum(e.count for e in crossing))
+        points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int64), 0
         for extent in crossing:
-            if held >= size:
-                yield points[:held], frames[:held]
-                held = 0
+            if filled >= size:
+                yield points[:filled], frames[:filled]
+                filled = 0
             chosen = self._read(extent)
             along = chosen[:, axis]
             chosen = np.compress((along >= low) & (along < high), chosen, 0)
-            points[held : held + len(chosen)] = chosen
-            frames[held : held + len(chosen)] = extent.frame
-            held += len(chosen)
-        if held:
-            yield points[:held], frames[:held]
+            points[filled : filled + len(chosen)] = chosen
+            frames[filled : filled + len(chosen)] = extent.frame
+            filled += len(chosen)
+        if filled:
+            yield points[:filled], frames[:filled]
 
     def _read(self, extent: _Span) -> F32:
         self._file.seek(extent.start)

@@ -1,4 +1,4 @@
-"""Voxel-wise preservation and rejection, as the papers of the ERASOR family report them; not the headline."""
+"""Voxel-wise preservation and rejection rates, as reported by papers of the ERASOR family; not the main metric."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ EDGE = 0.2  # metres
 class Voxelwise:
     """Section ``voxelwise``: PR, RR and F1 of voxels of 0.2 m (Lim et al., "ERASOR", RA-L 2021).
 
-    A voxel is static if any static point lies in it, else dynamic if any dynamic point does; it is kept if any kept
-    point lies in it. PR: share of static voxels kept; RR: share of dynamic voxels not kept; F1: their harmonic mean;
-    all in percent. One kept point keeps its voxel, so these numbers flatter a method compared with SA and DA.
-    Unlabelled points do not count. Memory grows with the mapped area.
+    A voxel is static if it contains a static point, else dynamic if it contains a dynamic point. It is kept if it
+    contains a kept point. PR: share of static voxels kept; RR: share of dynamic voxels not kept; F1: their harmonic
+    mean; all in percent. A single kept point keeps its voxel, so these numbers flatter a method compared with SA and
+    DA. Unlabelled points do not count. Memory grows with the mapped area.
 
-    Of a cleaned map that another program wrote, a voxel is kept if any point of that map lies in it, as those papers
-    count; the radius of the scoring plays no part.
+    For a cleaned map written by another program, a voxel is kept if it contains a point of that map, as in those
+    papers; the radius of nearest-neighbour scoring is not used.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -33,12 +33,12 @@ class Voxelwise:
         self._has_map = False
 
     def cleaned_map(self, points: F32) -> None:
-        """Take the voxels of a cleaned map, (M, 3) float32, metres, world frame, for the kept ones."""
+        """Use the voxels of a cleaned map, (M, 3) float32, metres, world frame, as the kept ones."""
         self._kept.add(pack(points, EDGE))
         self._has_map = True
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
-        """Note the voxels of one scan."""
+        """Add the voxels of one scan."""
         if labelled.scan.labels is not None:
             finite = in_key_range(labelled.scan.points, EDGE)
             keys = np.zeros(len(labelled.scan), np.int64)
@@ -51,13 +51,15 @@ class Voxelwise:
         return {}
 
     def finish(self) -> Mapping[str, Any]:
-        """The section; None where there is no voxel to count."""
+        """The section; rates are None if there are no voxels to count."""
         static, kept = self._static.keys(), self._kept.keys()
         dynamic = np.setdiff1d(self._dynamic.keys(), static, assume_unique=True)
         static_kept, dynamic_kept = (len(np.intersect1d(v, kept, assume_unique=True)) for v in (static, dynamic))
         PR = 100.0 * static_kept / len(static) if len(static) else None
         RR = 100.0 * (1 - dynamic_kept / len(dynamic)) if len(dynamic) else None
-        F1 = None if PR is None or RR is None else 2 * PR * RR / (PR + RR) if PR + RR else 0.0
+        F1 = None
+        if PR is not None and RR is not None:
+            F1 = 2 * PR * RR / (PR + RR) if PR + RR else 0.0
         counts = {
             "static": len(static),
             "static_kept": static_kept,

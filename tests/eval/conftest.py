@@ -21,7 +21,7 @@ def info() -> MethodInfo:
 
 @pytest.fixture
 def make_labelled() -> Callable[..., Labelled]:
-    """Labelled scans of random points, or of the arrays that are given."""
+    """Make labelled scans of random points, or of the given arrays."""
 
     def make(frame: int = 0, n: int = 400, **given) -> Labelled:
         rng = np.random.default_rng(1000 + frame)

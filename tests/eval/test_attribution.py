@@ -1,4 +1,4 @@
-"""Causes of cases at the very bounds of each rule, and what is said of them."""
+"""Causes of cases at the bounds of each rule, and the sentences about them."""
 
 import numpy as np
 import pytest
@@ -9,29 +9,29 @@ from dynaviz_eval.cases import Cases, summed
 
 REASONS = (
     Reason("crossed", "rays", Cause.GRAZING_RAYS),
-    Reason("crossed_often", "rays, too", Cause.GRAZING_RAYS),
+    Reason("crossed_often", "rays as well", Cause.GRAZING_RAYS),
     Reason("never_crossed", "no rays", Cause.NOTHING_BEHIND),
     Reason("few_rays", "few rays", Cause.SPARSE_RINGS),
     Reason("too_high", "height", Cause.HEIGHT_LIMIT),
-    Reason("mystery", "nobody knows"),
+    Reason("mystery", "unknown"),
 )
 CASE = summed(np.empty(0, Cases(len(REASONS) + 1, np.inf).kind)).dtype
 
 
-def cause(kind: str, said: int, size=(1, 1, 1), **looks) -> Cause | None:
+def cause(kind: str, reason: int, size=(1, 1, 1), **looks) -> Cause | None:
     total = np.zeros(1, CASE)
     for name, value in {"points": 100, "cells": 10, **looks}.items():
         total[name] = value
     total["low"], total["high"] = 5, np.asarray(size, np.float32) + 5
-    total["reasons"][0, said] = 100
+    total["reasons"][0, reason] = 100
     return causes_of(kind, total, REASONS)[0]
 
 
 @pytest.mark.parametrize(
     ("looks", "expected"),
     [
-        ({"beside": 51}, Cause.SHARED_CELL),
-        ({"beside": 50}, Cause.NOTHING_BEHIND),
+        ({"near_dynamic": 51}, Cause.SHARED_CELL),
+        ({"near_dynamic": 50}, Cause.NOTHING_BEHIND),
         ({"size": (1.6, 0.1, 0.5)}, Cause.GRAZING_RAYS),
         ({"size": (0.1, 1.6, 0.5)}, Cause.GRAZING_RAYS),
         ({"size": (1.6, 1.6, 0.61)}, Cause.NOTHING_BEHIND),
@@ -40,12 +40,12 @@ def cause(kind: str, said: int, size=(1, 1, 1), **looks) -> Cause | None:
         ({"cells": 50}, Cause.NOTHING_BEHIND),
     ],
 )
-def test_what_was_removed_is_blamed_on_how_it_lies(looks, expected):
+def test_the_cause_of_a_removed_case_depends_on_its_shape(looks, expected):
     assert cause("false_positive", 2, **looks) is expected
 
 
 @pytest.mark.parametrize(
-    ("said", "looks", "expected"),
+    ("reason", "looks", "expected"),
     [
         (0, {"frames": 10, "moved": 0.99}, Cause.STANDING),
         (0, {"frames": 9, "moved": 0.99}, Cause.NOTHING_BEHIND),
@@ -56,18 +56,18 @@ def test_what_was_removed_is_blamed_on_how_it_lies(looks, expected):
         (0, {"size": (9, 9, 0.1)}, Cause.NOTHING_BEHIND),
     ],
 )
-def test_what_was_kept_is_blamed_on_how_it_moves(said, looks, expected):
-    assert cause("false_negative", said, **looks) is expected
+def test_the_cause_of_a_kept_case_depends_on_its_motion(reason, looks, expected):
+    assert cause("false_negative", reason, **looks) is expected
 
 
 @pytest.mark.parametrize("kind", ["false_negative", "false_positive"])
-def test_the_looks_do_not_matter_where_rays_do_not(kind):
-    looks = {"frames": 20, "beside": 100, "cells": 100, "size": (9, 9, 0.1)}
+def test_shape_and_motion_only_refine_causes_of_visibility(kind):
+    looks = {"frames": 20, "near_dynamic": 100, "cells": 100, "size": (9, 9, 0.1)}
     assert cause(kind, 4, **looks) is Cause.HEIGHT_LIMIT
-    assert cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None  # the last code has no legend
+    assert cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None  # the last code has no reason
 
 
-def test_the_cause_of_most_points_counts_whatever_their_reasons():
+def test_the_cause_of_most_points_wins_over_the_most_frequent_reason():
     total = np.zeros(1, CASE)
     total["points"], total["cells"], total["high"] = 100, 10, (9, 9, 0.1)
     total["reasons"] = [30, 30, 0, 0, 40, 0, 0]
@@ -81,19 +81,19 @@ def test_the_cause_of_most_points_counts_whatever_their_reasons():
     [
         ((1.6, 0.1, 0.5), "level surface"),
         ((1.4, 0.1, 1.5), "pole or trunk"),
-        ((0.1, 1.4, 1.3), "small thing"),
-        ((1, 1, 1), "small thing"),
+        ((0.1, 1.4, 1.3), "small object"),
+        ((1, 1, 1), "small object"),
         ((1.5, 0.1, 0.5), "wall or other surface"),
         ((1.6, 0.1, 0.6), "wall or other surface"),
         ((0.1, 1.5, 3), "wall or other surface"),
     ],
 )
-def test_things_are_called_by_their_size(size, expected):
+def test_unnamed_cases_are_named_by_their_size(size, expected):
     assert shape("false_positive", np.array(size, np.float32)) == expected
-    assert shape("false_negative", np.array(size, np.float32)) == "something that moves"
+    assert shape("false_negative", np.array(size, np.float32)) == "moving object"
 
 
-def told(**values) -> str:
+def sentence_of(**values) -> str:
     case = {"kind": "false_negative", "what": "car", "cause": "standing too long", "frames": 2, "moved": 1.0}
     case |= {
         "range": {"min": 3.2, "max": 8.4},
@@ -105,11 +105,11 @@ def told(**values) -> str:
 
 
 def test_sentences():
-    stood = "It stood too long: seen there more often than seen through."
-    assert told() == f"Kept: car, 2 frames, 3 to 8 m away, moved 1 m. {stood}"
-    assert told(frames=1, moved=0.9) == f"Kept: car, 1 frame, 3 to 8 m away, hardly moved. {stood}"
-    assert told(cause=None, range={"min": 3.2, "max": 3.4}).endswith(
-        "frames, 3 m away, moved 1 m. The method says: mystery."
+    stayed = "It stayed too long: observed more often as occupied than as free."
+    assert sentence_of() == f"Kept: car, 2 frames, 3 to 8 m away, moved 1 m. {stayed}"
+    assert sentence_of(frames=1, moved=0.9) == f"Kept: car, 1 frame, 3 to 8 m away, moved less than 1 m. {stayed}"
+    assert sentence_of(cause=None, range={"min": 3.2, "max": 3.4}).endswith(
+        "frames, 3 m away, moved 1 m. The method's reason: mystery."
     )
-    removed = told(kind="false_positive", cause="grazing rays")
-    assert removed.startswith("Removed: car, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away. Rays that passed it")
+    removed = sentence_of(kind="false_positive", cause="grazing rays")
+    assert removed.startswith("Removed: car, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away. Rays at grazing angles")

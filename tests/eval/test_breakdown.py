@@ -21,7 +21,7 @@ def breakdown(info, *labelled):
     return section
 
 
-def test_every_part_adds_up_to_the_whole(info, make_labelled):
+def test_every_list_adds_up_to_the_total(info, make_labelled):
     frames = [make_labelled(k, instances=np.ones(400)) for k in range(3)]
     total = sum((Counts.of(f.outcome) for f in frames), Counts())
     section = breakdown(info, *frames)
@@ -48,7 +48,7 @@ def test_ranges_use_each_points_own_origin(info, make_labelled):
     assert [row["static_kept"] for row in section["range"]] == [1, 0, 0, 1, 0]
 
 
-def test_ranges_are_those_of_space(info, make_labelled):
+def test_ranges_are_three_dimensional(info, make_labelled):
     points = np.array([[0, 12, 16], [24, 0, 32], [6, 8, 0], [-3, -4, -12]])  # 20, 40, 10 and 13 m away
     section = breakdown(info, make_labelled(0, points=points, labels=[0] * 4, dynamic=[False] * 4))
     assert [row["static_kept"] for row in section["range"]] == [0, 2, 1, 1, 0]
@@ -74,7 +74,7 @@ def slope(rng, n=20_000):
     return np.c_[xy, 0.05 * xy[:, 0] - 1.7 + rng.normal(0, 0.02, n)]
 
 
-def test_heights_follow_the_ground_and_survive_points_below_it():
+def test_heights_follow_the_ground_despite_points_below_it():
     rng = np.random.default_rng(0)
     ground = slope(rng)
     posts = np.c_[rng.uniform(-18, 18, (50, 2)), np.zeros(50)]
@@ -94,11 +94,11 @@ def test_ground_is_the_fifth_lowest_point_around():
     for point, cell in zip(points, cells, strict=True):
         around = np.sort(points[(np.abs(cells - cell) <= 1).all(1), 2])
         expected.append(point[2] - around[min(len(around) // 4, 4)])
-    assert len({len(points[(np.abs(cells - c) <= 1).all(1)]) < 20 for c in cells}) == 2  # dense and sparse places
+    assert len({len(points[(np.abs(cells - c) <= 1).all(1)]) < 20 for c in cells}) == 2  # dense and sparse cells
     np.testing.assert_array_equal(heights_above_ground(points), np.array(expected, np.float32))
 
 
-def test_heights_do_not_depend_on_where_the_world_begins():
+def test_heights_do_not_depend_on_the_origin_of_the_world():
     ground = np.round(slope(np.random.default_rng(1), 3000) * 64) / 64  # exact in float32, here and far away
     moved = heights_above_ground(ground + np.array([4096, -1024, 50]))
     np.testing.assert_array_equal(moved, heights_above_ground(ground))
@@ -109,7 +109,7 @@ def test_heights_of_a_single_point():
     assert heights_above_ground(np.zeros((0, 3))).shape == (0,)
 
 
-def test_objects_are_listed_from_the_most_missed(info, make_labelled):
+def test_objects_are_sorted_by_missed_points(info, make_labelled):
     def scan(frame, dynamic):
         return make_labelled(
             frame,
@@ -124,12 +124,12 @@ def test_objects_are_listed_from_the_most_missed(info, make_labelled):
     assert [(row["class"], row["instance"], row["dynamic_kept"], row["points"]) for row in rows] == [
         (254, 9, 3, 4),
         (252, 7, 1, 4),
-    ]  # a parked car is no moving object
+    ]  # a parked car is not listed
     assert rows[0]["DA"] == 25
     assert (rows[0]["first_frame"], rows[0]["last_frame"]) == (0, 4)
 
 
-def test_classes_alone_make_objects(info, make_labelled):
+def test_classes_without_instances_make_objects(info, make_labelled):
     labelled = make_labelled(0, points=np.zeros((3, 3)), labels=[1, 1, 0], classes=[252, 254, 40], dynamic=[1, 0, 0])
     rows = breakdown(info, labelled)["object"]
     assert [(row["class"], row["instance"], row["DA"]) for row in rows] == [(254, 0, 0), (252, 0, 100)]
@@ -146,7 +146,7 @@ def test_an_object_that_stops_keeps_its_row_and_its_frames(info, make_labelled):
     assert [row[name] for name in COUNTED] == [2, 2, 1, 1, 0]
 
 
-def test_objects_missed_alike_are_in_the_order_of_their_numbers(info, make_labelled):
+def test_objects_with_equal_misses_are_sorted_by_number(info, make_labelled):
     classes, instances = [5, 5, 3, 4], [2, 1, 9, 9]
     labelled = make_labelled(
         0, points=np.zeros((4, 3)), labels=[1] * 4, classes=classes, instances=instances, dynamic=[False] * 3 + [True]
@@ -158,7 +158,7 @@ def test_objects_missed_alike_are_in_the_order_of_their_numbers(info, make_label
 def test_objects_need_truth(info, make_labelled):
     known = make_labelled(0, labels=None, instances=np.ones(400), dynamic=np.zeros(400, bool))
     assert breakdown(info, known)["object"] == []
-    assert breakdown(info, make_labelled(0))["object"] == []  # labels, and nothing that tells objects apart
+    assert breakdown(info, make_labelled(0))["object"] == []  # labels without classes or instances
 
 
 def test_no_objects_without_truth(info, make_labelled):

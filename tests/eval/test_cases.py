@@ -1,43 +1,43 @@
-"""Cases as rows of numbers: what each row tells, and what is forgotten when."""
+"""Rows of cases: their fields, and when cases are dropped."""
 
 import numpy as np
 
 from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, summed
 
 
-def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, beside=False) -> None:
+def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, near_dynamic=False) -> None:
     points = np.asarray(points, np.float32).reshape(-1, 3)
     n = len(points)
-    dtypes = (groups, np.int64), (reasons, np.uint8), (ranges, np.float32), (beside, np.bool_)
+    dtypes = (groups, np.int64), (reasons, np.uint8), (ranges, np.float32), (near_dynamic, np.bool_)
     cases.add(frame, points, *(np.broadcast_to(np.asarray(v, t), n) for v, t in dtypes))
 
 
-def test_a_row_tells_the_points_of_a_case_in_a_frame():
+def test_a_row_describes_a_case_in_a_frame():
     cases = Cases(3, np.inf)
     points = [[0.1, 0.2, 0.3], [9, 9, 9], [0.2, 0.1, 0.6], [0.3, 0.3, 0.2]]
     add(cases, 4, points, [7, 8, 7, 7], [0, 2, 1, 200], [1.5, 5, 2.5, 2], [True, False, True, False])
     cases.settle(4 + GAP + 1)
     row, other = sorted(cases.rows, key=lambda row: row["group"])
-    assert [int(row[name]) for name in ("frame", "group", "points", "cells", "beside")] == [4, 7, 3, 2, 2]
+    assert [int(row[name]) for name in ("frame", "group", "points", "cells", "near_dynamic")] == [4, 7, 3, 2, 2]
     np.testing.assert_allclose(row["low"], [0.1, 0.1, 0.2], rtol=1e-6)
     np.testing.assert_allclose(row["high"], [0.3, 0.3, 0.6], rtol=1e-6)
     assert (row["near"], row["far"], row["ranges"], row["reasons"].tolist()) == (1.5, 2.5, 6.0, [1, 1, 1])
     assert (other["points"], other["cells"], other["reasons"].tolist()) == (1, 1, [0, 0, 1])
 
 
-def test_what_was_two_cases_of_a_frame_becomes_one_row():
+def test_two_cases_of_a_frame_that_join_later_become_one_row():
     cases = Cases(1, np.inf)
-    add(cases, 0, [[0, 0, 0], [2, 0, 0]], ranges=[1, 4], beside=True)
+    add(cases, 0, [[0, 0, 0], [2, 0, 0]], ranges=[1, 4], near_dynamic=True)
     add(cases, 1, [[0.6, 0, 0], [1.1, 0, 0], [1.6, 0, 0]])  # a bridge between them
     cases.settle(1 + GAP + 1)
     first, second = cases.rows
     assert (first["case"], second["case"], first["frame"], second["frame"]) == (0, 0, 0, 1)
-    assert (first["points"], first["cells"], first["beside"], first["ranges"]) == (2, 2, 2, 5)
+    assert (first["points"], first["cells"], first["near_dynamic"], first["ranges"]) == (2, 2, 2, 5)
     assert (first["near"], first["far"], first["low"][0], first["high"][0]) == (1, 4, 0, 2)
     assert second["points"] == 3
 
 
-def test_a_sum_tells_first_last_and_worst_frame_and_the_way_between_middles():
+def test_a_summed_case_has_its_first_last_and_worst_frame_and_its_motion():
     cases = Cases(1, np.inf)
     for frame, x, n in ((0, 0.0, 1), (1, 0.3, 4), (2, 0.6, 4), (5, 0.9, 2)):
         add(cases, frame, [[x, 0, 0]] * n + [[x, 0.2, 0.2]])
@@ -47,20 +47,20 @@ def test_a_sum_tells_first_last_and_worst_frame_and_the_way_between_middles():
     np.testing.assert_allclose(total["moved"], 0.3, rtol=1e-5)  # three first: 0, .3, .6; three last: .3, .6, .9
 
 
-def test_only_what_is_over_is_forgotten_and_the_largest_never():
+def test_only_cases_that_are_over_are_dropped_and_the_largest_never():
     small = []
     cases = Cases(1, np.inf, small.extend)
     many = np.stack([2.0 * np.arange(KEEP + 20), np.zeros(KEEP + 20), np.zeros(KEEP + 20)], 1)
     add(cases, 0, many)
     add(cases, 1, many[10 : KEEP + 10])  # these have two points
     cases.settle(GAP)
-    assert not small  # what touches them in the next frame is still of their case
+    assert not small  # points that touch them in the next frame still join them
     cases.settle(GAP + 1)
     assert (len(np.unique(cases.rows["case"])), len(small)) == (KEEP, 20)
     assert summed(cases.rows)["points"].sum() + sum(case["points"] for case in small) == 2 * KEEP + 20
 
 
-def test_a_case_that_goes_on_after_a_settling_is_the_same():
+def test_a_case_continues_after_settling():
     cases = Cases(1, np.inf)
     for frame in range(3 * EVERY):
         add(cases, frame, [[0.1 * frame, 0, 0], [0, 50 + 0.1 * frame, 0]])
@@ -68,7 +68,7 @@ def test_a_case_that_goes_on_after_a_settling_is_the_same():
     assert sorted(summed(cases.rows)["frames"]) == [3 * EVERY] * 2
 
 
-def test_a_span_bounds_a_case_also_over_frames_and_settlings():
+def test_the_span_limits_a_case_over_frames_and_settling():
     cases = Cases(1, 5.0)
     for frame in range(4 * EVERY):
         add(cases, frame, [[0.25 * frame, 0, 0]])
@@ -78,7 +78,7 @@ def test_a_span_bounds_a_case_also_over_frames_and_settlings():
     assert len(total) == 4
 
 
-def test_there_is_room_for_twice_the_cells_that_come_between_settlings():
+def test_the_table_has_room_for_twice_the_cells_added_between_settling():
     cases = Cases(1, np.inf)
     for frame in range(EVERY - 1):
         add(cases, frame, np.stack([2.0 * np.arange(150), np.full(150, 2.0 * frame), np.zeros(150)], 1))

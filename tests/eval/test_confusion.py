@@ -25,7 +25,7 @@ PAPER = {  # table "Quantitative comparison", KITTI 00, before rounding as the b
 
 
 @pytest.mark.parametrize("method", PAPER)
-def test_AA_is_the_papers(method):
+def test_AA_matches_the_paper(method):
     SA, DA, AA = PAPER[method]
     kept, removed = round(SA * 10_000), round(DA * 10_000)  # of a million each
     metrics = Counts(kept, 1_000_000 - kept, removed, 1_000_000 - removed).metrics()
@@ -44,7 +44,7 @@ def test_every_percentage_by_hand():
     }
 
 
-def test_undefined_is_neither_0_nor_100():
+def test_undefined_percentages_are_none():
     only_static = Counts(static_kept=3, static_removed=1).metrics()
     assert only_static["SA"] == 75
     assert only_static["DA"] is only_static["AA"] is only_static["HA"] is None
@@ -55,13 +55,13 @@ def test_undefined_is_neither_0_nor_100():
     assert set(Counts(unlabelled=5).metrics().values()) == {None}
 
 
-def test_both_accuracies_zero_have_the_mean_zero():
+def test_the_mean_of_two_zero_accuracies_is_zero():
     counts = Counts(static_removed=1, dynamic_kept=1)
     assert (counts.AA, counts.HA) == (0, 0)
 
 
 @given(OUTCOMES, OUTCOMES)
-def test_adding_counts_is_joining_points(a, b):
+def test_adding_counts_equals_counting_all_points(a, b):
     assert Counts.of(a) + Counts.of(b) == Counts.of(np.concatenate([a, b]))
 
 
@@ -73,7 +73,7 @@ def test_the_order_of_points_does_not_matter(outcome, random):
 
 
 @given(OUTCOMES)
-def test_no_point_is_lost_and_means_are_in_order(outcome):
+def test_every_point_counts_once_and_HA_AA_are_means(outcome):
     counts = Counts.of(outcome)
     assert sum(dataclasses.astuple(counts)) == len(outcome)
     if not math.isnan(counts.AA):
@@ -81,13 +81,13 @@ def test_no_point_is_lost_and_means_are_in_order(outcome):
         assert low - 1e-9 <= counts.HA <= counts.AA + 1e-9 <= high + 2e-9
 
 
-def test_counts_name_what_they_count():
+def test_counts_by_label_and_answer():
     labels = np.array([0, 0, 1, 1, 255, 255], np.uint8)
     removed = np.array([False, True, False, True, False, True])
     assert Counts.of(outcomes(labels, removed)) == Counts(1, 1, 1, 1, 2)
 
 
-def test_curves_are_of_the_frame_and_up_to_it(info, make_labelled):
+def test_curves_are_per_frame_and_cumulative(info, make_labelled):
     metric = Confusion(info)
     kept = metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=[0, 0, 0, 1], dynamic=[False] * 3 + [True]))
     assert (kept["SA/frame"], kept["DA/so_far"]) == (100, 100)

@@ -1,4 +1,4 @@
-"""Distances of wrong points to right ones."""
+"""Distances from wrong points to correct ones."""
 
 import errno
 import gc
@@ -16,11 +16,11 @@ from dynaviz_eval.error_distance import EDGES, ErrorDistance, distances, summary
 from dynaviz_eval.spool import PointSpool
 
 
-def spilled(clouds):
-    spill = PointSpool()
+def spool_of(clouds):
+    spool = PointSpool()
     for frame, points in enumerate(clouds):
-        spill.append(frame, np.asarray(points, np.float32).reshape(-1, 3))
-    return spill
+        spool.append(frame, np.asarray(points, np.float32).reshape(-1, 3))
+    return spool
 
 
 def clouds(frames, n, seed, spread):
@@ -39,7 +39,7 @@ def run(info, *labelled):
     return metric.finish()["error_distance"], metric.figures()
 
 
-def test_distances_reach_over_frames(info, make_labelled):
+def test_distances_span_frames(info, make_labelled):
     missed = make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False])
     later = make_labelled(1, points=[[0.3, 0.4, 0], [9, 0, 0]], labels=[1, 0], dynamic=[True, True])
     section, histograms = run(info, missed, later)
@@ -74,7 +74,7 @@ def test_sections_equal_all_pairs_of_all_frames(info, make_labelled):
 
 @pytest.mark.parametrize("block", [20, 333])
 def test_slabs_and_blocks_change_nothing(block):
-    wrong, right = spilled(clouds(6, 60, 1, 2.0)), spilled(clouds(7, 80, 2, 2.0))
+    wrong, right = spool_of(clouds(6, 60, 1, 2.0)), spool_of(clouds(7, 80, 2, 2.0))
     whole = distances(wrong, right, 6, block=10**9)
     cut = distances(wrong, right, 6, block=block)
     assert whole[0].sum() == 360
@@ -82,20 +82,20 @@ def test_slabs_and_blocks_change_nothing(block):
         np.testing.assert_array_equal(a, b)
 
 
-def test_memory_is_that_of_a_block_not_of_the_run():
+def test_memory_depends_on_the_block_not_on_the_run():
     frame = np.random.default_rng(0).uniform(-20, 20, (20_000, 3)).astype(np.float32)
-    spill = spilled([frame] * 40)
+    spool = spool_of([frame] * 40)
     tracemalloc.start()
     try:
-        spill.sample(0, 64)
-        assert sum(len(points) for points, _ in spill.blocks(0, -10, 10, 20_000)) > 40 * 9000
+        spool.sample(0, 64)
+        assert sum(len(points) for points, _ in spool.blocks(0, -10, 10, 20_000)) > 40 * 9000
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < 8 * frame.nbytes  # of 40 that are on disk
+    assert peak < 8 * frame.nbytes  # of 40 on disk
 
 
-def test_what_is_far_is_only_counted(info, make_labelled):
+def test_distances_beyond_the_limit_are_only_counted(info, make_labelled):
     points = [[0, 0, 0], [1, 0, 0], [500, 0, 0]]
     section, _ = run(info, make_labelled(0, points=points, labels=[1, 1, 1], dynamic=[True, False, False]))
     found = section["false_negative"]
@@ -105,7 +105,7 @@ def test_what_is_far_is_only_counted(info, make_labelled):
     assert found["count"] == 2
 
 
-def test_undefined_without_wrong_or_right_points(info, make_labelled):
+def test_undefined_without_wrong_or_correct_points(info, make_labelled):
     perfect = make_labelled(0, points=np.zeros((2, 3)), labels=[0, 1], dynamic=[False, True])
     blind = make_labelled(0, points=np.zeros((2, 3)), labels=[0, 1], dynamic=[True, False])
     for labelled in (perfect, blind):
@@ -135,14 +135,14 @@ def open_files(folder):
     for fd in Path("/proc/self/fd").iterdir():
         try:
             names.append(str(fd.readlink()))
-        except FileNotFoundError:  # the listing's own
+        except FileNotFoundError:  # the descriptor of the listing itself
             continue
     return [name for name in names if name.startswith(str(folder))]
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="open files are listed under /proc on Linux only")
-@pytest.mark.parametrize("ending", ["finished", "forgotten"])
-def test_no_temporary_file_stays(info, make_labelled, ending, tmp_path, monkeypatch):
+@pytest.mark.parametrize("ending", ["finished", "deleted"])
+def test_temporary_files_are_deleted(info, make_labelled, ending, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     metric = ErrorDistance(info)
     metric.update(make_labelled(0))
@@ -156,19 +156,19 @@ def test_no_temporary_file_stays(info, make_labelled, ending, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_is_said():
+def test_a_full_disk_is_reported():
     class Full:
         def write(self, data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    spill = PointSpool()
-    spill._file = Full()
+    spool = PointSpool()
+    spool._file = Full()
     with pytest.raises(DynavizError, match=r"No space left.*TMPDIR"):
-        spill.append(0, np.zeros((5, 3), np.float32))
+        spool.append(0, np.zeros((5, 3), np.float32))
 
 
 def test_percentiles_of_evenly_spread_distances():
-    """One distance at every 0.1 mm: a percentile lies where its share of them is reached, no nearer."""
+    """One distance at every 0.1 mm: a percentile is where its share of them is reached."""
     fine = np.zeros(20001, np.int64)
     fine[:10000] = 1
     found = summary(fine)

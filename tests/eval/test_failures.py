@@ -1,49 +1,19 @@
-"""Failure cases against connected components of a graph, and what is said of them."""
+"""Failure cases against connected components of a graph, and their fields."""
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from helpers.failure_cases import INFO, labelled, section
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dynaviz.method import Cause, MethodInfo, Reason
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 from dynaviz_eval.failures import Failures
-
-INFO = MethodInfo(
-    "m",
-    "M",
-    "none",
-    (
-        Reason("crossed", "rays", Cause.GRAZING_RAYS),
-        Reason("never_crossed", "no rays", Cause.NOTHING_BEHIND),
-        Reason("too_high", "height", Cause.HEIGHT_LIMIT),
-        Reason("mystery", "nobody knows"),
-    ),
-)
-
-
-def labelled(frame: int, points, labels, dynamic, reasons=0, **more) -> Labelled:
-    points = np.asarray(points, np.float32).reshape(-1, 3)
-    n = len(points)
-    scan = Scan(frame, points, np.eye(4), labels=np.full(n, labels, np.uint8), **more)
-    return Labelled.of(frame, scan, np.full(n, dynamic, np.bool_), np.full(n, reasons, np.uint8))
-
-
-def section(*frames: Labelled) -> dict:
-    metric = Failures(INFO)
-    for one in frames:
-        metric.update(one)
-    found = metric.finish()["failures"]
-    assert json.loads(json.dumps(found)) == found
-    return found
 
 
 def cube(n: int = 50, seed: int = 0, x: float = 0.0) -> np.ndarray:
@@ -51,7 +21,7 @@ def cube(n: int = 50, seed: int = 0, x: float = 0.0) -> np.ndarray:
 
 
 def components(frames: list[np.ndarray]) -> list[frozenset[tuple[int, int]]]:
-    """Points (frame, number) joined where their cells touch and their frames are near: by a graph of all pairs."""
+    """Points (frame, number) joined where their cells touch and their frames are close: a graph of all pairs."""
     where = [(f, i) for f, points in enumerate(frames) for i in range(len(points))]
     if not where:
         return []
@@ -92,12 +62,12 @@ def test_memory_does_not_grow_with_frames():
     assert len(np.unique(cases.rows["case"])) == KEEP
 
 
-def test_an_object_of_no_class_has_none():
+def test_an_object_without_a_class():
     (case,) = section(labelled(0, [[1.0, 0, 0]] * 9, 1, False, instances=np.full(9, 4)))["cases"]
     assert (case["class"], case["instance"]) == (None, 4)
 
 
-def test_a_large_hole_is_told_in_parts_and_a_long_trail_in_one():
+def test_a_large_hole_is_split_and_a_long_trail_is_not():
     x = np.arange(0, 70, 0.2)
     line = np.stack([x, 0 * x, 0 * x], 1)
     holes = section(labelled(0, line, 0, True))["cases"]
@@ -107,7 +77,7 @@ def test_a_large_hole_is_told_in_parts_and_a_long_trail_in_one():
     assert len(section(labelled(0, line, 1, False))["cases"]) == 1
 
 
-def test_one_object_is_followed_through_its_frames_and_told_in_numbers():
+def test_one_object_is_followed_through_its_frames():
     frames = [labelled(f, cube(seed=f, x=f), 1, False, 1) for f in range(12)]
     found = section(*frames)
     (case,) = found["cases"]
@@ -121,30 +91,30 @@ def test_one_object_is_followed_through_its_frames_and_told_in_numbers():
     assert found["others"] == {"cases": 0, "points": 0}
 
 
-def test_what_stands_is_said_to_stand():
+def test_an_object_that_stays_is_reported_as_such():
     (case,) = section(*(labelled(f, cube(seed=f), 1, False, 1) for f in range(12)))["cases"]
     assert case["cause"] == "standing too long"
-    assert "hardly moved" in case["sentence"]
+    assert "moved less than 1 m" in case["sentence"]
 
 
-def test_what_comes_back_after_a_gap_is_another_case():
+def test_points_that_return_after_a_gap_start_a_new_case():
     frames = [labelled(f, cube(), 1, False) for f in (0, 1, 2, 2 + GAP + 1)]
     assert sorted(case["points"] for case in section(*frames)["cases"]) == [50, 150]
     assert len(section(*(labelled(f, cube(), 1, False) for f in (0, GAP)))["cases"]) == 1
 
 
-def test_a_ground_strip_is_grazed_and_a_thing_beside_a_walker_shares_its_cell():
+def test_a_ground_strip_has_grazing_rays_and_a_trunk_next_to_a_pedestrian_shares_its_cell():
     ground = np.random.default_rng(0).uniform([0, 0, 0], [8, 4, 0.05], (2000, 3))
     (strip,) = section(labelled(0, ground, 0, True))["cases"]
     assert (strip["cause"], strip["what"]) == ("grazing rays", "level surface")
 
-    walker, trunk = cube(60), cube(60) * [0.3, 0.3, 2] + [1.1, 0, 0]
-    scan = Scan(0, np.concatenate([walker, trunk]), np.eye(4), labels=np.repeat([1, 0], 60))
+    pedestrian, trunk = cube(60), cube(60) * [0.3, 0.3, 2] + [1.1, 0, 0]
+    scan = Scan(0, np.concatenate([pedestrian, trunk]), np.eye(4), labels=np.repeat([1, 0], 60))
     (case,) = section(Labelled.of(0, scan, np.ones(120, np.bool_), np.zeros(120, np.uint8)))["cases"]
     assert (case["cause"], case["what"]) == ("shared cell", "pole or trunk")
 
 
-def test_the_method_has_the_word_where_it_is_not_a_matter_of_rays():
+def test_causes_other_than_visibility_come_from_the_method():
     (high,) = section(*(labelled(f, cube(), 1, False, 2) for f in range(12)))["cases"]
     assert high["cause"] == "height limit"
     (mystery,) = section(labelled(0, cube(), 1, False, 3))["cases"]
@@ -152,10 +122,10 @@ def test_the_method_has_the_word_where_it_is_not_a_matter_of_rays():
     assert "mystery" in mystery["sentence"]
 
 
-def test_classes_and_objects_part_cases_and_name_them():
+def test_classes_and_objects_separate_and_name_cases():
     names = {5: "car", 7: "tree"}
-    more = {"classes": np.repeat([5, 7], 25), "class_names": names, "instances": np.repeat([3, 4], 25)}
-    found = section(labelled(0, cube(), 1, False, **more))["cases"]
+    fields = {"classes": np.repeat([5, 7], 25), "class_names": names, "instances": np.repeat([3, 4], 25)}
+    found = section(labelled(0, cube(), 1, False, **fields))["cases"]
     assert [(c["what"], c["class"], c["instance"], c["points"]) for c in found] == [
         ("car", 5, 3, 25),
         ("tree", 7, 4, 25),
@@ -169,7 +139,7 @@ def test_the_costliest_case_is_first_whatever_its_kind():
     assert [(c["kind"], c["cost"]) for c in found] == [("false_negative", 100.0), ("false_positive", 50.0)]
 
 
-def test_boxes_hold_the_points_of_their_frame():
+def test_boxes_contain_the_points_of_their_frame():
     metric, clouds = Failures(INFO), [cube(seed=f, x=f) for f in range(5)]
     for f, cloud in enumerate(clouds):
         metric.update(labelled(f, cloud, 1, False))
@@ -183,12 +153,12 @@ def test_boxes_hold_the_points_of_their_frame():
 
 
 @pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((4, 3), np.nan), np.full((4, 3), 1e9)])
-def test_points_without_a_place_are_of_no_case(points):
+def test_points_without_a_position_belong_to_no_case(points):
     found = section(labelled(0, points, 1, False))
     assert found["cases"] == []
 
 
-def test_nothing_is_wrong_without_ground_truth():
+def test_no_cases_without_ground_truth():
     scan = Scan(0, cube(), np.eye(4))
     metric = Failures(INFO)
     metric.update(Labelled.of(0, scan, np.ones(50, np.bool_), np.zeros(50, np.uint8)))

@@ -30,7 +30,7 @@ def test_wrong_points_are_counted_by_name(info, make_labelled):
     assert section["legend"]["never_seen"] == "no ray did"
 
 
-def test_costs_add_up_to_what_is_missing(info, make_labelled):
+def test_costs_add_up_to_the_missing_percentage_points(info, make_labelled):
     metric, total = Reasons(info), Counts()
     for frame in range(3):
         labelled = make_labelled(frame)
@@ -41,8 +41,8 @@ def test_costs_add_up_to_what_is_missing(info, make_labelled):
     assert sum(c["DA"] for c in cost.values()) == pytest.approx(100 - total.DA)
 
 
-@pytest.mark.parametrize("code", [2, 255])  # the legend holds 0 and 1
-def test_a_code_without_a_legend_shows(info, make_labelled, code):
+@pytest.mark.parametrize("code", [2, 255])  # the legend has 0 and 1
+def test_an_undeclared_code_shows_as_a_number(info, make_labelled, code):
     metric = Reasons(info)
     metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code]))
     assert metric.finish()["reasons"]["false_negative"] == {f"code {code}": 1}
@@ -60,14 +60,14 @@ def test_the_most_frequent_reason_is_first(info, make_labelled):
     ]
 
 
-def test_a_reason_wrong_both_ways_as_often_has_a_cost(info, make_labelled):
+def test_a_reason_may_cost_both_accuracies(info, make_labelled):
     metric = Reasons(info)
     labels, dynamic = [1, 1, 0, 0], [False, True, True, False]
     metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=labels, dynamic=dynamic, reasons=[0] * 4))
     assert metric.finish()["reasons"]["cost"] == {"seen_free": {"SA": 50, "DA": 50}}
 
 
-def test_without_truth_nothing_is_wrong(info, make_labelled):
+def test_no_wrong_points_without_ground_truth(info, make_labelled):
     metric = Reasons(info)
     metric.update(make_labelled(0, labels=None, dynamic=np.ones(400, bool)))
     section = json.loads(json.dumps(metric.finish(), allow_nan=False))["reasons"]

@@ -38,7 +38,7 @@ def test_agrees_with_sets_of_voxels() -> None:
     assert found["F1"] == pytest.approx(2 * PR * RR / (PR + RR))
 
 
-def test_undefined_where_there_is_nothing_to_count() -> None:
+def test_undefined_without_voxels() -> None:
     scan = room(frames=1, rays=50, labelled=False)[0]
     nothing = section([scan], [np.zeros(len(scan), bool)])
     assert (nothing["PR"], nothing["RR"], nothing["F1"]) == (None, None, None)
@@ -55,7 +55,7 @@ def test_F1_needs_both_kinds_of_voxel() -> None:
     assert [section([dynamic], kept)[name] for name in ("PR", "RR", "F1")] == [None, 0, None]
 
 
-def test_the_mean_of_equals_is_theirs() -> None:
+def test_all_correct_is_100() -> None:
     scan = scan_of([[0, 0, 0], [5, 0, 0]], [0, 1])
     found = section([scan], [np.array([False, True])])
     assert (found["PR"], found["RR"], found["F1"]) == (100, 100, 100)
@@ -66,13 +66,13 @@ def test_all_wrong_is_0() -> None:
     assert (found["PR"], found["RR"], found["F1"]) == (0, 0, 0)
 
 
-def test_what_has_no_place_or_no_label_does_not_count() -> None:
+def test_points_without_a_position_or_label_do_not_count() -> None:
     scan = scan_of([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0], [5, 0, 0]], [0, 1, 255, 1])
     found = section([scan], [np.zeros(4, bool)])
     assert (found["static"], found["dynamic"], found["dynamic_kept"]) == (0, 1, 1)
 
 
-def test_of_a_cleaned_map_its_own_points_keep_voxels() -> None:
+def test_the_points_of_a_cleaned_map_keep_voxels() -> None:
     metric = Voxelwise(INFO)
     metric.cleaned_map(np.array([[0.1, 0.1, 0.1]], np.float32))
     scan = scan_of([[0.05, 0.05, 0.05], [1, 0, 0], [5, 0, 0]], [0, 0, 1])
