@@ -1,4 +1,4 @@
-"""dynaviz report as a user types it."""
+"""The command ``dynaviz report``."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 
 from dynaviz.results.result import Result
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    sections = {"counts": {"static_kept": 9, "static_removed": 1, "dynamic_removed": 8, "dynamic_kept": 2}}
+    counts = {"static_kept": 9, "static_removed": 1, "dynamic_removed": 8, "dynamic_kept": 2}
     metrics = {"SA": 90.0, "DA": 80.0, "AA": 84.85, "HA": 84.71, "precision": None, "IoU": None}
-    result = Result("octomap", {}, {"name": "s", "digest": "d"}, sections={**sections, "metrics": metrics})
+    result = Result("octomap", {}, SequenceInfo("s", "d"), Sections(counts=counts, metrics=metrics))
     result.save(tmp_path / "runs/a/result.json")
     return tmp_path / "runs"
 
@@ -36,34 +37,34 @@ def report(run_command):
         ("r.HTM", "<!DOCTYPE html>"),
     ],
 )
-def test_the_suffix_tells_the_format(report, folder, tmp_path, name, begins):
+def test_the_suffix_selects_the_format(report, folder, tmp_path, name, begins):
     assert report(folder, "-o", tmp_path / name)[0] == 0
     text = (tmp_path / name).read_text()
     assert text.startswith(begins)
     assert "90.0" in text
 
 
-def test_without_a_file_it_is_printed(report, folder):
+def test_without_a_file_the_report_is_printed(report, folder):
     code, out, _ = report(folder)
     assert (code, out[:8]) == (0, "# Report")
     assert report(folder / "a/result.json", "--format", "csv")[1].count("\n") == 2
 
 
-def test_a_map_of_another_program_has_no_runtime_on_all_sequences_either(report, folder):
+def test_maps_of_other_programs_have_no_runtime(report, folder):
     first = Result.load(folder / "a/result.json")
-    runtime = {"mean_s": None, "std_s": None, "frames": 3}  # as a scored map has it
+    runtime = Runtime(frames=3)  # as for a scored map
     for name in ("a", "b"):
-        replace(first, sequence={"name": name, "digest": name}, runtime=runtime).save(folder / name / "result.json")
+        replace(first, sequence=SequenceInfo(name, name), runtime=runtime).save(folder / name / "result.json")
     code, out, err = report(folder)
     assert code == 0, err
     assert "all 2" in out
 
 
-def test_what_two_paths_hold_is_found_once(report, folder):
+def test_a_result_found_by_several_paths_counts_once(report, folder):
     assert report(folder, folder / "a", folder / "a/result.json", "--format", "csv")[1].count("\n") == 2
 
 
-def test_a_result_goes_before_an_earlier_error(report, folder):
+def test_a_result_takes_precedence_over_an_earlier_error(report, folder):
     (folder / "a/error.json").write_text("{}")
     assert report(folder, "--format", "csv")[1].count("\n") == 2
 
@@ -75,7 +76,7 @@ def broken(folder: Path, name: str, content: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (lambda folder: (folder.parent / "nowhere",), "does not exist"),
         (lambda folder: (folder.parent / "empty",), "holds no result.json"),
@@ -85,9 +86,9 @@ def broken(folder: Path, name: str, content: str) -> Path:
         (lambda folder: (broken(folder, "error.json", json.dumps({"error": 1})),), "b/error.json: does not tell"),
     ],
 )
-def test_a_mistake_is_answered_in_one_line(report, folder, given, said):
+def test_errors_take_one_line(report, folder, given, message):
     (folder.parent / "empty").mkdir()
     code, _, err = report(*given(folder))
     assert code == 2
     assert err.count("\n") == 1
-    assert said in err
+    assert message in err

@@ -1,4 +1,4 @@
-"""Reports: every format is parsed back, and its numbers are those of the results."""
+"""Reports: each format is parsed, and its numbers compared with those of the results."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from dynaviz.reporting import Study
 from dynaviz.results.collect import collect
 from dynaviz.results.result import Result
+from dynaviz.results.sections import SequenceInfo
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.report import boards
 from dynaviz_eval.report.tables import tables
@@ -30,9 +31,9 @@ Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic remo
 
 
 def result(
-    method: str, sequence: str | dict[str, Any] = "hall", numbers: Numbers = (900, 100, 80, 20), **more: Any
+    method: str, sequence: str | dict[str, Any] = "hall", numbers: Numbers = (900, 100, 80, 20), **fields: Any
 ) -> Result:
-    """A result as a run writes it; counts give the metrics."""
+    """A result as a run writes it; the metrics follow from the counts."""
     counts = Counts(*numbers)
     sections = {
         "counts": dataclasses.asdict(counts),
@@ -52,9 +53,10 @@ def result(
                 "false_positive": {"grazing rays": {"cases": 1, "points": numbers[1]}} if numbers[1] else {},
             },
         },
-        **more.pop("sections", {}),
+        **fields.pop("sections", {}),
     }
     plain: dict[str, Any] = {
+        "method": method,
         "parameters": {"resolution": 0.1, "a_b": 'x,"y"'},
         "sequence": sequence
         if isinstance(sequence, dict)
@@ -62,9 +64,10 @@ def result(
         "runtime": {"mean_s": 0.5, "std_s": 0.1, "frames": 1, "threads": 2, "prepare_s": 0.0, "peak_rss_mb": 1.0},
         "environment": {"machine": {"system": "Linux", "arch": "x86_64", "cores": 2}},
         "labels_sha256": "ab" * 32,
-        **more,
+        **fields,
+        **sections,
     }
-    return Result(method=method, sections=sections, **plain)
+    return Result.from_dict(plain, "result.json")
 
 
 @pytest.fixture
@@ -333,7 +336,7 @@ def test_latex_holds_the_numbers_of_the_results(study):
 
 @pytest.mark.parametrize(
     "results",
-    [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, {"name": "s"}),)],
+    [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, SequenceInfo("s")),)],
     ids=["only a failed one", "one", "no points", "no sections"],
 )
 def test_little_is_reported_too(study, results):
