@@ -79,7 +79,7 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
         both[: len(left), : left.shape[1]] = left
         both[: len(right), -right.shape[1] :] = right
         save(both, name)
-    counts, found = result.counts, result.sections["failures"]
+    counts, found = result.counts, result.sections.plain()["failures"]
     return {
         "metrics": {key: result.metrics[key] for key in ("SA", "DA", "AA")},
         "static": counts["static_kept"] + counts["static_removed"],
