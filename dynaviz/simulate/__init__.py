@@ -1,6 +1,6 @@
-"""Scenes with exact ground truth, made here: no download, no labelling by hand."""
+"""Simulated scenes with exact ground truth."""
 
 from dynaviz.simulate.presets import PRESETS, Preset
-from dynaviz.simulate.recording import SimulatedSweep, shoot, simulate
+from dynaviz.simulate.recording import SimulatedSweep, record_sweeps, simulate
 
-__all__ = ["PRESETS", "Preset", "SimulatedSweep", "shoot", "simulate"]
+__all__ = ["PRESETS", "Preset", "SimulatedSweep", "record_sweeps", "simulate"]

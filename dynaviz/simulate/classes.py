@@ -1,4 +1,4 @@
-"""What a simulated point was measured on: the numbers and names of SemanticKITTI, as far as the scenes use them."""
+"""Classes of simulated points: the subset of SemanticKITTI's numbers and names that the scenes use."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from enum import IntEnum
 
 
 class ObjectClass(IntEnum):
-    """Class of a point. From 252 on it moves, or will, or has: such points are dynamic in every scan."""
+    """Class of a point. Classes from 252 on are movers; their points are dynamic in every scan."""
 
-    OUTLIER = 1  # a reflection's echo, below the ground
+    OUTLIER = 1  # multipath return, below the ground
     CAR = 10
     PARKED_BICYCLE = 11
     ROAD = 40
@@ -42,4 +42,4 @@ REFLECTANCE = {
     ObjectClass.TERRAIN: 0.4,
     ObjectClass.TRAFFIC_SIGN: 1.0,
 }
-"""Share of the light that comes back, by class; objects not listed say it themselves or send back 0.4."""
+"""Reflectance by class, 0 to 1; other objects define their own or have 0.4."""

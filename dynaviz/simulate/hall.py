@@ -1,31 +1,31 @@
-"""A hall: flat ceiling with beams, pillars, racks and tables, people and a fork-lift truck."""
+"""A hall with a flat ceiling, beams, pillars, racks, tables, people and a forklift."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.simulate import things
+from dynaviz.simulate import objects
 from dynaviz.simulate.classes import ObjectClass
-from dynaviz.simulate.movers import Ride, Route, cruise, depart
+from dynaviz.simulate.movers import Motion, Route, cruise, depart
 from dynaviz.simulate.scene import SimulatedScene, rolling
 from dynaviz.simulate.shapes import Mesh, box, boxes, grid, join, quads, tube
 
 X, Y, CEILING = 24.0, 13.0, 5.5  # half length, half width and height, metres
-AISLES = (-10.6, 5.4, 9.4, -9.4)  # where people walk along the hall, y in metres
+AISLES = (-10.6, 5.4, 9.4, -9.4)  # y of the lines along which people walk, metres
 
 
 def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
-    """Build a hall for a sensor on a small robot that goes round in it.
+    """Build a hall in which a small robot with the sensor drives a loop.
 
     Args:
-        rng: chooses everything.
-        duration: of the recording, seconds.
-        speed: of the sensor, m/s.
-        traffic: how much of it; 1 is usual.
+        rng: random numbers for the whole scene.
+        duration: duration of the recording, seconds.
+        speed: speed of the sensor, m/s.
+        traffic: relative number of movers; 1 is normal.
     """
     route = Route([(-16, -4), (0, -4), (13, -4), (13, 4), (0, 4), (-19, 4), (-19, -4), (0, -4), (13, -4)], rounds=4)
-    scene = SimulatedScene(rng, duration, rolling(rng, 0.0003), Ride(route, cruise(1.0, speed)))
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.0003), Motion(route, cruise(1.0, speed)))
     _shell(scene)
     _furniture(scene)
     _people(scene, traffic)
@@ -33,7 +33,7 @@ def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float
 
 
 def _shell(scene: SimulatedScene) -> None:
-    """Floor, ceiling and beams, walls with two gates to the open, pillars along the middle."""
+    """Floor, ceiling and beams, walls with two open gates, two rows of pillars."""
     x, y = np.meshgrid(np.arange(-X, X + 0.1, 1.0), np.arange(-Y, Y + 0.1, 1.0), indexing="ij")
     scene.add(grid(np.stack([x, y, scene.height(x, y)], -1)), ObjectClass.OTHER_GROUND, 0.35)
     ceiling = quads([[(-X, -Y, CEILING), (-X, Y, CEILING), (X, Y, CEILING), (X, -Y, CEILING)]])
@@ -55,7 +55,7 @@ def _shell(scene: SimulatedScene) -> None:
 
 
 def _wall(start: tuple[float, float], end: tuple[float, float], above: float = -0.2) -> Mesh:
-    """A wall between two corners; from a height on where a gate is left open below."""
+    """A wall between two corners; it starts at height ``above``, over an open gate."""
     (a, b), (c, d) = start, end
     return quads([[(a, b, above), (c, d, above), (c, d, CEILING), (a, b, CEILING)]])
 
@@ -63,18 +63,18 @@ def _wall(start: tuple[float, float], end: tuple[float, float], above: float = -
 def _furniture(scene: SimulatedScene) -> None:
     for x in np.arange(-18, 19, 6.0):
         for y in (-12.4, 12.4):
-            scene.put(things.shelf(scene.rng), ObjectClass.OTHER_OBJECT, x, y)
+            scene.put(objects.shelf(scene.rng), ObjectClass.OTHER_OBJECT, x, y)
         if x < 18 and scene.rng.random() < 0.7:
             scene.put(
-                things.table(), ObjectClass.OTHER_OBJECT, x + 2.8, float(scene.rng.choice([-7.4, 7.4])), np.pi / 2
+                objects.table(), ObjectClass.OTHER_OBJECT, x + 2.8, float(scene.rng.choice([-7.4, 7.4])), np.pi / 2
             )
     for x, y in scene.rng.uniform((-7, -1.8), (7, 1.8), (9, 2)):
         scene.put(box(*scene.rng.uniform(0.4, 1.3, 3)), ObjectClass.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
-    scene.put(things.fence(8.0, 1.1), ObjectClass.FENCE, -2, -2.8)
+    scene.put(objects.fence(8.0, 1.1), ObjectClass.FENCE, -2, -2.8)
 
 
 def _people(scene: SimulatedScene, traffic: float) -> None:
-    """People along the aisles and across; one stands for half of the time; a fork-lift truck."""
+    """People along and across the aisles, one of whom stands for half of the time; a forklift."""
     for count in range(round(9 * traffic)):
         path, pace = _aisle(scene.rng, AISLES[count % 4] + scene.rng.uniform(-0.5, 0.5)), scene.rng.uniform(0.8, 1.5)
         start = scene.rng.uniform(0, max(1.0, path.length - pace * scene.duration))
@@ -85,7 +85,7 @@ def _people(scene: SimulatedScene, traffic: float) -> None:
     scene.walk(across, cruise(0, 1.1))
     haul = Route([(21, -11), (20.5, -5.6), (10, -5.6), (-10, -5.5), (-21.5, -5.6), (-21.5, 9)], rounds=4)
     scene.move(
-        ObjectClass.MOVING_OTHER_VEHICLE, haul, depart(3, 1.8, 0.25 * scene.duration), things.forklift(scene.rng)
+        ObjectClass.MOVING_OTHER_VEHICLE, haul, depart(3, 1.8, 0.25 * scene.duration), objects.forklift(scene.rng)
     )
 
 

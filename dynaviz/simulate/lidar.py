@@ -1,4 +1,4 @@
-"""The sensor: where its rays go, what they hit, and what comes back of them."""
+"""The lidar model: ray directions, ray casting and returns."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from dynaviz.simulate.scene import MeshPart, SimulatedScene
 from dynaviz.simulate.shapes import Mesh
 from dynaviz.spatial import geometry
 
-GOLDEN = (0.6180339887498949, 0.7548776662466927)  # of the golden ratio and of the plastic number
+GOLDEN = (0.6180339887498949, 0.7548776662466927)  # low-discrepancy steps: golden ratio and plastic number
 REFLECTING = (ObjectClass.ROAD, ObjectClass.SIDEWALK, ObjectClass.TERRAIN, ObjectClass.OTHER_GROUND)
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """One sweep's rays in the sensor frame.
+    """The rays of one sweep, in the sensor frame.
 
     Attributes:
-        directions: (N, 3) float64, of length 1.
+        directions: (N, 3) float64, unit length.
         origins: (N, 3) float64, metres.
-        lidar: (N,) uint8, number of the lidar in a merged pair.
+        lidar: (N,) uint8, number of the lidar, for sensors that merge several.
     """
 
     directions: F64
@@ -36,13 +36,13 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What the rays met: all (N,).
+    """The surfaces that the rays hit; all arrays (N,).
 
     Attributes:
-        range: metres to the surface, infinite for the open sky.
+        range: metres to the surface, infinite if nothing is hit.
         facing: cosine between ray and surface normal, 0 to 1.
-        kind, instance: of what was hit.
-        reflectance: of what was hit.
+        kind, instance: class and instance of the surface's object.
+        reflectance: reflectance of the surface, 0 to 1.
     """
 
     range: F64
@@ -65,34 +65,34 @@ def mounts(sensor: Sensor) -> list[F64]:
     return poses
 
 
-def sweep(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
-    """All rays of one sweep; a spinning sensor starts each sweep at another fraction of a step."""
+def sweep_rays(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
+    """All rays of one sweep; a spinning sensor starts each sweep at a random fraction of an azimuth step."""
     directions, origins, lidar = [], [], []
     for number, T in enumerate(mounts(sensor)):
-        azimuth, elevation = _scattered(sensor, frame) if sensor.points_per_sweep else _rings(sensor, rng.random())
-        flat = np.cos(elevation)
-        own = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
-        directions.append(geometry.apply(T, own) - T[:3, 3])
-        origins.append(np.broadcast_to(T[:3, 3], own.shape))
-        lidar.append(np.full(len(own), number, np.uint8))
+        azimuth, elevation = _non_repetitive(sensor, frame) if sensor.points_per_sweep else _rings(sensor, rng.random())
+        horizontal = np.cos(elevation)
+        local = np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], axis=1)
+        directions.append(geometry.apply(T, local) - T[:3, 3])
+        origins.append(np.broadcast_to(T[:3, 3], local.shape))
+        lidar.append(np.full(len(local), number, np.uint8))
     return Rays(np.concatenate(directions), np.concatenate(origins), np.concatenate(lidar))
 
 
 def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
-    """Azimuth and elevation in radians, firing by firing from the lowest beam up, as far as the field of view goes."""
+    """Azimuth and elevation over the field of view, radians, firing by firing, from the lowest beam up."""
     assert sensor.azimuth_step
     assert sensor.elevation
     assert sensor.rings
     low, high = sensor.azimuth
     firings = np.arange(int((high - low) / sensor.azimuth_step))
     elevations = np.array(sensor.elevations) if sensor.elevations else np.linspace(*sensor.elevation, sensor.rings)
-    within = (np.arange(sensor.rings) / sensor.rings + start) % 1  # beams of one firing fire one after another
+    within = (np.arange(sensor.rings) / sensor.rings + start) % 1  # the beams of one firing follow one another
     azimuth = low + sensor.azimuth_step * (firings[:, None] + within)
     return np.radians(azimuth.ravel()), np.radians(np.broadcast_to(elevations, azimuth.shape).ravel())
 
 
-def _scattered(sensor: Sensor, frame: int) -> tuple[F64, F64]:
-    """A pattern that never repeats: evenly spread over the field of view and filling gaps from sweep to sweep."""
+def _non_repetitive(sensor: Sensor, frame: int) -> tuple[F64, F64]:
+    """Azimuth and elevation, radians: a non-repetitive pattern that fills the field of view evenly over many sweeps."""
     assert sensor.points_per_sweep
     assert sensor.elevation
     count = frame * sensor.points_per_sweep + np.arange(sensor.points_per_sweep)
@@ -102,45 +102,45 @@ def _scattered(sensor: Sensor, frame: int) -> tuple[F64, F64]:
     return np.radians(azimuth), np.radians(elevation)
 
 
-class World:
-    """A scene made ready for rays: what stands is prepared once, what moves anew for each sweep."""
+class RayScene:
+    """A scene prepared for ray casting: static meshes once, moving meshes again for each sweep."""
 
     def __init__(self, scene: SimulatedScene):
         self.scene = scene
-        self._standing = _Surfaces(scene.parts, [part.mesh for part in scene.parts])
+        self._static = _Surfaces(scene.parts, [part.mesh for part in scene.parts])
 
     def cast(self, rays: Rays, T_scene_sensor: F64, time: float) -> Hits:
-        """What the rays of a sensor at a pose hit at a time."""
+        """Hits of the rays of a sensor at a pose and time, seconds."""
         origins = geometry.apply(T_scene_sensor, rays.origins)
         directions = geometry.apply(T_scene_sensor, rays.directions) - T_scene_sensor[:3, 3]
         packed = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        still = self._standing.cast(packed)
-        there = [(m, mesh) for m in self.scene.movers if (mesh := m.mesh(time, self.scene.height)) is not None]
-        if not there:
-            return still
-        moving = _Surfaces([mover for mover, _ in there], [mesh for _, mesh in there]).cast(packed)
-        nearer = moving.range < still.range
-        return Hits(*(np.where(nearer, getattr(moving, f), getattr(still, f)) for f in Hits.__dataclass_fields__))
+        static = self._static.cast(packed)
+        present = [(m, mesh) for m in self.scene.movers if (mesh := m.mesh(time, self.scene.height)) is not None]
+        if not present:
+            return static
+        moving = _Surfaces([mover for mover, _ in present], [mesh for _, mesh in present]).cast(packed)
+        nearer = moving.range < static.range
+        return Hits(*(np.where(nearer, getattr(moving, f), getattr(static, f)) for f in Hits.__dataclass_fields__))
 
 
 class _Surfaces:
-    """Some objects' meshes in the tree of the ray caster."""
+    """Meshes of some objects in the acceleration structure of the ray caster."""
 
     def __init__(self, owners: list[MeshPart] | list[Mover], meshes: list[Mesh]):
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # built the same way on any machine
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # so that the structure is the same on any machine
         for mesh in meshes:
             vertices, triangles = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
             self._scene.add_triangles(self._tensor(vertices), self._tensor(triangles))
-        # The last row stands for a miss.
+        # The last row is for misses.
         self._kind = np.array([o.kind for o in owners] + [0], np.uint16)
         self._instance = np.array([getattr(o, "instance", 0) for o in owners] + [0], np.int32)
         self._reflectance = np.array([o.reflectance for o in owners] + [0.0])
 
     def cast(self, rays: F32) -> Hits:
-        """Nearest surface along (N, 6) rays of origin and direction."""
+        """Nearest surface along (N, 6) float32 rays: origin and direction."""
         found: dict[str, Any] = self._scene.cast_rays(self._tensor(rays))
         owner = np.minimum(found["geometry_ids"].numpy(), len(self._kind) - 1)
         normals = found["primitive_normals"].numpy()
@@ -150,14 +150,13 @@ class _Surfaces:
 
 
 def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, Bool, U16, F32]:
-    """What the sensor reports of the hits.
+    """The sensor's measurements of the hits.
 
-    Light comes back from as far as ``max_range`` from a bright surface seen squarely, less far from a dark one
-    or one that is grazed. Four in a hundred get lost. One in 2000 off the ground comes by a detour and is put
-    beyond it.
+    A bright surface at a right angle returns light up to ``max_range``; dark surfaces and grazing angles reduce the
+    range. 4 % of the returns are lost. One in 2000 returns from the ground is a multipath return and lies too far.
 
     Returns:
-        (N,) range in metres with noise; (N,) bool, which rays return; (N,) class; (N,) intensity from 0 to 1.
+        (N,) range with noise, metres; (N,) bool, whether a ray returns; (N,) class; (N,) intensity from 0 to 1.
     """
     count = len(hits.range)
     assert sensor.max_range is not None

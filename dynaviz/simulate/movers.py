@@ -1,4 +1,4 @@
-"""What moves: a path over the ground, how far along it at which time, and a body carried along."""
+"""Moving objects: a route over the ground, a schedule along it, and a body that follows."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Height = Callable[[F64, F64], F64]
 """Height of the ground in metres at x, y."""
 
 Schedule = Callable[[float], float]
-"""Distance along a path in metres at a time in seconds."""
+"""Distance along a route in metres at a time in seconds."""
 
 
 class Route:
-    """A smooth way over the ground.
+    """A smooth path over the ground.
 
     Args:
-        points: (P, 2) metres; close together, or the corners of a way that ``rounds`` of cutting make smooth.
-        rounds: how often to cut every corner at a quarter of its sides (Chaikin's rule).
+        points: (P, 2) metres; either dense, or corners that are smoothed by ``rounds`` of corner cutting.
+        rounds: number of rounds of corner cutting, each at a quarter of the sides (Chaikin's rule).
     """
 
     def __init__(self, points: ArrayLike, rounds: int = 0):
@@ -40,63 +40,63 @@ class Route:
 
     @property
     def length(self) -> float:
-        """Metres from end to end."""
+        """Length, metres."""
         return float(self.distance[-1])
 
     def at(self, distance: float | F64) -> tuple[F64, F64, F64]:
-        """X, y (metres) and heading (radians) at distances along the path; its ends beyond them."""
+        """X, y (metres) and heading (radians) at distances along the route, clamped to its ends."""
         x, y, yaw = (np.interp(distance, self.distance, column) for column in (*self.xy.T, self.yaw))
         return x, y, yaw
 
-    def beside(self, distance: float | F64, left: float | F64) -> tuple[F64, F64, F64]:
-        """X, y and heading of places to the left of the path (to the right where negative)."""
+    def offset(self, distance: float | F64, left: float | F64) -> tuple[F64, F64, F64]:
+        """X, y and heading at distances along the route, shifted to the left (negative: to the right)."""
         x, y, yaw = self.at(distance)
         return x - left * np.sin(yaw), y + left * np.cos(yaw), yaw
 
-    def spot(self, distance: float, left: float = 0.0) -> tuple[float, float, float]:
-        """One place on or beside the path: x, y, heading."""
-        x, y, yaw = (float(value) for value in self.beside(distance, left))
+    def pose2d(self, distance: float, left: float = 0.0) -> tuple[float, float, float]:
+        """X, y and heading of one position, as in ``offset``."""
+        x, y, yaw = (float(value) for value in self.offset(distance, left))
         return x, y, yaw
 
     def shifted(self, left: float | F64) -> Route:
-        """The path that runs beside this one, by one distance or one for each of its points."""
-        x, y, _ = self.beside(self.distance, left)
+        """A parallel route, shifted to the left by one distance or by one per point."""
+        x, y, _ = self.offset(self.distance, left)
         return Route(np.column_stack([x, y]))
 
     def reversed(self) -> Route:
-        """The same way in the other direction."""
+        """The route in the opposite direction."""
         return Route(self.xy[::-1])
 
 
 def cruise(start: float, speed: float) -> Schedule:
-    """At one speed all the time."""
+    """Move at constant speed."""
     return lambda time: start + speed * time
 
 
 def depart(start: float, speed: float, time: float, acceleration: float = 1.5) -> Schedule:
-    """Stand until a time, then go."""
+    """Stand until a time, then accelerate to a speed."""
     return lambda now: start + _run_up(now - time, speed, acceleration)
 
 
 def arrive(end: float, speed: float, time: float, acceleration: float = 1.5) -> Schedule:
-    """Come and brake, to stand from a time on."""
+    """Approach at a speed and brake, to stand from a time on."""
     return lambda now: end - _run_up(time - now, speed, acceleration)
 
 
 def _run_up(elapsed: float, speed: float, acceleration: float) -> float:
-    """Metres covered from standing."""
+    """Distance covered from a standing start, metres."""
     elapsed, until = max(elapsed, 0.0), speed / acceleration
     return acceleration * elapsed**2 / 2 if elapsed < until else speed * (elapsed - until / 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
-    """Going along a path.
+class Motion:
+    """Motion along a route.
 
     Attributes:
-        path: the way.
-        schedule: how far along it at a time.
-        upright: stay plumb; else lean with the slope of the ground, as what has wheels does.
+        path: the route.
+        schedule: distance along the route over time.
+        upright: True keeps the z axis vertical; False follows the slope of the ground, as a vehicle does.
     """
 
     path: Route
@@ -104,11 +104,11 @@ class Ride:
     upright: bool = False
 
     def pose(self, time: float, height: Height) -> F64 | None:
-        """(4, 4) float64 pose on the ground in the scene frame, or None while beyond either end of the path."""
+        """(4, 4) float64 pose on the ground in the scene frame, or None before and after the route."""
         distance = self.schedule(time)
         if not 0 <= distance <= self.path.length:
             return None
-        x, y, yaw = self.path.spot(distance)
+        x, y, yaw = self.path.pose2d(distance)
         return _upright(x, y, yaw, height) if self.upright else _leaning(x, y, yaw, height)
 
 
@@ -118,7 +118,7 @@ def _upright(x: float, y: float, yaw: float, height: Height) -> F64:
 
 
 def _leaning(x: float, y: float, yaw: float, height: Height) -> F64:
-    """Standing on four wheels, 2.6 m by 1.4 m apart."""
+    """Pose of a vehicle with four wheels, 2.6 m by 1.4 m apart."""
     forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     wheels = np.array([x, y]) + np.array([1.3 * forward, -1.3 * forward, 0.7 * left, -0.7 * left])
     front, rear, port, starboard = height(*wheels.T)
@@ -135,23 +135,23 @@ def _leaning(x: float, y: float, yaw: float, height: Height) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """An object that moves at some time, and so is dynamic in every scan.
+    """An object that moves at some time, and is therefore dynamic in every scan.
 
     Attributes:
-        kind: a moving class.
-        instance: its number, from 1.
-        ride: where it is when.
-        body: its mesh, standing on z = 0 and looking along x, after so many metres of way (legs swing with it).
-        reflectance: share of the light that comes back.
+        kind: one of the moving classes.
+        instance: instance number, from 1.
+        motion: its motion over time.
+        body: its mesh after some distance (legs swing as it moves), standing on z = 0 and facing along x.
+        reflectance: 0 to 1.
     """
 
     kind: ObjectClass
     instance: int
-    ride: Ride
+    motion: Motion
     body: Callable[[float], Mesh]
     reflectance: float = 0.4
 
     def mesh(self, time: float, height: Height) -> Mesh | None:
-        """Its mesh in the scene frame at a time, or None while it is not there."""
-        T = self.ride.pose(time, height)
-        return None if T is None else self.body(self.ride.schedule(time)).transformed(T)
+        """Its mesh in the scene frame at a time, or None before and after its motion."""
+        T = self.motion.pose(time, height)
+        return None if T is None else self.body(self.motion.schedule(time)).transformed(T)

@@ -1,4 +1,4 @@
-"""The scenes that can be simulated by name."""
+"""Named presets of simulated scenes."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from types import MappingProxyType
 
 @dataclass(frozen=True)
 class Preset:
-    """A scene, a sensor, and how good its poses are.
+    """A scene, a sensor and the accuracy of its poses.
 
     Attributes:
-        name: for the command line.
-        title: for a reader.
+        name: name on the command line.
+        title: short description.
         scene: ``street``, ``square`` or ``hall``.
         sensor: name of a sensor file.
-        frames: sweeps, where none are asked for.
-        speed: of the sensor, m/s.
-        traffic: how much moves; 1 is usual.
-        pose_noise: standard deviation of a pose's error: metres, degrees.
+        frames: default number of sweeps.
+        speed: speed of the sensor, m/s.
+        traffic: relative number of movers; 1 is normal.
+        pose_noise: standard deviations of the pose errors, metres and degrees.
     """
 
     name: str
@@ -43,4 +43,4 @@ _ALL = (
 )
 
 PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _ALL})
-"""By name, sorted."""
+"""All presets, sorted by name."""

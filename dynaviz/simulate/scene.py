@@ -1,4 +1,4 @@
-"""A scene: what stands, what moves, the ground, and the sensor's way; and the helpers that the builders share."""
+"""A scene: static meshes, movers, the ground and the sensor's motion; with helpers that the builders share."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
-from dynaviz.simulate import things
+from dynaviz.simulate import objects
 from dynaviz.simulate.classes import REFLECTANCE, ObjectClass
-from dynaviz.simulate.movers import Height, Mover, Ride, Route, Schedule
+from dynaviz.simulate.movers import Height, Motion, Mover, Route, Schedule
 from dynaviz.simulate.shapes import Mesh
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Something that stands: its mesh in the scene frame, class and share of light sent back."""
+    """A static object: mesh in the scene frame, class and reflectance from 0 to 1."""
 
     mesh: Mesh
     kind: ObjectClass
@@ -26,67 +26,67 @@ class MeshPart:
 
 @dataclass(eq=False)
 class SimulatedScene:
-    """All there is to see. The scene frame has z up and the ground near z = 0.
+    """A scene for the simulator. The scene frame has z up and the ground near z = 0.
 
     Attributes:
-        rng: chooses everything in it.
-        duration: of the recording, seconds.
-        height: of the ground in metres at x, y in the scene frame.
-        sensor: the way of the sensor's carrier.
-        parts: what stands.
-        movers: what moves; instance numbers are positions in this list from 1.
+        rng: random numbers for the whole scene.
+        duration: duration of the recording, seconds.
+        height: height of the ground in metres at x, y in the scene frame.
+        sensor: motion of the vehicle that carries the sensor.
+        parts: static objects.
+        movers: moving objects; instance numbers are positions in this list, from 1.
     """
 
     rng: np.random.Generator
     duration: float
     height: Height
-    sensor: Ride
+    sensor: Motion
     parts: list[MeshPart] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Refuse a recording that outlasts the sensor's way, before anything is built for it."""
+        """Raise UsageError if the recording is longer than the sensor's route, before anything is built."""
         if self.sensor.pose(self.duration, self.height) is None:
-            raise UsageError(f"the sensor's way takes less than {self.duration:.0f} s: ask for fewer frames (--frames)")
+            raise UsageError(f"the sensor's route takes less than {self.duration:.0f} s. Give fewer frames (--frames)")
 
     def add(self, mesh: Mesh, kind: ObjectClass, reflectance: float | None = None) -> None:
-        """Put something that stands, already in the scene frame."""
+        """Add a static mesh in the scene frame."""
         self.parts.append(MeshPart(mesh, kind, REFLECTANCE.get(kind, 0.4) if reflectance is None else reflectance))
 
     def put(
         self, mesh: Mesh, kind: ObjectClass, x: float, y: float, yaw: float = 0, reflectance: float | None = None
     ) -> None:
-        """Stand something on the ground."""
+        """Place a static mesh on the ground."""
         z = float(self.height(np.array([x]), np.array([y]))[0])
         self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
 
     def tree(self, x: float, y: float, highest: float = 9.0) -> None:
-        """Plant a tree, 6.5 m high at least."""
+        """Add a tree, at least 6.5 m high."""
         height = self.rng.uniform(6.5, highest)
-        self.put(things.trunk(self.rng, height), ObjectClass.TRUNK, x, y)
-        self.put(things.crown(self.rng, height), ObjectClass.VEGETATION, x, y)
+        self.put(objects.trunk(self.rng, height), ObjectClass.TRUNK, x, y)
+        self.put(objects.crown(self.rng, height), ObjectClass.VEGETATION, x, y)
 
     def house(self, x: float, y: float, yaw: float, width: float, depth: float, storeys: int) -> None:
-        """Build a house whose front's middle is at x, y and whose front looks along yaw + 90 degrees."""
-        walls, panes = things.house(self.rng, width, depth, storeys)
+        """Add a house; its front is centred at x, y and faces along yaw + 90 degrees."""
+        walls, panes = objects.house(self.rng, width, depth, storeys)
         self.put(walls, ObjectClass.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
-        self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)  # glass sends little back from afar
+        self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)  # glass returns little light from far away
 
     def move(self, kind: ObjectClass, path: Route, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
-        """Let something move along a path."""
+        """Add an object that moves along a route."""
         shape = body if callable(body) else lambda _: body
         upright = kind in (ObjectClass.MOVING_PERSON, ObjectClass.MOVING_BICYCLIST)
         reflectance = self.rng.uniform(0.12, 0.7)
-        self.movers.append(Mover(kind, len(self.movers) + 1, Ride(path, schedule, upright), shape, reflectance))
+        self.movers.append(Mover(kind, len(self.movers) + 1, Motion(path, schedule, upright), shape, reflectance))
 
     def walk(self, path: Route, schedule: Schedule) -> None:
-        """Let a person go along a path."""
+        """Add a person who walks along a route."""
         height = self.rng.uniform(1.55, 1.9)
-        self.move(ObjectClass.MOVING_PERSON, path, schedule, lambda way: things.person(way, height))
+        self.move(ObjectClass.MOVING_PERSON, path, schedule, lambda distance: objects.person(distance, height))
 
 
 def rolling(rng: np.random.Generator, steepness: float = 0.004) -> Callable[[F64, F64], F64]:
-    """Smooth uneven ground: waves of 6 to 90 m length whose height is this share of their length."""
+    """Smooth uneven ground: waves with lengths of 6 to 90 m and amplitudes of ``steepness`` times their length."""
     lengths = np.array([90.0, 60.0, 35.0, 20.0, 11.0, 6.0])
     directions, phases = rng.uniform(0, 2 * np.pi, (2, len(lengths)))
 

@@ -17,7 +17,7 @@ Index = I64
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in space.
+    """A triangle mesh.
 
     Attributes:
         vertices: (V, 3) float64, metres.
@@ -28,18 +28,18 @@ class Mesh:
     triangles: Index
 
     def moved(self, x: float = 0, y: float = 0, z: float = 0, *, yaw: float = 0) -> Mesh:
-        """The same shape turned about z (radians) and then shifted (metres)."""
+        """The mesh rotated about z (radians) and then shifted (metres)."""
         T = np.eye(4)
         T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
         T[:3, 3] = x, y, z
         return self.transformed(T)
 
     def transformed(self, T: F64) -> Mesh:
-        """The same shape under a (4, 4) rigid motion."""
+        """The mesh under a (4, 4) rigid transform."""
         return Mesh(geometry.apply(T, self.vertices), self.triangles)
 
     def scaled(self, x: float, y: float, z: float) -> Mesh:
-        """The same shape, stretched along the axes by positive factors."""
+        """The mesh scaled along the axes by positive factors."""
         return Mesh(self.vertices * (x, y, z), self.triangles)
 
     @property
@@ -49,7 +49,7 @@ class Mesh:
 
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
-    """Several meshes as one."""
+    """Combine several meshes into one."""
     meshes = list(meshes)
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     triangles = [m.triangles + start for m, start in zip(meshes, starts, strict=False)]
@@ -57,7 +57,7 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def quads(corners: ArrayLike) -> Mesh:
-    """Flat four-cornered faces.
+    """Flat quadrilaterals.
 
     Args:
         corners: (N, 4, 3) metres, counter-clockwise seen from the front.
@@ -68,7 +68,7 @@ def quads(corners: ArrayLike) -> Mesh:
 
 
 def grid(points: F64) -> Mesh:
-    """A surface through (R, C, 3) points; rows along x and columns along y make it face up."""
+    """A surface through (R, C, 3) points; it faces up if rows are along x and columns along y."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
@@ -80,7 +80,7 @@ def loft(rings: ArrayLike) -> Mesh:
     """A closed body through rings.
 
     Args:
-        rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last.
+        rings: (R, K, 3) metres; each ring convex, and counter-clockwise seen from beyond the last ring.
     """
     points = np.asarray(rings, np.float64)
     return Mesh(points.reshape(-1, 3), _closed(*points.shape[:2]))
@@ -99,7 +99,7 @@ def _closed(count: int, sides: int) -> Index:
 
 
 def boxes(centres: ArrayLike, sizes: ArrayLike) -> Mesh:
-    """Boxes along the axes, (N, 3) centres and (N, 3) or (3,) sizes in metres."""
+    """Axis-aligned boxes with (N, 3) centres and (N, 3) or (3,) sizes in metres."""
     centres = np.asarray(centres, np.float64)
     half = np.broadcast_to(np.asarray(sizes, np.float64) / 2, centres.shape)
     square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -110,12 +110,12 @@ def boxes(centres: ArrayLike, sizes: ArrayLike) -> Mesh:
 
 
 def box(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
-    """One box of this size, standing with the middle of its bottom at ``at``."""
+    """One box of this size; the centre of its bottom is at ``at``."""
     return boxes([(at[0], at[1], at[2] + z / 2)], (x, y, z))
 
 
 def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = (0, 0, 0), sides: int = 10) -> Mesh:
-    """An ellipsoid with these half axes about ``at``."""
+    """An ellipsoid with these semi-axes and centre ``at``."""
     polar = np.linspace(-0.98, 0.98, 7) * np.pi / 2
     around = 2 * np.pi * np.arange(sides) / sides
     ring = np.column_stack([np.cos(around), np.sin(around), np.ones(sides)])
@@ -123,7 +123,7 @@ def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = 
 
 
 def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
-    """A round bar along (P, 3) points with one radius for all or one for each: poles, trunks, limbs, wheels' rims."""
+    """A round bar along (P, 3) points, with one radius or one per point: poles, trunks, limbs, rims."""
     points = np.asarray(points, np.float64)
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -137,7 +137,7 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
 
 
 def layers(profile: Iterable[tuple[float, float, float, float]]) -> Mesh:
-    """A body of stacked rectangles with the edges cut off: (z, rear x, front x, half width) from below upwards."""
+    """A body of stacked rectangles with cut corners: (z, rear x, front x, half width), from bottom to top."""
     return loft([_rounded(rear, front, half, z) for z, rear, front, half in profile])
 
 
@@ -148,6 +148,6 @@ def _rounded(rear: float, front: float, half: float, z: float) -> F64:
 
 
 def leaves(centres: F64, size: float, rng: np.random.Generator) -> Mesh:
-    """Single triangles of about this size (metres) in any direction about (N, 3) centres: rays pass between them."""
+    """Single randomly oriented triangles of about this size (metres) at (N, 3) centres; rays pass between them."""
     corners = centres[:, None] + rng.normal(0, size / 2, (len(centres), 3, 3))
     return Mesh(corners.reshape(-1, 3), np.arange(3 * len(centres)).reshape(-1, 3))

@@ -1,35 +1,35 @@
-"""A city square with a crowd: houses on three sides, a street with traffic on the fourth, trees, kiosks, a fountain."""
+"""A city square with a crowd: houses on three sides, a street with traffic on the fourth, trees, kiosks, fountain."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.simulate import things
+from dynaviz.simulate import objects
 from dynaviz.simulate.classes import ObjectClass
-from dynaviz.simulate.movers import Ride, Route, Schedule, cruise, depart
+from dynaviz.simulate.movers import Motion, Route, Schedule, cruise, depart
 from dynaviz.simulate.scene import SimulatedScene, rolling
 from dynaviz.simulate.shapes import box, grid, join, tube
 
-HALF = 34.0  # of the square's side, metres; the street runs beyond its edge at y = -HALF
+HALF = 34.0  # half the square's side, metres; the street runs along its edge at y = -HALF
 LANES = (-36.2, -39.5)
 FOUNTAIN = (-3.0, 2.0)
-GATE = 26.0  # where vehicles leave the square, x in metres
+GATE = 26.0  # x of the exit for vehicles, metres
 
 
 def square(rng: np.random.Generator, duration: float, speed: float, traffic: float) -> SimulatedScene:
-    """Build a square for a sensor that stands for a third of the time and then drives across it in a bend.
+    """Build a square; the sensor stands for a third of the time and then drives across it in a curve.
 
     Args:
-        rng: chooses everything.
-        duration: of the recording, seconds.
-        speed: of the sensor once it goes, m/s.
-        traffic: how much of it; 1 is usual.
+        rng: random numbers for the whole scene.
+        duration: duration of the recording, seconds.
+        speed: speed of the sensor once it moves, m/s.
+        traffic: relative number of movers; 1 is normal.
     """
     route = Route(
         [(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4
     )
-    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Ride(route, depart(2.0, speed, duration / 3, 1.0)))
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Motion(route, depart(2.0, speed, duration / 3, 1.0)))
     _ground(scene)
     _houses(scene)
     _furniture(scene)
@@ -51,7 +51,7 @@ def _ground(scene: SimulatedScene) -> None:
 
 
 def _houses(scene: SimulatedScene) -> None:
-    """Three sides of houses, each with a lane between two of them that one looks through."""
+    """Houses on three sides, each with a gap between two houses."""
     for side, yaw in ((0, np.pi), (1, -np.pi / 2), (2, np.pi / 2)):
         along = -HALF
         for plot in range(5):
@@ -73,29 +73,29 @@ def _furniture(scene: SimulatedScene) -> None:
         scene.tree(x + 3, 27.5 + scene.rng.uniform(-1, 1))
         if x < GATE - 7:
             scene.tree(x, -28 + scene.rng.uniform(-1, 1))
-            scene.put(things.bench(), ObjectClass.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
+            scene.put(objects.bench(), ObjectClass.OTHER_OBJECT, x + 3.5, -26.5, np.pi / 2)
         if count % 2:
-            scene.put(things.lamp(5, 0.8), ObjectClass.POLE, x - 3.7, -31, np.pi / 2)
-            scene.put(things.lamp(5, 0.8), ObjectClass.POLE, x, 24, -np.pi / 2)
+            scene.put(objects.lamp(5, 0.8), ObjectClass.POLE, x - 3.7, -31, np.pi / 2)
+            scene.put(objects.lamp(5, 0.8), ObjectClass.POLE, x, 24, -np.pi / 2)
     for x in np.arange(-32, GATE - 4, 2.5):
         scene.put(tube([(0, 0, -0.2), (0, 0, 0.9)], 0.08), ObjectClass.POLE, x, -32.8)
     for x, y in scene.rng.uniform((-30, -20), (-24, -3), (6, 2)):
-        scene.put(things.table(), ObjectClass.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
+        scene.put(objects.table(), ObjectClass.OTHER_OBJECT, x, y, scene.rng.uniform(0, np.pi))
     for x in np.arange(-4, 4, 0.8):
-        scene.put(things.bicycle(), ObjectClass.PARKED_BICYCLE, x, -29.8, np.pi / 2)
+        scene.put(objects.bicycle(), ObjectClass.PARKED_BICYCLE, x, -29.8, np.pi / 2)
     for x in np.arange(-60, 61, 6.5):
         if scene.rng.random() < 0.6:
-            scene.put(things.car(scene.rng), ObjectClass.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
+            scene.put(objects.car(scene.rng), ObjectClass.CAR, x, -HALF - 7.9, 0, scene.rng.uniform(0.1, 0.7))
 
 
 def _crowd(scene: SimulatedScene, traffic: float) -> None:
-    """People across the square in all directions and along the house fronts; some stand first."""
+    """People across the square in all directions and along the house fronts; some stand at first; cyclists."""
     for count in range(round(28 * traffic)):
         pace = scene.rng.uniform(0.9, 1.6)
         stands = scene.duration * scene.rng.uniform(0.3, 0.7) if count % 5 == 1 else None
         scene.walk(*_way(scene, pace, stands, close_to_wall=count % 4 == 0))
     for _ in range(round(4 * traffic)):
-        scene.move(ObjectClass.MOVING_BICYCLIST, *_way(scene, 3.5), things.cyclist)
+        scene.move(ObjectClass.MOVING_BICYCLIST, *_way(scene, 3.5), objects.cyclist)
 
 
 def _way(
@@ -104,7 +104,7 @@ def _way(
     stands: float | None = None,
     close_to_wall: bool = False,
 ) -> tuple[Route, Schedule]:
-    """A way through the square, chosen anew until it leads nobody into the sensor."""
+    """A random route across the square; repeated until it stays more than 2 m from the sensor."""
     while True:
         path = _walk(scene.rng, close_to_wall)
         start = float(scene.rng.uniform(0, max(1.0, path.length - 0.8 * pace * scene.duration)))
@@ -117,7 +117,7 @@ def _way(
 
 
 def _walk(rng: np.random.Generator, close_to_wall: bool) -> Route:
-    """A bent way across the open part of the square, or one half a metre to a metre from the fronts."""
+    """A curved route across the open part of the square, or one 0.7 to 1.8 m from the fronts."""
     inside = HALF - 12
     if close_to_wall:
         gap = HALF - rng.uniform(0.7, 1.8)
@@ -133,7 +133,7 @@ def _walk(rng: np.random.Generator, close_to_wall: bool) -> Route:
 
 
 def _traffic(scene: SimulatedScene, traffic: float) -> None:
-    """Cars and lorries on the street, a car that leaves the square."""
+    """Cars and a lorry on the street, and a car that leaves the square."""
     lanes = [Route([(-88, LANES[0]), (88, LANES[0])]), Route([(88, LANES[1]), (-88, LANES[1])])]
     count = max(4, round(0.5 * scene.duration * traffic))
     for index in range(count):
@@ -145,7 +145,7 @@ def _traffic(scene: SimulatedScene, traffic: float) -> None:
             ObjectClass.MOVING_TRUCK if lorry else ObjectClass.MOVING_CAR,
             lanes[index % 2],
             schedule,
-            things.truck(scene.rng) if lorry else things.car(scene.rng),
+            objects.truck(scene.rng) if lorry else objects.car(scene.rng),
         )
     out = Route([(27, 3), (27, -8), (GATE, -24), (GATE, LANES[0]), (40, LANES[0]), (88, LANES[0])], rounds=4)
-    scene.move(ObjectClass.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), things.car(scene.rng))
+    scene.move(ObjectClass.MOVING_CAR, out, depart(5, 4.0, 0.4 * scene.duration), objects.car(scene.rng))

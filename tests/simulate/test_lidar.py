@@ -5,8 +5,8 @@ import pytest
 
 from dynaviz.sensors import load_sensor, sensor_names
 from dynaviz.simulate.classes import ObjectClass
-from dynaviz.simulate.lidar import Hits, World, mounts, receive, sweep
-from dynaviz.simulate.movers import Ride, Route, cruise
+from dynaviz.simulate.lidar import Hits, RayScene, mounts, receive, sweep_rays
+from dynaviz.simulate.movers import Motion, Route, cruise
 from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.shapes import box, quads
 
@@ -22,7 +22,7 @@ def angles(directions):
 @pytest.mark.parametrize("name", sensor_names())
 def test_rays_stay_in_the_field_of_view_and_fill_it(name):
     sensor = load_sensor(name)
-    rays = sweep(sensor, 3, np.random.default_rng(0))
+    rays = sweep_rays(sensor, 3, np.random.default_rng(0))
     np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-12)
     for number, T in enumerate(mounts(sensor)):
         own = rays.lidar == number
@@ -38,35 +38,35 @@ def test_rays_stay_in_the_field_of_view_and_fill_it(name):
             assert own.sum() == sensor.points_per_sweep
 
 
-def test_the_lower_of_the_pair_hangs_upside_down():
+def test_the_lower_lidar_of_the_pair_is_upside_down():
     upper, lower = mounts(load_sensor("vlp32c_pair"))
     assert upper[2, 2] == 1
     assert lower[2, 2] == pytest.approx(-1)
     assert lower[2, 3] < upper[2, 3]
 
 
-def test_a_pattern_without_rings_never_repeats():
+def test_a_pattern_without_rings_does_not_repeat():
     sensor = load_sensor("mid360")
-    sweeps = [sweep(sensor, k, np.random.default_rng(0)).directions for k in range(4)]
+    sweeps = [sweep_rays(sensor, k, np.random.default_rng(0)).directions for k in range(4)]
     azimuth, elevation = angles(np.concatenate(sweeps))
     cells = [len(np.unique(np.floor(azimuth[:n] * 2) * 1000 + np.floor(elevation[:n] * 2))) for n in (20000, 80000)]
     assert cells[1] > 1.5 * cells[0]
 
 
 def scene_with_a_wall_and_a_mover():
-    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Ride(Route([(0, 0), (9, 0)]), cruise(0, 1)))
+    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Motion(Route([(0, 0), (9, 0)]), cruise(0, 1)))
     scene.add(quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), ObjectClass.BUILDING, 0.8)
     scene.move(ObjectClass.MOVING_CAR, Route([(5, -4), (5, 4)]), cruise(0, 4), box(2, 2, 2))
     return scene
 
 
 def test_the_nearer_of_mover_and_background_is_hit():
-    world, sensor = World(scene_with_a_wall_and_a_mover()), load_sensor("vlp16")
-    rays = sweep(sensor, 0, np.random.default_rng(0))
+    ray_scene, sensor = RayScene(scene_with_a_wall_and_a_mover()), load_sensor("vlp16")
+    rays = sweep_rays(sensor, 0, np.random.default_rng(0))
     T = np.eye(4)
     T[2, 3] = 1.0
     for time, middle in ((0.5, -2.0), (1.0, 0.0), (1.5, 2.0)):
-        hits = world.cast(rays, T, time)
+        hits = ray_scene.cast(rays, T, time)
         points = rays.directions * hits.range[:, None]
         mover, wall = hits.kind == ObjectClass.MOVING_CAR, hits.kind == ObjectClass.BUILDING
         assert mover.any()
@@ -75,7 +75,7 @@ def test_the_nearer_of_mover_and_background_is_hit():
         assert np.isinf(hits.range[~(mover | wall)]).all()
         assert set(hits.instance[mover]) == {1}
         assert not hits.instance[~mover].any()
-    gone = world.cast(rays, T, 3.0)
+    gone = ray_scene.cast(rays, T, 3.0)
     assert ObjectClass.MOVING_CAR not in gone.kind
 
 
@@ -86,7 +86,7 @@ def hits_of(count, range_, reflectance=0.8, facing=1.0, kind=ObjectClass.BUILDIN
     )
 
 
-def test_ranges_are_noisy_as_the_sensor_says_and_within_its_limits():
+def test_ranges_have_the_sensors_noise_and_limits():
     sensor = load_sensor("hdl64e")
     distance, back, kinds, intensity = receive(hits_of(20000, 20.0), sensor, np.random.default_rng(0))
     assert 0.9 < back.mean() < 1
@@ -99,7 +99,7 @@ def test_ranges_are_noisy_as_the_sensor_says_and_within_its_limits():
         assert not receive(hits_of(1000, limit), sensor, np.random.default_rng(0))[1].any()
 
 
-def test_dark_and_grazed_surfaces_return_less_from_afar():
+def test_dark_and_grazed_surfaces_return_less_at_long_range():
     sensor, rng = load_sensor("hdl64e"), np.random.default_rng(0)
     bright, dark, grazed = (
         receive(hits_of(5000, 60.0, reflectance, facing), sensor, rng)[1].mean()
@@ -110,7 +110,7 @@ def test_dark_and_grazed_surfaces_return_less_from_afar():
     assert grazed < 0.3
 
 
-def test_detours_are_rare_lie_beyond_the_ground_and_are_marked():
+def test_multipath_returns_are_rare_too_far_and_marked():
     sensor = load_sensor("hdl64e")
     distance, _, kinds, _ = receive(hits_of(100000, 20.0, kind=ObjectClass.ROAD), sensor, np.random.default_rng(0))
     detour = kinds == ObjectClass.OUTLIER

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.simulate.movers import Ride, Route, arrive, cruise, depart
+from dynaviz.simulate.movers import Motion, Route, arrive, cruise, depart
 
 
 def flat(x, y):
@@ -17,7 +17,7 @@ def slope(x, y):
 
 
 @given(st.floats(-50, 50), st.floats(0.5, 15), st.floats(0, 20))
-def test_schedules_go_forward_and_stand_where_they_say(place, speed, time):
+def test_schedules_are_monotonic_and_stand_where_they_should(place, speed, time):
     times = np.linspace(-5, 30, 200)
     leaving, coming = depart(place, speed, time), arrive(place, speed, time)
     for schedule in (leaving, coming, cruise(place, speed)):
@@ -28,7 +28,7 @@ def test_schedules_go_forward_and_stand_where_they_say(place, speed, time):
     assert leaving(time + 1) > place > coming(time - 1)
 
 
-def test_a_path_measures_its_length_and_cuts_corners():
+def test_a_route_has_its_length_and_cuts_corners():
     corner = Route([(0, 0), (10, 0), (10, 10)], rounds=4)
     assert corner.xy[0] == pytest.approx((0, 0))
     assert corner.xy[-1] == pytest.approx((10, 10))
@@ -37,25 +37,25 @@ def test_a_path_measures_its_length_and_cuts_corners():
 
 
 @given(st.floats(-3, 3))
-def test_beside_a_circle_is_another_circle(left):
+def test_a_parallel_of_a_circle_is_a_circle(left):
     around = np.linspace(0, np.pi, 400)
     circle = Route(20 * np.column_stack([np.cos(around), np.sin(around)]))
-    beside = circle.shifted(left)
-    np.testing.assert_allclose(np.hypot(*beside.xy[1:-1].T), 20 - left, atol=1e-3)
+    parallel = circle.shifted(left)
+    np.testing.assert_allclose(np.hypot(*parallel.xy[1:-1].T), 20 - left, atol=1e-3)
 
 
-def test_a_ride_is_absent_beyond_its_path():
-    ride = Ride(Route([(0, 0), (10, 0)]), cruise(-5, 1))
-    assert ride.pose(4, flat) is None
-    assert ride.pose(16, flat) is None
-    pose = ride.pose(10, flat)
+def test_a_motion_has_no_pose_beyond_its_route():
+    motion = Motion(Route([(0, 0), (10, 0)]), cruise(-5, 1))
+    assert motion.pose(4, flat) is None
+    assert motion.pose(16, flat) is None
+    pose = motion.pose(10, flat)
     assert pose is not None
     np.testing.assert_allclose(pose, [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-12)
 
 
 @pytest.mark.parametrize("upright", [True, False])
-def test_wheels_lean_with_the_slope_and_people_do_not(upright):
-    pose = Ride(Route([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
+def test_vehicles_follow_the_slope_and_people_stay_upright(upright):
+    pose = Motion(Route([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
     assert pose is not None
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)

@@ -11,7 +11,7 @@ import pytest
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.sensors import load_sensor
-from dynaviz.simulate import PRESETS, shoot, simulate
+from dynaviz.simulate import PRESETS, record_sweeps, simulate
 from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
 from dynaviz.simulate.recording import build
 from dynaviz.spatial import geometry
@@ -21,10 +21,10 @@ FRAMES = 12
 
 @pytest.fixture(scope="module")
 def street():
-    """The demo without pose errors: its scene and its sweeps."""
+    """The demo without pose errors: scene and sweeps."""
     preset = dataclasses.replace(PRESETS["demo"], pose_noise=(0.0, 0.0))
     scene = build(preset, FRAMES)
-    return scene, list(shoot(scene, preset, FRAMES))
+    return scene, list(record_sweeps(scene, preset, FRAMES))
 
 
 @pytest.fixture(scope="module")
@@ -32,32 +32,32 @@ def folder(tmp_path_factory):
     return simulate("demo", tmp_path_factory.mktemp("made") / "demo", frames=3)
 
 
-def in_body(scene, mover, shot):
-    """Points in the frame of a mover, and the (2, 3) box it fills there; None while it is not in the scene."""
-    T = mover.ride.pose(shot.time, scene.height)
+def in_body(scene, mover, sweep):
+    """Points in the frame of a mover, and its (2, 3) bounds there; None while it is not in the scene."""
+    T = mover.motion.pose(sweep.time, scene.height)
     if T is None:
         return None
-    points = geometry.apply(geometry.inverse(T) @ shot.T_scene_world, shot.points)
-    return points, mover.body(mover.ride.schedule(shot.time)).bounds
+    points = geometry.apply(geometry.inverse(T) @ sweep.T_scene_world, sweep.points)
+    return points, mover.body(mover.motion.schedule(sweep.time)).bounds
 
 
 def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
-    scene, shots = street
+    scene, sweeps = street
     seen = set()
-    for shot in shots:
+    for sweep in sweeps:
         for mover in scene.movers:
-            found, own = in_body(scene, mover, shot), shot.instances == mover.instance
+            found, own = in_body(scene, mover, sweep), sweep.instances == mover.instance
             if found is None:
                 assert not own.any()
                 continue
             points, (low, high) = found
             assert ((points[own] > low - 0.12) & (points[own] < high + 0.12)).all()  # six times the range noise
             within = ((points > np.add(low, (0.1, 0.1, 0.2))) & (points < high - 0.1)).all(1)
-            assert (shot.labels[within] == 1).all()
-            assert (shot.kinds[own] == mover.kind).all()
+            assert (sweep.labels[within] == 1).all()
+            assert (sweep.kinds[own] == mover.kind).all()
             if own.any():
                 seen.add(mover.kind)
-        np.testing.assert_array_equal(shot.labels == 1, shot.instances > 0)
+        np.testing.assert_array_equal(sweep.labels == 1, sweep.instances > 0)
     assert seen == {
         ObjectClass.MOVING_CAR,
         ObjectClass.MOVING_TRUCK,
@@ -67,8 +67,8 @@ def test_dynamic_points_lie_on_their_mover_and_no_static_point_in_one(street):
 
 
 def standing(mover, times):
-    """Which of the times it stands at."""
-    way = np.array([mover.ride.schedule(t) for t in [*times, times[-1] + 0.1]])
+    """At which of the times a mover stands."""
+    way = np.array([mover.motion.schedule(t) for t in [*times, times[-1] + 0.1]])
     return np.diff(way) < 1e-9
 
 
@@ -76,46 +76,46 @@ def standing(mover, times):
     ("kind", "when"),
     [(ObjectClass.MOVING_PERSON, "first"), (ObjectClass.MOVING_CAR, "first"), (ObjectClass.MOVING_CAR, "last")],
 )
-def test_who_stands_for_a_while_is_dynamic_all_the_time(street, kind, when):
-    scene, shots = street
-    times = [shot.time for shot in shots]
+def test_a_mover_that_stands_for_a_while_is_always_dynamic(street, kind, when):
+    scene, sweeps = street
+    times = [sweep.time for sweep in sweeps]
     half = slice(0, 5) if when == "first" else slice(-5, None)
     stays = [standing(m, times) for m in scene.movers]
     chosen = [m for m, still in zip(scene.movers, stays, strict=True) if m.kind == kind and still[half].all()]
     chosen = [m for m in chosen if not standing(m, times).all()]
     assert len(chosen) == 1
-    counts = [(shot.instances == chosen[0].instance).sum() for shot in shots]
+    counts = [(sweep.instances == chosen[0].instance).sum() for sweep in sweeps]
     assert min(counts) > 0
-    for shot in shots:
-        assert (shot.labels[shot.instances == chosen[0].instance] == 1).all()
+    for sweep in sweeps:
+        assert (sweep.labels[sweep.instances == chosen[0].instance] == 1).all()
 
 
-def test_reflections_lie_below_the_ground_and_are_static(street):
-    scene, shots = street
+def test_multipath_returns_lie_below_the_ground_and_are_static(street):
+    scene, sweeps = street
     echoes = 0
-    for shot in shots:
-        odd = shot.kinds == ObjectClass.OUTLIER
-        x, y, z = geometry.apply(shot.T_scene_world, shot.points[odd]).T
+    for sweep in sweeps:
+        odd = sweep.kinds == ObjectClass.OUTLIER
+        x, y, z = geometry.apply(sweep.T_scene_world, sweep.points[odd]).T
         assert (z < scene.height(x, y)).all()
-        assert not shot.labels[odd].any()
+        assert not sweep.labels[odd].any()
         echoes += int(odd.sum())
     assert echoes > 0
 
 
 def test_the_world_is_the_first_sensor_frame_above_the_ground(street):
-    _, shots = street
-    np.testing.assert_allclose(shots[0].T_world_sensor, np.eye(4), atol=1e-12)
-    road = shots[0].points[(shots[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(shots[0].points, axis=1) < 6)]
+    _, sweeps = street
+    np.testing.assert_allclose(sweeps[0].T_world_sensor, np.eye(4), atol=1e-12)
+    road = sweeps[0].points[(sweeps[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(sweeps[0].points, axis=1) < 6)]
     assert np.median(road[:, 2]) == pytest.approx(-load_sensor("vlp16").height, abs=0.1)
 
 
-def test_pose_errors_are_of_the_size_asked_for():
+def test_pose_errors_have_the_given_size():
     preset = dataclasses.replace(PRESETS["hall_vlp16"], pose_noise=(0.02, 0.1))
     exact = dataclasses.replace(preset, pose_noise=(0.0, 0.0))
     scene = build(preset, 40)
     errors = [
         geometry.inverse(a.T_world_sensor) @ b.T_world_sensor
-        for a, b in zip(shoot(scene, exact, 40), shoot(scene, preset, 40), strict=True)
+        for a, b in zip(record_sweeps(scene, exact, 40), record_sweeps(scene, preset, 40), strict=True)
     ]
     assert 0.01 < np.std([e[:3, 3] for e in errors]) < 0.03
     assert 0.05 < np.degrees(np.std([e[np.tril_indices(3, -1)] for e in errors])) < 0.15
@@ -124,19 +124,19 @@ def test_pose_errors_are_of_the_size_asked_for():
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_renders(name):
     preset = PRESETS[name]
-    first, second = shoot(build(preset, 2), preset, 2)
-    for shot in (first, second):
-        ranges = np.linalg.norm(shot.points - shot.T_world_sensor[:3, 3], axis=1)
+    first, second = record_sweeps(build(preset, 2), preset, 2)
+    for sweep in (first, second):
+        ranges = np.linalg.norm(sweep.points - sweep.T_world_sensor[:3, 3], axis=1)
         sensor = load_sensor(preset.sensor)
-        assert np.isfinite(shot.points).all()
+        assert np.isfinite(sweep.points).all()
         assert sensor.min_range - 0.5 < ranges.min()
         assert ranges.max() < sensor.max_range + 0.5
-        assert 0.001 < shot.labels.mean() < 0.5  # in so short a time all traffic meets the sensor at once
-        assert set(np.unique(shot.kinds).tolist()) <= set(CLASS_NAMES)
+        assert 0.001 < sweep.labels.mean() < 0.5  # in so short a time all traffic meets the sensor at once
+        assert set(np.unique(sweep.kinds).tolist()) <= set(CLASS_NAMES)
     assert not np.array_equal(first.points[:100], second.points[:100])
 
 
-def test_other_programs_can_read_it(folder):
+def test_open3d_reads_the_files(folder):
     import open3d as o3d
 
     cloud = o3d.t.io.read_point_cloud(str(folder / "gt_cloud.pcd"))
@@ -151,7 +151,7 @@ def test_other_programs_can_read_it(folder):
     assert 0 < dynamic.mean() < 0.5
 
 
-def test_the_viewpoint_is_where_the_sensor_was(folder):
+def test_the_viewpoint_is_the_sensor_position(folder):
     header = (folder / "pcd" / "000002.pcd").read_bytes().split(b"DATA")[0].decode()
     fields = {words[0]: words[1:] for line in header.splitlines() if (words := line.split())}
     position = np.array(fields["VIEWPOINT"][:3], float)
@@ -159,7 +159,7 @@ def test_the_viewpoint_is_where_the_sensor_was(folder):
     assert np.linalg.norm(position - (0.6, 0, 0)) < 0.15  # 3 m/s for 0.2 s
 
 
-def test_the_pair_says_which_lidar_measured_a_point(tmp_path):
+def test_merged_lidars_are_numbered_per_point(tmp_path):
     from dynaviz.io.pcd import read_pcd
 
     scan = read_pcd(simulate("square_vlp32c", tmp_path / "pair", frames=1) / "pcd" / "000000.pcd")
@@ -167,7 +167,7 @@ def test_the_pair_says_which_lidar_measured_a_point(tmp_path):
     assert scan["lidar"].dtype == np.uint8
 
 
-def test_it_says_what_it_is(folder):
+def test_sequence_toml_describes_the_sequence(folder):
     facts = tomllib.loads((folder / "sequence.toml").read_text())
     assert facts["preset"] == facts["name"] == "demo"
     assert (facts["sensor"], facts["seed"], facts["frames"], facts["rate"]) == ("vlp16", 0, 3, 10.0)
@@ -189,8 +189,8 @@ def test_another_seed_is_another_scene():
     assert ways[0] != ways[1]
 
 
-def test_errors_say_what_to_do_and_leave_nothing_behind(tmp_path, folder):
-    with pytest.raises(UsageError, match=r"no scene 'nowhere'.*street_hdl64"):
+def test_errors_suggest_a_fix_and_leave_no_files(tmp_path, folder):
+    with pytest.raises(UsageError, match=r"unknown scene 'nowhere'.*street_hdl64"):
         simulate("nowhere", tmp_path / "a")
     with pytest.raises(UsageError, match="at least one frame"):
         simulate("demo", tmp_path / "a", frames=0)
@@ -208,12 +208,12 @@ def test_errors_say_what_to_do_and_leave_nothing_behind(tmp_path, folder):
 
 
 def test_progress_counts_the_sweeps(tmp_path):
-    told = []
-    simulate("hall_mid360", tmp_path / "hall", frames=2, progress=lambda done, total: told.append((done, total)))
-    assert told == [(1, 2), (2, 2)]
+    calls = []
+    simulate("hall_mid360", tmp_path / "hall", frames=2, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 2), (2, 2)]
 
 
-def test_importing_it_is_light():
+def test_importing_the_package_loads_nothing_heavy():
     code = "import sys, dynaviz.simulate; print([m for m in ('open3d', 'scipy', 'numba', 'rerun') if m in sys.modules])"
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

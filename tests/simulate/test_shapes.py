@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.simulate import things
+from dynaviz.simulate import objects
 from dynaviz.simulate.shapes import Mesh, boxes, ellipsoid, grid, join, layers, leaves, quads, tube
 
 metres = st.floats(0.1, 10)
@@ -19,13 +19,13 @@ def is_closed(mesh: Mesh) -> bool:
 
 
 def volume(mesh: Mesh) -> float:
-    """By the divergence theorem: positive only where triangles face outward."""
+    """Volume by the divergence theorem; positive if triangles face outward."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     return float((a * np.cross(b, c)).sum() / 6)
 
 
 @given(st.lists(st.tuples(metres, metres, metres), min_size=1, max_size=4))
-def test_boxes_have_the_volume_they_claim(sizes):
+def test_boxes_have_the_volume_of_their_sizes(sizes):
     mesh = boxes([(20.0 * k, 0, 0) for k in range(len(sizes))], sizes)
     assert is_closed(mesh)
     assert volume(mesh) == pytest.approx(sum(x * y * z for x, y, z in sizes))
@@ -79,12 +79,12 @@ def test_moving_keeps_the_volume(yaw, x, y):
 @pytest.mark.parametrize(
     ("build", "low", "high"),
     [
-        (things.car, (3.6, 1.6, 1.3), (5.0, 1.9, 1.8)),
-        (things.truck, (6.4, 2.3, 3.5), (9.1, 2.7, 4.1)),
-        (things.forklift, (2.5, 0.9, 2.0), (3.3, 1.3, 2.4)),
+        (objects.car, (3.6, 1.6, 1.3), (5.0, 1.9, 1.8)),
+        (objects.truck, (6.4, 2.3, 3.5), (9.1, 2.7, 4.1)),
+        (objects.forklift, (2.5, 0.9, 2.0), (3.3, 1.3, 2.4)),
     ],
 )
-def test_vehicles_are_closed_and_of_a_believable_size(build, low, high, seed):
+def test_vehicles_are_closed_and_have_realistic_sizes(build, low, high, seed):
     mesh = build(np.random.default_rng(seed))
     size = np.ptp(mesh.bounds, axis=0)
     assert is_closed(mesh)
@@ -94,22 +94,22 @@ def test_vehicles_are_closed_and_of_a_believable_size(build, low, high, seed):
 
 
 @given(st.floats(0, 1000))
-def test_a_person_stands_on_the_ground_at_any_step(way):
-    low, high = things.person(way, 1.8).bounds
+def test_a_person_stands_on_the_ground_at_any_step(distance):
+    low, high = objects.person(distance, 1.8).bounds
     assert -0.03 < low[2] < 0.15
     assert 1.7 < high[2] < 1.85
     assert np.ptp([low[0], high[0]]) < 1.3
 
 
-def test_a_person_swings_the_legs_and_stands_with_both_together():
-    stride = [np.ptp(things.person(way).bounds[:, 0]) for way in (0.0, things.STRIDE / 4)]
+def test_a_person_swings_the_legs():
+    stride = [np.ptp(objects.person(distance).bounds[:, 0]) for distance in (0.0, objects.STRIDE / 4)]
     assert stride[0] < 0.4 < 0.7 < stride[1]
 
 
 def test_windows_are_openings_in_the_wall():
     import open3d as o3d
 
-    walls, panes = things.house(np.random.default_rng(0), 12.0, 10.0, 3)
+    walls, panes = objects.house(np.random.default_rng(0), 12.0, 10.0, 3)
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(walls.vertices.astype(np.float32)), o3d.core.Tensor(walls.triangles.astype(np.uint32))

@@ -1,4 +1,4 @@
-"""Meshes of the things in a scene, each standing on z = 0 at the origin and looking along x."""
+"""Meshes of the objects in a scene, each standing on z = 0 at the origin and facing along x."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ Face = list[tuple[float, float, float]]
 """Corners of a flat face, metres."""
 
 STRIDE = 1.4
-"""Metres a person covers with a left and a right step."""
+"""Length of a left and a right step of a person, metres."""
 
 
-# Those that can move.
+# Movable objects.
 
 
 def car(rng: np.random.Generator) -> Mesh:
-    """A car of one of four makes, between 3.7 and 4.9 m long."""
+    """A car of one of four models, 3.7 to 4.9 m long."""
     length, height, boot = ((3.7, 1.5, 0.1), (4.3, 1.45, 0.25), (4.7, 1.42, 0.8), (4.9, 1.75, 0.15))[rng.integers(4)]
     half, rear, front = 0.88, -length / 2, length / 2
     bonnet = front - 0.24 * length
@@ -48,7 +48,7 @@ def truck(rng: np.random.Generator) -> Mesh:
 
 
 def forklift(_: np.random.Generator) -> Mesh:
-    """A fork-lift truck with its mast and an empty fork."""
+    """A forklift with mast and empty fork."""
     mast = boxes(
         [(1.05, 0.3, 1.1), (1.05, -0.3, 1.1), (1.05, 0, 2.1)], [(0.1, 0.1, 2.2), (0.1, 0.1, 2.2), (0.1, 0.7, 0.1)]
     )
@@ -65,9 +65,9 @@ def _wheels(axles: tuple[float, float], half: float, radius: float) -> Mesh:
     return join(tube([(x, y - 0.1, radius), (x, y + 0.1, radius)], radius, 12) for x in axles for y in (-half, half))
 
 
-def person(way: float, height: float = 1.75) -> Mesh:
-    """Someone walking, after ``way`` metres: arms and legs swing."""
-    swing = 0.55 * np.sin(2 * np.pi * way / STRIDE)
+def person(distance: float, height: float = 1.75) -> Mesh:
+    """A walking person after ``distance`` metres: arms and legs swing."""
+    swing = 0.55 * np.sin(2 * np.pi * distance / STRIDE)
     parts = [ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17)), ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62), sides=8)]
     parts += [tube([(0, 0, 1.46), (0.01, 0, 1.55)], 0.06, 6)]
     for side in (-1, 1):
@@ -79,16 +79,16 @@ def person(way: float, height: float = 1.75) -> Mesh:
 def _limb(
     top: tuple[float, float, float], angle: float, lengths: tuple[float, float], radii: tuple[float, ...], knee: float
 ) -> Mesh:
-    """An upper and a lower part, hanging from ``top`` and swung forward by an angle; the knee bends the lower one."""
+    """An upper and a lower segment, hanging from ``top`` and swung forward by an angle (radians); the knee bends."""
     points = [np.array(top)]
     for length, lean in zip(lengths, (angle, angle + knee * (1 - np.cos(angle))), strict=True):
         points.append(points[-1] + length * np.array([np.sin(lean), 0, -np.cos(lean)]))
     return tube(points, radii, 6)
 
 
-def cyclist(way: float) -> Mesh:
-    """Someone on a bicycle, after ``way`` metres: the legs go round."""
-    turn = 2 * np.pi * way / 5.0
+def cyclist(distance: float) -> Mesh:
+    """A cyclist after ``distance`` metres: the legs turn the pedals."""
+    turn = 2 * np.pi * distance / 5.0
     parts = [
         bicycle(),
         ellipsoid(0.17, 0.2, 0.34, at=(-0.05, 0, 1.22)),
@@ -114,24 +114,24 @@ def bicycle() -> Mesh:
     return join([*wheels, *frame, box(0.25, 0.12, 0.06, at=(-0.17, 0, 0.92))])
 
 
-# Those that stand.
+# Static objects.
 
 
 def trunk(rng: np.random.Generator, height: float) -> Mesh:
-    """A bent stem with three boughs."""
+    """A bent trunk with three branches."""
     bend = rng.uniform(-0.25, 0.25, 2)
     stem = [(0, 0, -0.5), (0, 0, 0.1), (*(bend / 2), height * 0.35), (*bend, height * 0.75)]
-    boughs = [_bough(np.array([*(bend / 2), height * 0.35]), a, height) for a in rng.uniform(0, 2 * np.pi, 3)]
-    return join([tube(stem, (0.24, 0.2, 0.15, 0.06)), *boughs])
+    branches = [_branch(np.array([*(bend / 2), height * 0.35]), a, height) for a in rng.uniform(0, 2 * np.pi, 3)]
+    return join([tube(stem, (0.24, 0.2, 0.15, 0.06)), *branches])
 
 
-def _bough(start: F64, azimuth: float, height: float) -> Mesh:
+def _branch(start: F64, azimuth: float, height: float) -> Mesh:
     end = start + height * np.array([0.17 * np.cos(azimuth), 0.17 * np.sin(azimuth), 0.25])
     return tube([start, end], (0.08, 0.03), 5)
 
 
 def crown(rng: np.random.Generator, height: float, count: int = 1600) -> Mesh:
-    """Leaves in five loose balls, from above the heads up."""
+    """Leaves in five loose clusters, above head height."""
     radius = 0.22 * height
     aside = np.clip(rng.normal(0, 0.55 * radius, (5, 2)), -0.8 * radius, 0.8 * radius)
     balls = np.column_stack([aside, rng.uniform(0.6 * height, 0.85 * height, 5)])
@@ -142,7 +142,7 @@ def crown(rng: np.random.Generator, height: float, count: int = 1600) -> Mesh:
 
 
 def bush(rng: np.random.Generator, x: float, y: float, z: float) -> Mesh:
-    """A hedge or bush that fills these sizes."""
+    """A hedge or bush of this size, metres."""
     count = int(300 * x * z) + 60
     return leaves(rng.uniform((-x / 2, -y / 2, 0), (x / 2, y / 2, z), (count, 3)), 0.15, rng)
 
@@ -167,7 +167,7 @@ def sign(height: float = 2.4) -> Mesh:
 
 
 def bench(length: float = 1.8) -> Mesh:
-    """A bench with a back of two planks."""
+    """A bench with a backrest of two planks."""
     planks = [(0, 0, 0.45), (-0.22, 0, 0.65), (-0.25, 0, 0.82)]
     feet = [(0, y, 0.21) for y in (-0.4 * length, 0.4 * length)]
     return boxes(
@@ -190,7 +190,7 @@ def _chair() -> Mesh:
 
 
 def shelf(rng: np.random.Generator, length: float = 4.0, height: float = 2.6) -> Mesh:
-    """A rack of four boards with crates on them; rays pass between."""
+    """A rack with four boards and crates on them; rays pass between."""
     boards = [(0, 0, z) for z in np.linspace(0.1, height, 4)]
     posts = [(x, y, height / 2) for x in np.linspace(-length / 2, length / 2, 3) for y in (-0.4, 0.4)]
     rack = boxes(boards + posts, 4 * [(length, 0.9, 0.05)] + 6 * [(0.08, 0.08, height)])
@@ -202,7 +202,7 @@ def shelf(rng: np.random.Generator, length: float = 4.0, height: float = 2.6) ->
 
 
 def fence(length: float, height: float = 1.3) -> Mesh:
-    """Posts, two rails and pickets along x; rays pass between."""
+    """A fence along x with posts, two rails and pickets; rays pass between."""
     pickets = np.arange(-length / 2, length / 2, 0.16)
     posts = np.arange(-length / 2, length / 2 + 0.1, 2.4)
     stakes = (
@@ -214,11 +214,11 @@ def fence(length: float, height: float = 1.3) -> Mesh:
     return boxes(stakes, sizes)
 
 
-# Houses. Their fronts look along y, at y = 0, and the house stands behind, at negative y.
+# Houses. The front is at y = 0 and faces along y; the house extends to negative y.
 
 
 def house(rng: np.random.Generator, width: float, depth: float, storeys: int) -> tuple[Mesh, Mesh]:
-    """Walls, roof, balconies and rooms behind open windows; and apart from them the panes of those that are shut."""
+    """Two meshes: walls, roof, balconies and rooms behind open windows; and the panes of the closed windows."""
     height = 3.2 * storeys + 0.6
     front, panes = _front(rng, width, height, storeys)
     w, d = width / 2, -depth
@@ -237,7 +237,7 @@ def house(rng: np.random.Generator, width: float, depth: float, storeys: int) ->
 
 
 def _front(rng: np.random.Generator, width: float, height: float, storeys: int) -> tuple[Mesh, Mesh]:
-    """A wall with a recessed window in every field of a grid; a fifth of the windows are open."""
+    """A wall with a grid of recessed windows, a fifth of them open; and the panes of the closed ones."""
     columns = max(2, int(width / 2.6))
     middles = (np.arange(columns) + 0.5) * width / columns - width / 2
     x = np.concatenate([[-width / 2], (middles[:, None] + (-0.6, 0.6)).ravel(), [width / 2]])
@@ -246,8 +246,9 @@ def _front(rng: np.random.Generator, width: float, height: float, storeys: int) 
     windows = [(x[i], x[i + 1], z[j], z[j + 1]) for i, j in fields if i % 2 and j % 2]
     wall = [_upright(x[i], x[i + 1], z[j], z[j + 1], 0) for i, j in fields if not (i % 2 and j % 2)]
     wall += [face for window in windows for face in _reveal(*window, 0.22)]
-    shut = rng.random(len(windows)) < 0.8
-    return quads(wall), quads([_upright(*w, -0.22) for w, s in zip(windows, shut, strict=True) if s or w is windows[0]])
+    closed = rng.random(len(windows)) < 0.8
+    panes = [w for w, c in zip(windows, closed, strict=True) if c or w is windows[0]]
+    return quads(wall), quads([_upright(*w, -0.22) for w in panes])
 
 
 def _upright(x0: float, x1: float, z0: float, z1: float, y: float) -> Face:
