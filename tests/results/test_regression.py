@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,6 +25,7 @@ from dynaviz.results.regression import (
     write_baseline,
 )
 from dynaviz.results.result import Result
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -42,9 +44,9 @@ def result(static: tuple[int, int] = (80, 20), dynamic: tuple[int, int] = (45, 5
     values: dict[str, Any] = {
         "method": "octomap",
         "parameters": {"resolution": 0.1},
-        "sequence": {"name": "street", "digest": "d1", "frames": 5, "points": 150},
-        "sections": {"metrics": metrics, "counts": dict(zip(names, (*static, *dynamic), strict=True))},
-        "runtime": {"mean_s": 0.5},
+        "sequence": SequenceInfo("street", "d1", 5, 150),
+        "sections": Sections(metrics=metrics, counts=dict(zip(names, (*static, *dynamic), strict=True))),
+        "runtime": Runtime(0.5),
     }
     return Result(**(values | changes))
 
@@ -89,7 +91,7 @@ percent = st.floats(0, 100)
 
 @given(percent, percent, st.floats(0, 5))
 def test_a_drop_beyond_the_tolerance_fails(now: float, before: float, tolerance: float) -> None:
-    new, old = ({"metrics": dict.fromkeys(("SA", "DA", "AA", "HA"), x)} for x in (now, before))
+    new, old = (Sections(metrics=dict.fromkeys(("SA", "DA", "AA", "HA"), x)) for x in (now, before))
     checked = check(
         [cell(result(sections=new))], baseline=[BaselineEntry.of(result(sections=old))], tolerance=tolerance
     )
@@ -99,7 +101,7 @@ def test_a_drop_beyond_the_tolerance_fails(now: float, before: float, tolerance:
 
 
 def test_changes_of_counts_and_runtime_are_reported() -> None:
-    before = BaselineEntry.of(result(runtime={"mean_s": 0.1}))
+    before = BaselineEntry.of(result(runtime=Runtime(0.1)))
     checked = check([cell(result((70, 30), (50, 0)))], baseline=[before])
     assert outcomes(checked) == {"SA": "FAILED", "DA": "IMPROVED", "AA": "FAILED", "HA": "FAILED", "s/frame": "INFO"}
     assert checked.failed[0].counts["static_removed"] == (30, 10)
@@ -108,7 +110,7 @@ def test_changes_of_counts_and_runtime_are_reported() -> None:
 
 
 def test_different_data_or_scoring_is_refused() -> None:
-    other = {"name": "street", "digest": "d2", "frames": 5, "points": 149}
+    other = SequenceInfo("street", "d2", 5, 149)
     with pytest.raises(UsageError, match=r"data differ.*d1 \(5 frames, 150 points\).*d2 \(5 frames, 149 points\)"):
         check(
             [cell(result())],
@@ -117,13 +119,16 @@ def test_different_data_or_scoring_is_refused() -> None:
     with pytest.raises(UsageError, match="scoring mask, the baseline nn"):
         check([cell(result())], baseline=[BaselineEntry.of(result(scoring="nn"))])
     with pytest.raises(UsageError, match="data differ"):  # one run against another
-        check([cell(result())], baseline=[BaselineEntry.of(result(sequence=other | {"name": "hall"}, method="erasor"))])
+        check(
+            [cell(result())],
+            baseline=[BaselineEntry.of(result(sequence=msgspec.structs.replace(other, name="hall"), method="erasor"))],
+        )
 
 
 def test_the_matching_entry_is_chosen_among_several() -> None:
     good, bad = result(), result((1, 99))
     baseline = [
-        BaselineEntry.of(replace(bad, sequence={**bad.sequence, "digest": "d2"})),
+        BaselineEntry.of(replace(bad, sequence=msgspec.structs.replace(bad.sequence, digest="d2"))),
         BaselineEntry.of(replace(bad, scoring="nn")),
         BaselineEntry.of(replace(bad, parameters={"resolution": 0.2})),
         BaselineEntry.of(replace(bad, variant="fine")),
@@ -137,7 +142,7 @@ def test_the_matching_entry_is_chosen_among_several() -> None:
 
 
 def test_a_sequence_may_be_renamed_and_parameters_may_change() -> None:
-    renamed = result(sequence={**result().sequence, "name": "road"}, parameters={"resolution": 0.3})
+    renamed = result(sequence=msgspec.structs.replace(result().sequence, name="road"), parameters={"resolution": 0.3})
     checked = check(
         [cell(renamed), cell(result(method="new"))],
         baseline=[BaselineEntry.of(result()), BaselineEntry.of(result(method="x"))],
@@ -187,7 +192,12 @@ def test_a_baseline_survives_its_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "expected"),
-    [("{", "not JSON"), ("[]", "not the result"), ('{"baseline": 9}', "newer"), ('{"baseline": 1}', "not a baseline")],
+    [
+        ("{", "not valid JSON"),
+        ("[]", "not the result"),
+        ('{"baseline": 9}', "newer"),
+        ('{"baseline": 1}', "not a baseline"),
+    ],
 )
 def test_files_that_are_not_a_baseline(tmp_path: Path, content: str, expected: str) -> None:
     (tmp_path / "b.json").write_text(content)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,16 +9,20 @@ import pytest
 
 from dynaviz.errors import DataError
 from dynaviz.results.result import Result
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 
 RESULT = Result(
     "octomap",
     {"resolution": 0.1},
-    {"name": "room", "digest": "abc", "frames": 2, "points": 10},
-    {
-        "counts": {"static_kept": 5, "static_removed": 1, "dynamic_removed": 3, "dynamic_kept": 1, "unlabelled": 0},
-        "metrics": {"SA": 83.33, "DA": 75.0, "AA": 79.06, "HA": None, "precision": 75.0, "IoU": 60.0},
-    },
-    {"mean_s": 0.1, "std_s": 0.01, "frames": 2, "threads": 2, "prepare_s": 0.0, "peak_rss_mb": 100.0},
+    SequenceInfo("room", "abc", 2, 10),
+    Sections(
+        counts={"static_kept": 5, "static_removed": 1, "dynamic_removed": 3, "dynamic_kept": 1, "unlabelled": 0},
+        metrics={"SA": 83.33, "DA": 75.0, "AA": 79.06, "HA": None, "precision": 75.0, "IoU": 60.0},
+        other={"total": {"anything": [1, None]}},
+    ),
+    Runtime(0.1, 0.01, 2, 0.0, 2, 100.0),
+    preset="urban",
+    parameter_origins={"resolution": "preset urban"},
 )
 
 
@@ -57,7 +62,7 @@ def test_a_bad_file_is_named(tmp_path: Path, content: str, says: str) -> None:
 
 def test_nothing_appears_where_writing_fails(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
-        Result("m", {"x": float("nan")}, {}).save(tmp_path / "result.json")
+        Result("m", {"x": float("nan")}, SequenceInfo()).save(tmp_path / "result.json")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -65,25 +70,28 @@ def test_nothing_appears_where_writing_fails(tmp_path: Path) -> None:
     ("change", "says"),
     [
         ({"schema": "x"}, None),
-        ({"method": 3}, "'method'"),
-        ({"runtime": {"mean_s": "fast"}}, "'runtime'"),
-        ({"counts": {"static_kept": True}}, "'counts'"),
-        ({"counts": [1]}, "'counts'"),
-        ({"metrics": {"SA": [1.0]}}, "'metrics'"),
-        ({"reasons": {"false_positive": 7}}, "'reasons'"),
-        ({"breakdown": [1]}, None),  # a metric's own
+        ({"method": 3}, "$.method"),
+        ({"runtime": {"mean_s": "fast"}}, "$.runtime.mean_s"),
+        ({"counts": {"static_kept": True}}, "$.counts[...]"),
+        ({"counts": [1]}, "$.counts"),
+        ({"metrics": {"SA": [1.0]}}, "$.metrics[...]"),
+        ({"reasons": {"false_positive": 7}}, "$.reasons.false_positive"),
+        ({"breakdown": [1]}, "$.breakdown"),
+        ({"breakdown": {"range": [{"from": 0, "to": "far"}]}}, "$.breakdown.range[0].to"),
+        ({"of_another_metric": [1]}, None),
+        ({"of_another_metric": 1, "sections": {}, "other": 3}, None),
     ],
 )
-def test_what_a_result_cannot_hold_is_told(change: dict[str, Any], says: str | None) -> None:
+def test_a_value_of_the_wrong_type_is_rejected(change: dict[str, Any], says: str | None) -> None:
     plain = {"method": "m", "parameters": {}, "sequence": {}, "metrics": {"SA": None}, "counts": {"static_kept": 1}}
     if says is None:
         Result.from_dict({**plain, **change}, "result.json")
     else:
-        with pytest.raises(DataError, match=rf"result\.json: has something else in {says}"):
+        with pytest.raises(DataError, match=rf"result\.json: is not a valid result: Expected .*`{re.escape(says)}`"):
             Result.from_dict({**plain, **change}, "result.json")
 
 
-def test_json_without_end_is_told(tmp_path: Path) -> None:
+def test_json_nested_without_end_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("[" * 100_000)
     with pytest.raises(DataError, match="not valid JSON"):
         Result.load(tmp_path / "result.json")

@@ -5,8 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dynaviz.results.result import Result
-from dynaviz.results.tables import result_table
+from dynaviz.results.result import Result, result_table
 
 COUNTS = {"static_kept": 900, "static_removed": 100, "dynamic_removed": 64, "dynamic_kept": 36, "unlabelled": 5}
 
@@ -17,10 +16,11 @@ def result(method: str, aa: float | None, **more) -> Result:
         "method": method,
         "parameters": {},
         "sequence": {"name": "00", "digest": "a"},
-        "sections": {"counts": COUNTS, "metrics": metrics},
+        "counts": COUNTS,
+        "metrics": metrics,
         "runtime": {"mean_s": 0.0123, "std_s": 0.0004},
     }
-    return Result(**{**given, **more})
+    return Result.from_dict({**given, **more}, "result.json")
 
 
 def shown(*results: Result, color: bool = False) -> str:
@@ -45,7 +45,7 @@ def test_undefined_is_not_a_number():
 
 
 def test_a_result_without_metrics_still_shows():
-    assert shown(result("octomap", 1.0, sections={}, runtime={})).count("n/a") == 7
+    assert shown(result("octomap", 1.0, counts={}, metrics={}, runtime={})).count("n/a") == 7
 
 
 @pytest.mark.parametrize("rival", [{"scoring": "nn"}, {"sequence": {"name": "05", "digest": "b"}}])
@@ -67,7 +67,7 @@ def test_what_slowed_a_run_down_is_said():
 def test_eighty_columns_cut_no_number():
     console = Console(file=io.StringIO(), width=80)
     counts = {name: 4_300_000 + i for i, name in enumerate(COUNTS)}
-    console.print(result("octomap_gf", 75.894, sections={**result("a", 75.894).sections, "counts": counts}))
+    console.print(result("octomap_gf", 75.894, counts=counts))
     for value in ("octomap_gf", "90.00", "75.89", "4,300,001", "4,300,003", "0.012 ±0.000"):
         assert value in console.file.getvalue()
 
