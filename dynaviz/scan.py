@@ -1,4 +1,4 @@
-"""The one data vocabulary: Scan, Label, Outcome, Sequence, and the walk through a sequence."""
+"""The shared data types Scan, Label, Outcome and Sequence; selecting and streaming frames."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -18,7 +19,7 @@ from dynaviz.sensors import Sensor
 
 
 class Label(IntEnum):
-    """Ground truth of a point; unlabelled points count nowhere."""
+    """Ground truth of a point; unlabelled points are not scored."""
 
     STATIC = 0
     DYNAMIC = 1
@@ -26,7 +27,7 @@ class Label(IntEnum):
 
 
 class Outcome(IntEnum):
-    """What became of a point: its ground truth crossed with the method's answer ("positive" = dynamic)."""
+    """Outcome of a point: its ground truth combined with the method's label ("positive" = dynamic)."""
 
     STATIC_KEPT = 0
     DYNAMIC_REMOVED = 1
@@ -41,18 +42,18 @@ class Scan:
     """One sweep of the sensor, in the world frame. Its arrays are read-only.
 
     Attributes:
-        index: number of the frame in its data set (a file's number), not its position in the sequence.
-        points: (N, 3) float32, metres, world frame; C-contiguous. May hold non-finite values.
+        index: number of the frame in its data set (for example the file's number), not its position in the sequence.
+        points: (N, 3) float32, metres, world frame; C-contiguous. May contain non-finite values.
         T_world_sensor: (4, 4) float64, metres; the sensor's pose.
-        stamp_ns: time of the sweep in nanoseconds, or None where the data has none.
+        stamp_ns: time of the sweep in nanoseconds, or None if unknown.
         labels: (N,) uint8, a ``Label`` per point, or None without ground truth.
         classes: (N,) uint16, the data set's class per point, or None.
-        instances: (N,) int32, an object's number per point, 0 for none; or None.
-        origins: (1, 3) or (N, 3) float64, metres, world frame; where each ray started. Default: the sensor's position.
-        class_names: what the numbers in ``classes`` mean, as far as the data tell.
+        instances: (N,) int32, object number per point, 0 for no object; or None.
+        origins: (1, 3) or (N, 3) float64, metres, world frame; origin of each ray. Default: the sensor's position.
+        class_names: names of the numbers in ``classes``, if known.
 
     Raises:
-        ValueError: where shapes do not fit together.
+        ValueError: if the shapes do not match.
     """
 
     index: int
@@ -79,7 +80,7 @@ class Scan:
         self._set("origins", np.float64, (1 if len(self.origins) == 1 else n, 3))
 
     def _set(self, name: str, dtype: Any, shape: tuple[int, ...]) -> None:
-        """Replace a field by a read-only contiguous array of the given kind."""
+        """Replace a field by a read-only contiguous array of the given type and shape."""
         array = np.ascontiguousarray(getattr(self, name), dtype).view()
         if array.shape != shape:
             raise ValueError(f"scan {self.index}: {name} has shape {array.shape}, not {shape}")
@@ -91,21 +92,21 @@ class Scan:
 
     @property
     def position(self) -> F64:
-        """(3,) float64, metres, world frame: where the sensor is."""
+        """(3,) float64, metres, world frame: position of the sensor."""
         position: F64 = self.T_world_sensor[:3, 3]
         return position
 
     def without_truth(self) -> Scan:
-        """The same scan as a method may see it: no labels, classes or instances."""
+        """The scan without labels, classes and instances, as methods receive it."""
         return dataclasses.replace(self, labels=None, classes=None, instances=None, class_names={})
 
 
 def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
-    """Cross ground truth with an answer.
+    """Combine ground truth with a method's labels.
 
     Args:
         labels: (N,) uint8, a ``Label`` per point, or None without ground truth.
-        dynamic: (N,) bool, True where the method removes the point.
+        dynamic: (N,) bool, True if the method removes the point.
 
     Returns:
         (N,) uint8, an ``Outcome`` per point.
@@ -115,22 +116,22 @@ def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
     table = np.full((256, 2), (Outcome.UNLABELLED_KEPT, Outcome.UNLABELLED_REMOVED), np.uint8)
     table[Label.STATIC] = Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE
     table[Label.DYNAMIC] = Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED
-    crossed: U8 = table[labels, dynamic.astype(np.intp)]
-    return crossed
+    combined: U8 = table[labels, dynamic.astype(np.intp)]
+    return combined
 
 
 @runtime_checkable
 class Sequence(Protocol):
-    """Frames of one drive, read one at a time; reading the same frame twice gives the same arrays."""
+    """Frames of one drive, read one at a time. Reading a frame twice gives the same arrays."""
 
     @property
     def name(self) -> str:
-        """A short name, fit for a folder and a table's row."""
+        """A short name, used for folders and table rows."""
         ...
 
     @property
     def sensor(self) -> Sensor:
-        """Facts of the sensor that recorded it."""
+        """The sensor that recorded the sequence."""
         ...
 
     @property
@@ -141,13 +142,32 @@ class Sequence(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, position: int) -> Scan:
-        """Read the frame at a position 0 ... len - 1; IndexError beyond."""
+        """Read the frame at a position from 0 to len - 1; raises IndexError otherwise."""
+        ...
+
+
+@runtime_checkable
+class HasScanFiles(Protocol):
+    """A sequence with one file per frame; the doctor then names the file of a bad frame."""
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number, or None."""
+        ...
+
+
+@runtime_checkable
+class HasUnmatchedPoints(Protocol):
+    """A sequence whose ground truth may lack some of the scans' points."""
+
+    @property
+    def unmatched(self) -> Mapping[int, int]:
+        """Number of points without ground truth, by frame number, of the frames read so far."""
         ...
 
 
 @dataclass(frozen=True)
 class SequenceSlice:
-    """Some frames of a sequence (``--frames A:B --stride K``), perhaps with another sensor or name."""
+    """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor or name."""
 
     whole: Sequence
     positions: range
@@ -156,7 +176,7 @@ class SequenceSlice:
 
     @property
     def has_labels(self) -> bool:
-        """Whether the whole has ground truth."""
+        """Whether the whole sequence has ground truth."""
         return self.whole.has_labels
 
     def __len__(self) -> int:
@@ -169,41 +189,43 @@ class SequenceSlice:
 def select_frames(
     sequence: Sequence, frames: str | None = None, stride: int = 1, sensor: Sensor | None = None
 ) -> Sequence:
-    """Choose frames of a sequence.
+    """Select frames of a sequence.
 
     Args:
         sequence: any sequence.
-        frames: ``A:B``, positions as in a Python slice, end exclusive; either may be left out.
-        stride: every how manieth of them, at least 1.
-        sensor: another sensor than the sequence says.
+        frames: ``A:B``, positions as in a Python slice, end exclusive; either may be omitted.
+        stride: use every N-th of these frames, N at least 1.
+        sensor: replaces the sequence's sensor.
 
     Raises:
-        UsageError: for a range that is none, or holds no frame.
+        UsageError: for an invalid or empty range, or an invalid stride.
     """
     if frames is None and stride == 1 and sensor is None:
         return sequence
     if stride < 1:
-        raise UsageError(f"--stride {stride}: give 1 for every frame, 2 for every other ...")
+        raise UsageError(f"--stride {stride}: must be at least 1. Give 1 for every frame, 2 for every second frame")
     try:
         first, last = (int(x) if x.strip() else None for x in (frames or ":").split(":"))
     except ValueError:
-        raise UsageError(f"--frames {frames}: give A:B, as 0:100 for the first hundred frames") from None
+        raise UsageError(
+            f"--frames {frames}: invalid range. Give A:B, for example 0:100 for the first hundred frames"
+        ) from None
     positions = range(len(sequence))[slice(first, last, stride)]
     if not positions:
-        raise UsageError(f"--frames {frames}: chooses none of the {len(sequence)} frames in {sequence.name}")
+        raise UsageError(f"--frames {frames}: selects none of the {len(sequence)} frames of {sequence.name}")
     return SequenceSlice(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
 def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:
-    """Walk through a sequence, reading up to ``ahead`` frames on a thread of its own.
+    """Iterate over a sequence; a separate thread reads up to ``ahead`` frames in advance.
 
-    An error while reading comes out at the frame that caused it. Leaving the loop early stops the thread.
+    A read error is raised at the frame that caused it. Leaving the loop early stops the thread.
     """
     ready: queue.Queue[Scan | BaseException | None] = queue.Queue(maxsize=ahead)
-    left = threading.Event()
+    stopped = threading.Event()
 
     def put(item: Scan | BaseException | None) -> None:
-        while not left.is_set():
+        while not stopped.is_set():
             try:
                 return ready.put(item, timeout=0.1)
             except queue.Full:
@@ -212,11 +234,11 @@ def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:
     def read() -> None:
         try:
             for position in range(len(sequence)):
-                if left.is_set():
+                if stopped.is_set():
                     return
                 put(sequence[position])
             put(None)
-        except BaseException as error:  # handed over to the reader of the queue
+        except BaseException as error:  # raised again in the consuming thread
             put(error)
 
     thread = threading.Thread(target=read, name="read-ahead", daemon=True)
@@ -227,5 +249,5 @@ def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:
                 raise item
             yield item
     finally:
-        left.set()
+        stopped.set()
         thread.join()

@@ -96,12 +96,12 @@ def test_outcomes_cross_truth_and_answer(pairs: list[tuple[int, bool]]) -> None:
 
 
 @given(st.integers(-12, 12) | st.none(), st.integers(-12, 12) | st.none(), st.integers(1, 5))
-def test_a_part_is_a_slice(first: int | None, last: int | None, stride: int) -> None:
+def test_selected_frames_are_a_slice(first: int | None, last: int | None, stride: int) -> None:
     sequence = Counting(10)
     expected = list(range(10))[first:last:stride]
     frames = f"{'' if first is None else first}:{'' if last is None else last}"
     if not expected:
-        with pytest.raises(UsageError, match="chooses none of the"):
+        with pytest.raises(UsageError, match="selects none of the"):
             select_frames(sequence, frames, stride)
         return
     chosen = select_frames(sequence, frames, stride)
@@ -111,7 +111,7 @@ def test_a_part_is_a_slice(first: int | None, last: int | None, stride: int) -> 
         chosen[len(chosen)]
 
 
-def test_the_whole_is_left_as_it_is() -> None:
+def test_selecting_everything_returns_the_sequence_itself() -> None:
     sequence = Counting(3)
     assert select_frames(sequence) is sequence
 
@@ -123,18 +123,18 @@ def test_another_sensor() -> None:
 
 
 @pytest.mark.parametrize(("frames", "stride"), [("5", 1), ("a:b", 1), ("1:2:3", 1), (None, 0), (None, -1), (":", 0)])
-def test_what_is_no_range_is_told(frames: str | None, stride: int) -> None:
+def test_an_invalid_range_is_an_error(frames: str | None, stride: int) -> None:
     with pytest.raises(UsageError, match="--frames" if stride == 1 else "--stride"):
         select_frames(Counting(10), frames, stride)
 
 
 @given(st.integers(0, 20), st.integers(1, 4))
-def test_a_stream_gives_every_frame_once_in_order(frames: int, ahead: int) -> None:
+def test_a_stream_yields_every_frame_once_in_order(frames: int, ahead: int) -> None:
     sequence = Counting(frames)
     assert [scan.index for scan in stream(sequence, ahead)] == list(range(frames)) == sequence.read
 
 
-def test_an_error_comes_out_at_its_frame() -> None:
+def test_a_read_error_is_raised_at_its_frame() -> None:
     scans = stream(Counting(10, fails_at=3))
     assert [next(scans).index for _ in range(3)] == [0, 1, 2]
     with pytest.raises(OSError, match="frame 3"):
@@ -152,10 +152,10 @@ def test_leaving_early_stops_the_reader() -> None:
     assert len(sequence.read) <= 5
 
 
-def test_the_reader_waits_for_its_user() -> None:
+def test_the_reader_waits_for_the_consumer() -> None:
     sequence = Counting(1000)
     scans = stream(sequence, ahead=3)
     next(scans)
     time.sleep(0.05)
-    assert len(sequence.read) <= 1 + 3 + 1  # in use, in the queue, and one in its hand
+    assert len(sequence.read) <= 1 + 3 + 1  # in use, in the queue, and one waiting to enter it
     scans.close()  # type: ignore[attr-defined]

@@ -1,10 +1,10 @@
-"""What the doctor found: findings, each with how sure it is and what mends it, and all of them together."""
+"""The doctor's result: findings with confidence, evidence and fix, and the diagnosis that collects them."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from rich.console import RenderResult
 
 
-SHOWN = 5  # frames that a finding names
+SHOWN = 5  # frames that a finding lists
 
 
 class Confidence(IntEnum):
-    """How sure a finding is."""
+    """Confidence in a finding, highest first."""
 
     CERTAIN = 0
     LIKELY = 1
@@ -25,29 +25,29 @@ class Confidence(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong with a sequence.
+    """A problem of a sequence.
 
     Attributes:
-        name: of the check, as in ``docs/doctor.md``.
-        sure: how sure.
-        what: a sentence with the figure it rests on.
-        mend: a sentence with the flag or command that mends it.
-        frames: numbers of the first frames concerned; empty where it is the whole sequence.
-        count: how many frames are concerned.
-        file: of the first of them, where the format tells.
+        name: name of the check, as in ``docs/doctor.md``.
+        confidence: certain, likely or perhaps.
+        problem: a sentence that states the problem and the figure it is based on.
+        fix: a sentence with the flag or command that fixes it.
+        frames: numbers of the first affected frames; empty if the whole sequence is affected.
+        count: number of affected frames.
+        file: file of the first affected frame; None if the format does not keep one file per frame.
     """
 
     name: str
-    sure: Confidence
-    what: str
-    mend: str
+    confidence: Confidence
+    problem: str
+    fix: str
     frames: tuple[int, ...] = ()
     count: int = 0
     file: str | None = None
 
     @property
     def where(self) -> str:
-        """The frames, in words; none where only the file is known."""
+        """The affected frames in words; empty if only the file is known."""
         if not self.frames:
             return "" if self.file else "all frames"
         numbers = ", ".join(map(str, self.frames))
@@ -57,12 +57,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All findings, the surest first. Printing it shows a list.
+    """All findings on a sequence, in order of confidence. Printing it shows a list.
 
     Attributes:
-        sequence: its name.
-        frames: how many it has.
-        examined: how many of them were read; the others were not looked at.
+        sequence: name of the sequence.
+        frames: number of frames in the sequence.
+        examined: number of frames that were read.
+        findings: certain ones first.
     """
 
     sequence: str
@@ -72,17 +73,28 @@ class Diagnosis:
 
     @classmethod
     def of(cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding]) -> Diagnosis:
-        """Put findings in order."""
-        return cls(sequence, frames, examined, tuple(sorted(findings, key=lambda finding: finding.sure)))
+        """Sort findings by confidence."""
+        return cls(sequence, frames, examined, tuple(sorted(findings, key=lambda finding: finding.confidence)))
 
     @property
-    def sound(self) -> bool:
-        """Whether nothing was found."""
+    def ok(self) -> bool:
+        """Whether there are no findings."""
         return not self.findings
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        rows = [{**asdict(finding), "sure": finding.sure.name.lower()} for finding in self.findings]
+        """The content of the JSON file."""
+        rows = [
+            {
+                "name": finding.name,
+                "sure": finding.confidence.name.lower(),
+                "what": finding.problem,
+                "mend": finding.fix,
+                "frames": finding.frames,
+                "count": finding.count,
+                "file": finding.file,
+            }
+            for finding in self.findings
+        ]
         return {"sequence": self.sequence, "frames": self.frames, "examined": self.examined, "findings": rows}
 
     def __str__(self) -> str:
@@ -97,29 +109,31 @@ class Diagnosis:
         from rich.padding import Padding
         from rich.text import Text
 
-        looks = {Confidence.CERTAIN: "bold red", Confidence.LIKELY: "bold yellow", Confidence.PERHAPS: "bold cyan"}
+        styles = {Confidence.CERTAIN: "bold red", Confidence.LIKELY: "bold yellow", Confidence.PERHAPS: "bold cyan"}
         for number, finding in enumerate(self.findings, 1):
-            head = Text.assemble((f"{finding.sure.name.lower()}  ", looks[finding.sure]), (finding.name, "bold"))
+            head = Text.assemble(
+                (f"{finding.confidence.name.lower()}  ", styles[finding.confidence]), (finding.name, "bold")
+            )
             yield Text.assemble(f"{number:>2}  ", head, (f"  {finding.where}", "dim"))
-            lines = [(finding.what, ""), (f"Mend: {finding.mend}", "green")]
+            lines = [(finding.problem, ""), (f"Fix: {finding.fix}", "green")]
             if finding.file is not None:
                 lines.insert(1, (finding.file, "dim"))
             for line, style in lines:
                 yield Padding(Text(line, style), (0, 0, 0, 4), expand=False)
         count = len(self.findings)
-        found = f"{count} finding{'s' * (count > 1)}" if count else "nothing found"
-        yield Text(f"{self.sequence}: {found}. {self._read}")
+        found = f"{count} finding{'s' * (count > 1)}" if count else "no problems found"
+        yield Text(f"{self.sequence}: {found}. {self._coverage}")
 
     @property
-    def _read(self) -> str:
+    def _coverage(self) -> str:
         if self.examined == self.frames:
             return f"All {self.frames:,} frames were examined."
         part = f"{self.examined:,} of {self.frames:,} frames were examined"
-        return f"{part}, in stretches over the whole; --frames A:B examines a part in full."
+        return f"{part}, spread over the whole sequence; use --frames A:B to examine a part completely."
 
 
 def settable(parameter: str, value: str) -> str:
-    """The methods that have a parameter, and how it is set there, in words."""
+    """The option that sets a parameter, and the methods that have it, in words."""
     from dynaviz import registry
     from dynaviz.errors import PluginError
 

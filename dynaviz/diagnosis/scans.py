@@ -1,33 +1,33 @@
-"""Checks of single scans and of neighbours, over streamed frames; what is kept of a scan is a few numbers."""
+"""Checks of single scans and of consecutive scans. Frames are streamed; only a few numbers of each scan are kept."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
-from dynaviz.scan import Label, Scan, Sequence
+from dynaviz.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, SequenceSlice
 from dynaviz.spatial import geometry
 from dynaviz.spatial.extent import FAR
 
-HOUSING = 0.05  # metres; nothing is measured nearer: a sensor without return wrote its own place
-NEAR = 0.5  # metres; what hides a direction at this range hides everything
-COLUMNS = 360  # of azimuth
-SLOTS = 8192  # points that neighbours are compared by
+HOUSING = 0.05  # metres; a nearer point is a ray without return, written at the sensor's own position
+NEAR = 0.5  # metres; an object at this range blocks everything behind it
+COLUMNS = 360  # azimuth bins
+COMPARED = 8192  # points by which two scans are compared
 
-_DROP = "Leave such points out when writing the scans"
+_DROP = "Remove such points when writing the scans"
 
 
 class ScanStatistics:
-    """A scan with what several checks ask of it.
+    """A scan with quantities that several checks share.
 
     Attributes:
-        before: the scan before it, if that is its neighbour.
+        scan: the scan.
+        before: the previous frame's scan, or None if that frame was not read.
     """
 
     def __init__(self, scan: Scan, before: Scan | None) -> None:
@@ -38,12 +38,12 @@ class ScanStatistics:
 
     @cached_property
     def columns(self) -> list[F32]:
-        """x, y and z: numpy is much faster by columns."""
+        """x, y and z, (N,) float32 each: numpy is much faster on columns."""
         return [np.ascontiguousarray(self.scan.points[:, axis]) for axis in range(3)]
 
     @cached_property
     def finite(self) -> Bool:
-        """(N,) bool: points without NaN or infinity."""
+        """(N,) bool: finite points."""
         x, y, z = (np.isfinite(column) for column in self.columns)
         finite: Bool = x & y & z
         return finite
@@ -57,7 +57,7 @@ class ScanStatistics:
 
     @cached_property
     def ranges(self) -> F64:
-        """(N,) metres from each ray's origin; infinite for points that are not finite."""
+        """(N,) float64, metres from each ray's origin; infinite for non-finite points."""
         squares = np.zeros(len(self))
         with np.errstate(invalid="ignore", over="ignore"):
             for axis, column in enumerate(self.columns):
@@ -66,72 +66,71 @@ class ScanStatistics:
 
     @cached_property
     def box(self) -> tuple[F64, F64]:
-        """Low and high corner of all finite points; zeros without any."""
+        """Low and high corner, (3,) float64, metres, of all finite points; zeros if there are none."""
         kept = self.columns if self.finite.all() else [column[self.finite] for column in self.columns]
         if not len(kept[0]):
             return np.zeros(3), np.zeros(3)
-        low, high = (np.array([getattr(column, end)() for column in kept], np.float64) for end in ("min", "max"))
-        return low, high
+        return np.array([x.min() for x in kept], np.float64), np.array([x.max() for x in kept], np.float64)
 
 
-def empty(seen: ScanStatistics) -> float:
-    """1 where no point is usable."""
-    return float(not seen.finite.any())
+def empty(stats: ScanStatistics) -> float:
+    """1 if no point is finite, else 0."""
+    return float(not stats.finite.any())
 
 
-def not_finite(seen: ScanStatistics) -> float:
+def not_finite(stats: ScanStatistics) -> float:
     """Share of points that are NaN or infinite."""
-    return _share(~seen.finite)
+    return _share(~stats.finite)
 
 
-def far(seen: ScanStatistics) -> float:
-    """Kilometres of the farthest finite coordinate, or ray origin, from the world's origin."""
-    return max(float(np.abs(part).max(initial=0)) for part in (*seen.box, seen.scan.origins)) / 1000
+def far(stats: ScanStatistics) -> float:
+    """Largest absolute coordinate of finite points and ray origins, kilometres."""
+    return max(float(np.abs(part).max(initial=0)) for part in (*stats.box, stats.scan.origins)) / 1000
 
 
-def no_return(seen: ScanStatistics) -> float:
-    """Number of points at the ray's own origin, or at exactly (0, 0, 0) by the dozen."""
-    return float((seen.zero if seen.zero.sum() > 12 else seen.ranges < HOUSING).sum())
+def no_return(stats: ScanStatistics) -> float:
+    """Number of points at exactly (0, 0, 0) if more than a dozen, else of points at their ray's origin."""
+    return float((stats.zero if stats.zero.sum() > 12 else stats.ranges < HOUSING).sum())
 
 
-def ego(seen: ScanStatistics) -> float:
-    """Share of azimuth columns in which something is nearer than ``NEAR``."""
-    near = (seen.ranges >= HOUSING) & (seen.ranges < NEAR)
+def ego(stats: ScanStatistics) -> float:
+    """Share of azimuth bins with a point nearer than ``NEAR``."""
+    near = (stats.ranges >= HOUSING) & (stats.ranges < NEAR)
     if not near.any():
         return 0.0
-    xyz = geometry.apply(geometry.inverse(seen.scan.T_world_sensor), seen.scan.points[near])
-    turn = np.arctan2(xyz[:, 1], xyz[:, 0]) / (2 * np.pi) + 0.5
-    return len(np.unique(np.floor(turn * COLUMNS))) / COLUMNS
+    xyz = geometry.apply(geometry.inverse(stats.scan.T_world_sensor), stats.scan.points[near])
+    azimuth = np.arctan2(xyz[:, 1], xyz[:, 0]) / (2 * np.pi) + 0.5  # 0 to 1
+    return len(np.unique(np.floor(azimuth * COLUMNS))) / COLUMNS
 
 
-def duplicates(seen: ScanStatistics) -> float:
-    """Share of points with the coordinates of another one, not counting those without return."""
-    x, y, z = (column.view(np.uint32).astype(np.uint64) for column in seen.columns)
+def duplicates(stats: ScanStatistics) -> float:
+    """Share of points with the coordinates of another point, without counting rays without return."""
+    x, y, z = (column.view(np.uint32).astype(np.uint64) for column in stats.columns)
     with np.errstate(over="ignore"):
         key = x * np.uint64(0x9E3779B97F4A7C15) + y * np.uint64(0xC2B2AE3D27D4EB4F) + z * np.uint64(0x165667B19E3779F9)
-    key = np.sort(key[seen.finite & ~seen.zero & (seen.ranges >= HOUSING)])
+    key = np.sort(key[stats.finite & ~stats.zero & (stats.ranges >= HOUSING)])
     return _share(key[1:] == key[:-1])
 
 
-def repeated(seen: ScanStatistics) -> float:
-    """1 where the scan is the one before it, in the world frame or in the sensor's."""
-    scan, before = seen.scan, seen.before
-    if before is None or len(scan) != len(before) or not seen.finite.any():
+def repeated(stats: ScanStatistics) -> float:
+    """1 if the scan equals the previous one, in the world frame or in the sensor frame; else 0."""
+    scan, before = stats.scan, stats.before
+    if before is None or len(scan) != len(before) or not stats.finite.any():
         return 0.0
-    some = slice(None, None, max(len(scan) // SLOTS, 1))
-    if np.array_equal(scan.points[some], before.points[some], equal_nan=True):
+    sample = slice(None, None, max(len(scan) // COMPARED, 1))
+    if np.array_equal(scan.points[sample], before.points[sample], equal_nan=True):
         return 1.0
     with np.errstate(invalid="ignore"):
-        a, b = (geometry.apply(geometry.inverse(s.T_world_sensor), s.points[some]) for s in (scan, before))
-    rounding = 1e-6 * max(float(np.abs(corner).max()) for corner in seen.box)
+        a, b = (geometry.apply(geometry.inverse(s.T_world_sensor), s.points[sample]) for s in (scan, before))
+    rounding = 1e-6 * max(float(np.abs(corner).max()) for corner in stats.box)
     return float(np.allclose(a, b, rtol=0, atol=1e-3 + rounding, equal_nan=True))
 
 
-def outside(seen: ScanStatistics) -> float:
-    """Metres from the sensor to the box around its points, where that is far for a cloud of this size; else 0."""
-    (low, high), position = seen.box, seen.scan.position
+def outside(stats: ScanStatistics) -> float:
+    """Distance from the sensor to the bounding box of its points, metres; 0 if small for a cloud of this size."""
+    (low, high), position = stats.box, stats.scan.position
     gap = float(np.linalg.norm(np.maximum(0, np.maximum(low - position, position - high))))
-    return gap if seen.finite.any() and gap > max(10.0, 0.1 * float(np.linalg.norm(high - low))) else 0.0
+    return gap if stats.finite.any() and gap > max(10.0, 0.1 * float(np.linalg.norm(high - low))) else 0.0
 
 
 def _share(hits: Bool) -> float:
@@ -140,66 +139,79 @@ def _share(hits: Bool) -> float:
 
 @dataclass(frozen=True)
 class Check:
-    """A figure of a scan, and from where on it is a finding.
+    """A figure of a scan, and the limit above which it is a finding.
 
     Attributes:
-        name: of the finding.
-        measure: the figure.
-        limit: the figure is a finding above it.
-        says: a sentence with ``{worst}``, the largest figure.
-        mend: a sentence, where needed with ``{near}``, how methods leave out near points.
+        name: name of the finding.
+        measure: computes the figure.
+        limit: a larger figure is a finding.
+        confidence: confidence in the finding.
+        problem: a sentence; ``{worst}`` is replaced by the largest figure.
+        fix: a sentence; ``{near}`` is replaced by the option that makes methods ignore near points.
     """
 
     name: str
     measure: Callable[[ScanStatistics], float]
     limit: float
-    sure: Confidence
-    says: str
-    mend: str
+    confidence: Confidence
+    problem: str
+    fix: str
 
 
 CHECKS = (
-    Check("empty frame", empty, 0, Confidence.CERTAIN, "no point that is finite",
-          "Leave such frames out: choose others with --frames A:B, or remove the files together with their poses"),
+    Check("empty frame", empty, 0, Confidence.CERTAIN, "the scan contains no finite point",
+          "Skip such frames with --frames A:B, or remove their files and poses"),
     Check("not finite", not_finite, 0, Confidence.CERTAIN, "up to {worst:.2%} of a scan's points are NaN or infinite",
-          f"{_DROP}; methods keep them all, so they only cost time and score"),
+          f"{_DROP}. Methods keep them all, so they only cost time and accuracy"),
     Check("far points", far, FAR / 1000, Confidence.CERTAIN,
-          "something lies {worst:,.0f} km from the world's origin, where float32 is too coarse",
-          "Move the world's origin to the first pose (subtract its position from poses and points), or drop them"),
+          "a point or sensor position is {worst:,.0f} km from the world's origin, where float32 is too coarse",
+          "Move the world's origin to the first pose (subtract its position from poses and points), or remove them"),
     Check("no return", no_return, 0, Confidence.CERTAIN,
-          "up to {worst:,.0f} points lie at the sensor itself or at exactly (0, 0, 0): rays without return, "
+          "up to {worst:,.0f} points of a scan are at the sensor itself or at exactly (0, 0, 0): rays without return, "
           "which block every other ray that starts there",
-          f"{_DROP}, or have methods leave them out: {{near}}"),
+          f"{_DROP}, or let methods ignore them: {{near}}"),
     Check("ego points", ego, 0.01, Confidence.CERTAIN,
           f"in up to {{worst:.0%}} of all directions something nearer than {NEAR} m, "
-          "the sensor's carrier, blocks the rays",
-          f"Have methods leave out near points: {{near}}; for others: {_DROP.lower()}"),
+          "such as the sensor's carrier, blocks the rays",
+          f"Let methods ignore near points: {{near}}. For other methods, {_DROP[0].lower()}{_DROP[1:]}"),
     Check("duplicate points", duplicates, 0.001, Confidence.CERTAIN,
-          "up to {worst:.1%} of a scan's points have the coordinates of another one, and weigh twice in all scores",
-          "Write each return once; after merging lidars or clouds, drop repeated rows"),
-    Check("duplicate frame", repeated, 0, Confidence.CERTAIN, "the scan is the one before it once more",
-          "Remove one of the two, with its pose; in a bag, choose the one topic that is not republished"),
+          "up to {worst:.1%} of a scan's points have the coordinates of another point and count twice in all scores",
+          "Write each return once. After merging lidars or clouds, remove repeated rows"),
+    Check("duplicate frame", repeated, 0, Confidence.CERTAIN, "the scan is identical to the previous one",
+          "Remove one of the two and its pose. In a bag, choose the original topic, not a republished one"),
 )  # fmt: skip
 
 
 @dataclass
-class Notes:
-    """Where one check struck: how often, where first, and its largest figure."""
+class Occurrences:
+    """The frames in which a check has a finding.
+
+    Attributes:
+        frames: numbers of the first ``SHOWN`` frames.
+        count: number of frames.
+        worst: the largest figure.
+    """
 
     frames: list[int] = field(default_factory=list)
     count: int = 0
     worst: float = 0.0
 
     def add(self, index: int, figure: float = 0.0) -> None:
-        """One more frame."""
+        """Add a frame."""
         self.count += 1
         self.worst = max(self.worst, figure)
         if len(self.frames) < SHOWN:
             self.frames.append(index)
 
 
-class ScanWalk:
-    """Sees scan after scan; keeps a pose, a number and a stamp of each, and what the checks noted."""
+class ScanChecker:
+    """Checks one scan after another; keeps the pose, number and stamp of each, and the occurrences of each finding.
+
+    Attributes:
+        positions, indices, stamps, poses: of each checked frame: position in the sequence, number, time in nanoseconds
+            (None if absent), and T_world_sensor.
+        usable: whether each frame has finite points, none too far from the world's origin.
+    """
 
     def __init__(self, sequence: Sequence) -> None:
         self.sequence = sequence
@@ -208,32 +220,31 @@ class ScanWalk:
         self.stamps: list[int | None] = []
         self.poses: list[F64] = []
         self.usable: list[bool] = []
-        self._notes = [Notes() for _ in CHECKS]
-        self._labels: I64 = np.zeros(256, np.int64)
-        self._outside = Notes()
+        self._occurrences = [Occurrences() for _ in CHECKS]
+        self._label_counts: I64 = np.zeros(256, np.int64)
+        self._outside = Occurrences()
         self._before: Scan | None = None
 
-    def visit(self, position: int, scan: Scan) -> None:
+    def check(self, position: int, scan: Scan) -> None:
         """Check a scan."""
-        neighbour = self._before if self.positions and self.positions[-1] == position - 1 else None
-        seen = ScanStatistics(scan, neighbour)
-        figures = [check.measure(seen) for check in CHECKS]
-        for check, notes, figure in zip(CHECKS, self._notes, figures, strict=True):
-            if figure > check.limit:
-                notes.add(scan.index, figure)
+        before = self._before if self.positions and self.positions[-1] == position - 1 else None
+        stats = ScanStatistics(scan, before)
+        for check, occurrences in zip(CHECKS, self._occurrences, strict=True):
+            if (figure := check.measure(stats)) > check.limit:
+                occurrences.add(scan.index, figure)
         if scan.labels is not None:
-            self._labels += np.bincount(scan.labels, minlength=256)
-        if (gap := outside(seen)) > 0:
+            self._label_counts += np.bincount(scan.labels, minlength=256)
+        if (gap := outside(stats)) > 0:
             self._outside.add(scan.index, gap)
         self.positions.append(position)
         self.indices.append(scan.index)
         self.stamps.append(scan.stamp_ns)
         self.poses.append(scan.T_world_sensor)
-        self.usable.append(bool(seen.finite.any()) and far(seen) <= FAR / 1000)
+        self.usable.append(bool(stats.finite.any()) and far(stats) <= FAR / 1000)
         self._before = scan
 
     def pairs_apart(self, gap: int, number: int = 6) -> list[tuple[int, int]]:
-        """Pairs of usable frames over the whole sequence that lie a number of frames apart; rows of what is kept."""
+        """Pairs of usable frames, ``gap`` frames apart, over the whole sequence; rows of ``positions``."""
         gap = min(gap, len(self.positions) - 1)
         rows = [k for k in range(len(self.positions) - gap) if self.usable[k] and self.usable[k + gap]]
         return (
@@ -243,67 +254,68 @@ class ScanWalk:
         )
 
     def findings(self) -> Iterator[Finding]:
-        """What was noted, frames, labels and times."""
-        for check, notes in zip(CHECKS, self._notes, strict=True):
-            if notes.count:
-                what = check.says.format(worst=notes.worst)
-                mend = check.mend
-                if "{near}" in mend:
-                    mend = mend.format(near=settable("min_range", f"{NEAR + 0.1}"))
-                yield self._finding(check.name, check.sure, what, mend, notes)
+        """Findings on scans, labels, frame numbers and times."""
+        for check, occurrences in zip(CHECKS, self._occurrences, strict=True):
+            if occurrences.count:
+                problem = check.problem.format(worst=occurrences.worst)
+                fix = check.fix
+                if "{near}" in fix:
+                    fix = fix.format(near=settable("min_range", f"{NEAR + 0.1}"))
+                yield self._finding(check.name, check.confidence, problem, fix, occurrences)
         yield from self._label_findings()
-        yield from self._order()
+        yield from self._order_findings()
 
     def outside_finding(self) -> Iterator[Finding]:
-        """Sensors outside their own clouds; told only where nothing explains them."""
+        """A finding if most sensor positions are outside their own clouds; for use if nothing else explains it."""
         if self._outside.count > len(self.positions) / 2:
-            what = f"the sensor's position lies up to {self._outside.worst:,.0f} m outside of its own cloud"
-            mend = "Give poses and points in the same world, and positions in metres; look at both with 'dynaviz info'"
-            yield self._finding("origin outside", Confidence.LIKELY, what, mend, self._outside)
+            problem = f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
+            fix = "Give poses and points in the same world frame, positions in metres; 'dynaviz info' shows the extent"
+            yield self._finding("origin outside", Confidence.LIKELY, problem, fix, self._outside)
 
-    def _finding(self, name: str, sure: Confidence, what: str, mend: str, notes: Notes) -> Finding:
-        file = file_of(self.sequence, notes.frames[0])
-        return Finding(name, sure, what, mend, tuple(notes.frames), notes.count, file)
+    def _finding(self, name: str, confidence: Confidence, problem: str, fix: str, occurrences: Occurrences) -> Finding:
+        file = file_of(self.sequence, occurrences.frames[0])
+        return Finding(name, confidence, problem, fix, tuple(occurrences.frames), occurrences.count, file)
 
     def _label_findings(self) -> Iterator[Finding]:
-        known = int(self._labels[Label.STATIC] + self._labels[Label.DYNAMIC])
-        if not self._labels.sum():
+        known = int(self._label_counts[Label.STATIC] + self._label_counts[Label.DYNAMIC])
+        if not self._label_counts.sum():
             return
         if not known:
-            yield Finding("all unlabelled", Confidence.CERTAIN, "labels exist, but no point is static or dynamic",
-                          "Give the labels that belong to these scans; without any, runs have no scores")  # fmt: skip
-        elif not self._labels[Label.DYNAMIC]:
-            what = f"of {known:,} labelled points not one is dynamic, so DA, AA and HA are undefined"
-            yield Finding("no dynamic label", Confidence.CERTAIN, what, "Give the labels that tell moving objects, "
-                          "or frames in which something moves (--frames A:B)")  # fmt: skip
-        unmatched: Mapping[int, int] = getattr(getattr(self.sequence, "whole", self.sequence), "unmatched", {})
+            problem = "labels exist, but no point is labelled static or dynamic"
+            fix = "Give the labels of these scans; without labels, runs have no scores"
+            yield Finding("all unlabelled", Confidence.CERTAIN, problem, fix)
+        elif not self._label_counts[Label.DYNAMIC]:
+            problem = f"none of the {known:,} labelled points is dynamic, so DA, AA and HA are undefined"
+            fix = "Give labels that mark moving objects, or choose frames in which something moves (--frames A:B)"
+            yield Finding("no dynamic label", Confidence.CERTAIN, problem, fix)
+        unmatched = _unmatched_points(self.sequence)
         lost = {index: unmatched[index] for index in self.indices if unmatched.get(index)}
         if lost:
-            notes = Notes()
+            occurrences = Occurrences()
             for index in sorted(lost):
-                notes.add(index)
-            what = f"{sum(lost.values()):,} points have no partner in the labelled cloud, and count nowhere"
-            yield self._finding("labels do not fit", Confidence.CERTAIN, what,
-                                "Write gt_cloud.pcd anew: all points of all scans, in their order", notes)  # fmt: skip
+                occurrences.add(index)
+            problem = f"{sum(lost.values()):,} points are missing from the labelled cloud and are not scored"
+            fix = "Write gt_cloud.pcd again, with all points of all scans in order"
+            yield self._finding("labels do not fit", Confidence.CERTAIN, problem, fix, occurrences)
 
-    def _order(self) -> Iterator[Finding]:
-        """Numbers and times of neighbours."""
+    def _order_findings(self) -> Iterator[Finding]:
+        """Findings on the numbers and times of consecutive frames."""
         follows = np.diff(self.positions) == 1
         if not follows.any():
             return
         step = np.diff(self.indices).astype(np.float64)
         usual = float(np.median(step[follows]))
-        gaps, back, pauses = Notes(), Notes(), Notes()
-        regular = usual > 0 and np.mean(step[follows] == usual) > 0.5  # else the numbers count something else
+        gaps, back, pauses = Occurrences(), Occurrences(), Occurrences()
+        regular = usual > 0 and np.mean(step[follows] == usual) > 0.5  # otherwise the numbers are not frame counts
         ticks = np.where(follows & (step > usual), step / usual, 1.0) if regular else np.ones(len(step))
         missing = 0
         for k in np.flatnonzero(ticks > 1.0):
             gaps.add(self.indices[k + 1])
             missing += round(ticks[k]) - 1
         if gaps.count:
-            what = f"{missing:,} numbers are missing before these frames: scans were lost, or left out"
-            mend = "Add the scans with their poses; where they are lost, clean the parts apart with --frames A:B"
-            yield self._finding("gap in numbers", Confidence.CERTAIN, what, mend, gaps)
+            problem = f"{missing:,} numbers are missing before these frames: scans were lost or left out"
+            fix = "Add the scans with their poses. If they are lost, clean the parts separately with --frames A:B"
+            yield self._finding("gap in numbers", Confidence.CERTAIN, problem, fix, gaps)
         if any(stamp is None for stamp in self.stamps):
             return
         seconds = np.diff(np.array(self.stamps, np.float64)) / 1e9
@@ -314,23 +326,29 @@ class ScanWalk:
             elif seconds[k] / ticks[k] > 2.5 * usual > 0:
                 pauses.add(self.indices[k + 1], seconds[k])
         if back.count:
-            what = f"time stands still or goes back (by up to {back.worst:.3f} s) at these frames"
-            mend = "Sort the scans by time and give each its own stamp; methods take them in the order of their numbers"
-            yield self._finding("time goes back", Confidence.CERTAIN, what, mend, back)
+            problem = f"stamps repeat or decrease (by up to {back.worst:.3f} s) at these frames"
+            fix = (
+                "Sort the scans by time and give each its own stamp. Methods process them in the order of their numbers"
+            )
+            yield self._finding("time goes back", Confidence.CERTAIN, problem, fix, back)
         if pauses.count:
-            what = f"up to {pauses.worst:.2f} s pass before these frames, usually {usual:.2f} s: scans were lost"
-            mend = "Add the scans; where they are lost, clean the parts apart with --frames A:B"
-            yield self._finding("gap in time", Confidence.CERTAIN, what, mend, pauses)
+            problem = f"up to {pauses.worst:.2f} s pass before these frames instead of {usual:.2f} s: scans are missing"
+            fix = "Add the scans. If they are lost, clean the parts separately with --frames A:B"
+            yield self._finding("gap in time", Confidence.CERTAIN, problem, fix, pauses)
 
 
 def file_of(sequence: Sequence, index: int) -> str | None:
-    """The file of a frame, where the format keeps one each."""
-    whole = getattr(sequence, "whole", sequence)
-    scans, indices = getattr(whole, "scans", None), getattr(whole, "indices", None)
-    if isinstance(scans, Mapping):
-        path = scans.get(index)
-    elif isinstance(scans, tuple) and isinstance(indices, tuple) and index in indices:
-        path = scans[indices.index(index)]
-    else:
-        path = None
-    return str(path) if isinstance(path, Path) else None
+    """The file of a frame, by its number; None if the format does not keep one file per frame."""
+    whole = _whole(sequence)
+    file = whole.scan_file(index) if isinstance(whole, HasScanFiles) else None
+    return None if file is None else str(file)
+
+
+def _unmatched_points(sequence: Sequence) -> Mapping[int, int]:
+    """The number of points without ground truth, by frame number, of the frames read so far."""
+    whole = _whole(sequence)
+    return whole.unmatched if isinstance(whole, HasUnmatchedPoints) else {}
+
+
+def _whole(sequence: Sequence) -> Sequence:
+    return sequence.whole if isinstance(sequence, SequenceSlice) else sequence

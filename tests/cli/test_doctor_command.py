@@ -32,18 +32,18 @@ def command(*words: object) -> int:
 
 def test_exit_codes_list_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("doctor", write(tmp_path / "good")) == 0
-    assert "nothing found" in capsys.readouterr().out
+    assert "no problems found" in capsys.readouterr().out
     bad = write(tmp_path / "bad", in_sensor_frame=True)
     assert command("doctor", bad, "--json", tmp_path / "findings.json") == 1
     out, err = capsys.readouterr()
     assert "points in sensor frame" in out
-    assert "Mend: " in out
-    assert "reading 6/6" in err
+    assert "Fix: " in out
+    assert "6/6 frames" in err
     written = json.loads((tmp_path / "findings.json").read_text())
     assert [(row["name"], row["sure"]) for row in written["findings"]] == [("points in sensor frame", "certain")]
     assert command("doctor", tmp_path / "absent") == 2
     assert capsys.readouterr().err.count("\n") == 1
-    # What the finding recommends helps.
+    # The suggested fix works.
     assert command("doctor", f"files:{bad}", "--points-in", "sensor") == 0
 
 

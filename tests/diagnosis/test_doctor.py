@@ -1,4 +1,4 @@
-"""Faults are put into a good sequence one by one: the doctor names each, and nothing else; good sequences are sound."""
+"""The doctor finds each fault inserted into a good sequence, and nothing else. Good sequences have no findings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def names(found: Diagnosis) -> list[str]:
 
 
 def changed(scan: Scan, **fields: Any) -> Scan:
-    """With other fields; the ray's origin follows the pose."""
+    """The scan with other fields; the ray origin follows the pose."""
     return dataclasses.replace(scan, **{"origins": None, **fields})
 
 
@@ -47,19 +47,19 @@ def placed(points: F64, T: F64) -> F32:
     return (points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
 
 
-def test_a_good_sequence_is_sound() -> None:
+def test_a_good_sequence_has_no_findings() -> None:
     found = diagnose(SCANS)
-    assert found.sound, found
+    assert found.ok, found
     assert (found.frames, found.examined) == (12, 12)
-    assert "nothing found" in str(found)
+    assert "no problems found" in str(found)
 
 
-# What goes wrong with poses: a sequence whose points were placed by the wrong pose, and one in which only it is wrong.
+# Pose faults: in one test the points are placed by the wrong pose, in another only the pose is wrong.
 OPTICAL = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # camera axes in a lidar's frame
 
 
 def shuffled(T: F64, order: list[int]) -> F64:
-    """The pose with the numbers of its quaternion (x, y, z, w) in another order."""
+    """The pose with the components of its quaternion (x, y, z, w) in another order."""
     wrong = T.copy()
     wrong[:3, :3] = Rotation.from_quat(Rotation.from_matrix(T[:3, :3]).as_quat()[order]).as_matrix()
     return wrong
@@ -84,31 +84,31 @@ def test_scans_placed_by_wrong_poses(kind: str) -> None:
         scans.append(changed(scan, points=placed(in_sensor_frame(scan), T), T_world_sensor=T))
     found = diagnose(scans)
     assert names(found) == [name], found
-    assert found.findings[0].sure is Confidence.CERTAIN
+    assert found.findings[0].confidence is Confidence.CERTAIN
 
 
 @pytest.mark.parametrize("kind", POSES)
-def test_wrong_poses_beside_scans_that_are_right(kind: str) -> None:
+def test_wrong_poses_with_correct_scans(kind: str) -> None:
     name, wrong = POSES[kind]
     found = diagnose([changed(scan, T_world_sensor=wrong(scan.T_world_sensor)) for scan in SCANS])
     assert names(found) == [name], found
-    assert found.findings[0].sure is Confidence.LIKELY
+    assert found.findings[0].confidence is Confidence.LIKELY
 
 
-def test_points_in_another_frame_than_claimed() -> None:
+def test_points_in_the_wrong_frame() -> None:
     found = diagnose([changed(scan, points=in_sensor_frame(scan)) for scan in SCANS])
     assert names(found) == ["points in sensor frame"], found
-    assert "--points-in sensor" in found.findings[0].mend
+    assert "--points-in sensor" in found.findings[0].fix
     found = diagnose([changed(s, points=placed(s.points.astype(np.float64), s.T_world_sensor)) for s in SCANS])
     assert names(found) == ["points in world frame"], found
-    assert "--points-in world" in found.findings[0].mend
+    assert "--points-in world" in found.findings[0].fix
 
 
-def test_a_sensor_that_really_stands_is_sound() -> None:
+def test_a_stationary_sensor_has_no_findings() -> None:
     points = in_sensor_frame(SCANS[0])
     noise = np.random.default_rng(1)
     scans = [Scan(k, points + noise.normal(0, 0.01, points.shape), np.eye(4), None, SCANS[0].labels) for k in range(6)]
-    assert diagnose(scans).sound
+    assert diagnose(scans).ok
 
 
 def test_a_jump_is_found_where_it_is() -> None:
@@ -122,7 +122,7 @@ def test_a_jump_is_found_where_it_is() -> None:
     found = diagnose(scans)
     assert names(found) == ["poses jump"], found
     assert found.findings[0].frames == (6,)
-    assert "jumps by 5." in found.findings[0].what or "jumps by 4." in found.findings[0].what
+    assert "jumps by 5." in found.findings[0].problem or "jumps by 4." in found.findings[0].problem
 
 
 def test_an_origin_outside_its_cloud() -> None:
@@ -158,33 +158,33 @@ def test_bad_points_in_one_scan(name: str, fault: Callable[[Scan], Scan]) -> Non
     found = diagnose(scans)
     wanted = {name} | ({"not finite"} if name == "empty frame" and len(scans[4]) else set())
     assert set(names(found)) == wanted, found
-    assert all((f.frames, f.count, f.sure) == ((4,), 1, Confidence.CERTAIN) for f in found.findings)
+    assert all((f.frames, f.count, f.confidence) == ((4,), 1, Confidence.CERTAIN) for f in found.findings)
 
 
-@pytest.mark.parametrize(("columns", "sound"), [(2, True), (40, False)])
-def test_ego_points_matter_where_they_block_rays(columns: int, sound: bool) -> None:
-    """0.4 m from the sensor, in some of 400 directions."""
+@pytest.mark.parametrize(("columns", "ok"), [(2, True), (40, False)])
+def test_ego_points_are_reported_if_they_block_many_rays(columns: int, ok: bool) -> None:
+    """Points 0.4 m from the sensor, in some of 400 directions."""
     scans = []
     for scan in SCANS:
         rays = in_sensor_frame(scan)[:columns]
         rays *= 0.4 / np.linalg.norm(rays, axis=1, keepdims=True)
         scans.append(with_points(scan, slice(0, columns), placed(rays, scan.T_world_sensor)))
     found = diagnose(scans)
-    assert names(found) == ([] if sound else ["ego points"]), found
-    if not sound:
-        assert "--set min_range=0.6" in found.findings[0].mend
-        assert "dufomap" in found.findings[0].mend
+    assert names(found) == ([] if ok else ["ego points"]), found
+    if not ok:
+        assert "--set min_range=0.6" in found.findings[0].fix
+        assert "dufomap" in found.findings[0].fix
         assert found.findings[0].count == len(scans)
 
 
-def test_frames_twice_numbers_missing_and_times() -> None:
+def test_duplicate_frames_missing_numbers_and_bad_stamps() -> None:
     twice = [*SCANS[:6], changed(SCANS[5], index=6, stamp_ns=SCANS[6].stamp_ns), *SCANS[7:]]
     found = diagnose(twice)
     assert names(found) == ["duplicate frame"], found
     assert found.findings[0].frames == (6,)
     found = diagnose([*SCANS[:5], *SCANS[7:]])
     assert names(found) == ["gap in numbers"], found
-    assert "2 numbers" in found.findings[0].what
+    assert "2 numbers" in found.findings[0].problem
     for stamp in (SCANS[4].stamp_ns, 0):
         found = diagnose([*SCANS[:5], changed(SCANS[5], stamp_ns=stamp), *SCANS[6:]])
         assert names(found)[0] == "time goes back", found
@@ -197,33 +197,33 @@ def test_frames_twice_numbers_missing_and_times() -> None:
     assert names(diagnose(late)) == ["gap in time"]
 
 
-def test_the_ground_against_the_sensor() -> None:
+def test_ground_height_differs_from_the_sensor_file() -> None:
     found = diagnose(SCANS, dataclasses.replace(SENSOR, height=0.4))
     assert names(found) == ["ground height"], found
-    assert "1.8 m below" in found.findings[0].what or "1.7 m below" in found.findings[0].what
+    assert "1.8 m below" in found.findings[0].problem or "1.7 m below" in found.findings[0].problem
 
 
 def test_labels() -> None:
     assert names(diagnose([changed(s, labels=np.zeros(len(s), np.uint8)) for s in SCANS])) == ["no dynamic label"]
     assert names(diagnose([changed(s, labels=np.full(len(s), 255, np.uint8)) for s in SCANS])) == ["all unlabelled"]
-    assert diagnose([changed(s, labels=None) for s in SCANS]).sound
+    assert diagnose([changed(s, labels=None) for s in SCANS]).ok
 
 
-def test_labels_of_another_length_name_their_file(tmp_path: Path) -> None:
+def test_labels_of_another_length_are_reported_with_their_file(tmp_path: Path) -> None:
     for scan in SCANS:
         (tmp_path / "labels").mkdir(exist_ok=True)
         np.save(tmp_path / f"{scan.index:06d}.npy", in_sensor_frame(scan).astype(np.float32))
         assert scan.labels is not None
         np.save(tmp_path / f"labels/{scan.index:06d}.npy", scan.labels)
     np.savetxt(tmp_path / "poses.txt", [scan.T_world_sensor[:3].ravel() for scan in SCANS])
-    assert doctor(dv.open(tmp_path)).sound
+    assert doctor(dv.open(tmp_path)).ok
     np.save(tmp_path / "labels/000007.npy", np.zeros(3, np.uint8))
     found = doctor(dv.open(tmp_path))
     assert names(found) == ["labels do not fit"], found
     assert str(found.findings[0].file).endswith("000007.npy")
 
 
-def test_points_that_the_labelled_cloud_lacks(tmp_path: Path) -> None:
+def test_points_missing_from_the_labelled_cloud(tmp_path: Path) -> None:
     folder = simulate("demo", tmp_path / "demo", frames=3)
     scan = read_pcd(folder / "pcd/000001.pcd")
     lifted = scan.xyz[:-90] + np.float32([0, 0, 0.5])
@@ -234,7 +234,7 @@ def test_points_that_the_labelled_cloud_lacks(tmp_path: Path) -> None:
     assert str(found.findings[0].file).endswith("000001.pcd")
 
 
-def test_a_world_that_lies_on_its_side_is_only_perhaps_wrong() -> None:
+def test_a_tilted_world_is_perhaps_wrong() -> None:
     side = np.eye(4)
     side[:3, :3] = Rotation.from_euler("x", 50, degrees=True).as_matrix()
     scans = [
@@ -242,10 +242,10 @@ def test_a_world_that_lies_on_its_side_is_only_perhaps_wrong() -> None:
         for s in SCANS
     ]
     found = diagnose(scans)
-    assert [(f.name, f.sure) for f in found.findings] == [("tilted", Confidence.PERHAPS)], found
+    assert [(f.name, f.confidence) for f in found.findings] == [("tilted", Confidence.PERHAPS)], found
 
 
-def test_nothing_readable_is_an_error() -> None:
+def test_no_readable_frame_is_an_error() -> None:
     class Broken(InMemory):
         def __getitem__(self, position: int) -> Scan:
             raise DataError(f"{position}.bin", "is cut off", hint="Copy it again")
@@ -257,13 +257,13 @@ def test_nothing_readable_is_an_error() -> None:
 @pytest.mark.parametrize("frames", [0, 1, 2])
 def test_the_shortest_sequences(frames: int) -> None:
     if frames:
-        assert diagnose(SCANS[:frames]).sound
+        assert diagnose(SCANS[:frames]).ok
     else:
         with pytest.raises(DataError, match="no frame"):
             diagnose([])
 
 
-def test_long_sequences_are_sampled_and_say_so() -> None:
+def test_long_sequences_are_sampled_and_reported_so() -> None:
     class Long(InMemory):
         def __len__(self) -> int:
             return 3000
@@ -276,20 +276,20 @@ def test_long_sequences_are_sampled_and_say_so() -> None:
 
     read: list[int] = []
     found = doctor(Long([]))
-    assert found.sound, found
+    assert found.ok, found
     assert (found.examined, len(set(read))) == (400, 400)
     assert max(read) - min(read) == 2999
     assert "400 of 3,000 frames" in str(found)
 
 
 @pytest.mark.parametrize(("preset", "frames"), [("demo", 10), ("hall_mid360", 10), ("square_vlp32c", 3)])
-def test_simulated_sequences_are_sound(preset: str, frames: int, tmp_path: Path) -> None:
+def test_simulated_sequences_have_no_findings(preset: str, frames: int, tmp_path: Path) -> None:
     found = doctor(simulate(preset, tmp_path / preset, frames=frames))
-    assert found.sound, found
+    assert found.ok, found
 
 
 @pytest.mark.parametrize("part", ["kitti_tracking/training/velodyne/0012", "semantickitti/sequences/08", "argoverse2"])
-def test_real_sequences_are_sound(part: str, real_data: Path) -> None:
-    """A sensor that stands, and two that drive."""
+def test_real_sequences_have_no_findings(part: str, real_data: Path) -> None:
+    """One stationary sensor and two moving ones."""
     found = doctor(dv.open(real_data / part, frames="0:20"))
-    assert found.sound, found
+    assert found.ok, found
