@@ -1,37 +1,37 @@
-"""What a user can cause: each message names the place and says what to do next, in one line."""
+"""Errors caused by input or usage. Each message is one line: what happened, where, and what to do next."""
 
 from __future__ import annotations
 
 import os
 
-_LONGEST = 2000  # characters
+_MAX_LENGTH = 2000  # characters
 
 
 class DynavizError(Exception):
-    """Base of all errors that a user can cause; the command line answers with its text and exit code 2.
+    """Base of all errors caused by input or usage; the command line prints the message and exits with code 2.
 
-    The text is one line that fits on a screen, whatever a file in question holds: control characters are escaped.
+    The message is one line of limited length. Control characters, for example from a file's content, are escaped.
     """
 
     def __init__(self, message: str = "") -> None:
-        if len(message) > _LONGEST:
-            message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
+        if len(message) > _MAX_LENGTH:
+            message = f"{message[: _MAX_LENGTH // 2]} ... {message[-_MAX_LENGTH // 2 :]}"
         super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message))
 
 
 class UsageError(DynavizError):
-    """An option, name or value that cannot be used."""
+    """An invalid option, name or value."""
 
 
 class DataError(DynavizError):
-    """A file or folder that cannot be used.
+    """An invalid file or folder.
 
     The message reads ``PATH, AT: PROBLEM. HINT``.
 
     Args:
         path: the file or folder.
-        problem: what is wrong with it, without a full stop.
-        at: the place in the file, for example ``byte 312`` or ``line 4``.
+        problem: what is wrong, without a full stop.
+        at: position in the file, for example ``byte 312`` or ``line 4``.
         hint: what to do next, a sentence without a full stop.
     """
 
@@ -42,8 +42,8 @@ class DataError(DynavizError):
 
 
 class PluginError(DynavizError):
-    """A method, dataset or metric whose code cannot be loaded, or does not keep to its contract."""
+    """A plug-in whose code cannot be loaded or violates its contract."""
 
 
 class MissingDependency(DynavizError):
-    """Something outside Python's packages that is needed here, with the command that installs it."""
+    """A missing dependency; the message gives the command that installs it."""

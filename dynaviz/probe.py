@@ -1,7 +1,7 @@
-"""How a method shows its inner state: named values, emitted to whoever listens.
+"""Probes receive a method's internal states: named values that the method emits.
 
-A method lists what it can show in ``MethodInfo.emits``; it prepares a costly value only where ``probe.wants(name)``.
-A probe may keep a value until the method's call returns, no longer: methods are free to reuse their arrays afterwards.
+A method declares its states in ``MethodInfo.emits`` and computes expensive values only if ``probe.wants(name)``.
+A probe may use a value until the method's call returns; afterwards the method may reuse its arrays.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dynaviz.arrays import F32, F64, I32, U8, Bool
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Points in the world: xyz (N, 3) float32, metres, world frame; values (N,) float32 colours them, if given."""
+    """Points: xyz (N, 3) float32, metres, world frame; values (N,) float32, optional, on a colour scale."""
 
     xyz: F32
     values: F32 | None = None
@@ -30,21 +30,21 @@ class PointClasses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mask:
-    """Some points of the current scan: (N,) bool."""
+    """A selection of points of the current scan: (N,) bool."""
 
     chosen: Bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeImage:
-    """A picture seen from the sensor: (rows, columns) float32, metres, first row at the top; NaN without return."""
+    """A range image: (rows, columns) float32, metres, first row at the top; NaN without return."""
 
     ranges: F32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolarGrid:
-    """Bins around the sensor: (rings, sectors) float32, NaN where empty.
+    """Polar bins around the sensor: (rings, sectors) float32, NaN if empty.
 
     Sector 0 starts at azimuth 0, ring 0 at the sensor; max_range: metres.
     """
@@ -55,9 +55,9 @@ class PolarGrid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Voxels:
-    """Cubes in the world: cube k spans [k, k + 1) * size per axis.
+    """Voxels in the world frame: voxel k spans [k, k + 1) * size per axis.
 
-    keys: (N, 3) int32; size: edge in metres; values: (N,) float32 colours them, if given.
+    keys: (N, 3) int32; size: edge in metres; values: (N,) float32, optional, on a colour scale.
     """
 
     keys: I32
@@ -67,7 +67,7 @@ class Voxels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """A disc of the plane normal . p = offset around a centre: metres, world frame."""
+    """A disc of the plane normal . p = offset around a centre; metres, world frame."""
 
     normal: F64
     offset: float
@@ -77,14 +77,14 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """One number a frame, drawn as a curve."""
+    """One number per frame, plotted over time."""
 
     value: float
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A remark, shown in the log."""
+    """A message in the log."""
 
     text: str
 
@@ -94,14 +94,14 @@ Value = Points | PointClasses | Mask | RangeImage | PolarGrid | Voxels | Plane |
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What a method can show, declared in its class; the viewer's layout, the docs and the tests come from it.
+    """An internal state that a method emits. The viewer's layout, the docs and the tests are generated from it.
 
     Attributes:
-        name: short and constant, also the last part of its path in the recording.
-        kind: the type of the value.
-        meaning: one sentence for the reader of a recording.
-        legend: names of the classes of a ``PointClasses``, by index.
-        value_range: the values' range on the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
+        name: short, constant name; also the last part of its path in the recording.
+        kind: type of the value.
+        meaning: one sentence that explains it.
+        legend: class names of a ``PointClasses``, by index.
+        value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
     """
 
     name: str
@@ -112,14 +112,14 @@ class State:
 
 
 class Probe(Protocol):
-    """A listener to a method's states."""
+    """Receives a method's states."""
 
     def wants(self, name: str) -> bool:
-        """Whether anybody looks at this state; ask before preparing a costly value."""
+        """Whether this state is used; check before computing an expensive value."""
         ...
 
     def emit(self, name: str, value: Value) -> None:
-        """Show a state of the current frame; a state nobody wants is dropped."""
+        """Emit a state of the current frame; unwanted states are ignored."""
         ...
 
 
@@ -132,19 +132,19 @@ class _Silent:
 
 
 SILENT: Probe = _Silent()
-"""Nobody listens."""
+"""A probe that ignores all states."""
 
 
 class MemoryProbe:
-    """Keeps everything, for tests: ``values[name]`` lists what was emitted, in order."""
+    """Stores all values, for tests: ``values[name]`` lists them in order."""
 
     def __init__(self) -> None:
         self.values: defaultdict[str, list[Value]] = defaultdict(list)
 
     def wants(self, name: str) -> bool:
-        """Everything is wanted."""
+        """True for every state."""
         return True
 
     def emit(self, name: str, value: Value) -> None:
-        """Keep the value as it is, not a copy."""
+        """Store the value itself, not a copy."""
         self.values[name].append(value)

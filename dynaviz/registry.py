@@ -1,4 +1,4 @@
-"""Methods, datasets, metrics and reports, found through entry points: ours and anyone else's, in the same way."""
+"""Find methods, datasets, metrics and reports through entry points, built-in ones and plug-ins alike."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from dynaviz.errors import PluginError, UsageError
 
 @dataclass(frozen=True)
 class PluginHandle:
-    """A plug-in that is installed but not loaded.
+    """An installed plug-in that may not be loaded yet.
 
     Attributes:
         kind: ``methods``, ``datasets``, ``metrics`` or ``reports``.
-        name: as in the command line.
+        name: name on the command line.
         target: ``module:Class``, for reports ``module:function``.
-        distribution, version: the package it came with.
+        distribution, version: the package that provides it.
     """
 
     kind: str
@@ -31,10 +31,10 @@ class PluginHandle:
     version: str
 
     def load(self) -> Any:
-        """Import the class.
+        """Import the class or function.
 
         Raises:
-            PluginError: where its code cannot be imported; nothing else suffers.
+            PluginError: if its code cannot be imported.
         """
         module, _, attribute = self.target.partition(":")
         try:
@@ -52,7 +52,7 @@ class PluginHandle:
 
 
 def handles(kind: str) -> list[PluginHandle]:
-    """All plug-ins of a kind, sorted by name; of two with one name, the first that is found."""
+    """All plug-ins of a kind, sorted by name. If two have the same name, the first one found is used."""
     found: dict[str, PluginHandle] = {}
     for point in metadata.entry_points(group=f"dynaviz.{kind}"):
         name, version = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
@@ -64,17 +64,17 @@ def load(kind: str, name: str) -> Any:
     """Load a plug-in by its name.
 
     Raises:
-        UsageError: for a name that is not installed; the message suggests one that is.
-        PluginError: where its code cannot be imported.
+        UsageError: for an unknown name; the message suggests a similar one.
+        PluginError: if its code cannot be imported.
     """
     known = {handle.name: handle for handle in handles(kind)}
     if name not in known:
-        raise UsageError(f"no {kind.removesuffix('s')} '{name}'. {suggest(name, known)}")
+        raise UsageError(f"unknown {kind.removesuffix('s')} '{name}'. {suggest(name, known)}")
     return known[name].load()
 
 
 def loadable(kind: str) -> dict[str, Any]:
-    """All plug-ins of a kind by name, loaded; one that cannot be is warned of and left out."""
+    """All plug-ins of a kind by name, loaded. A plug-in that cannot be loaded raises a warning and is left out."""
     found = {}
     for handle in handles(kind):
         try:
@@ -85,18 +85,18 @@ def loadable(kind: str) -> dict[str, Any]:
 
 
 def suggest(name: str, known: Any) -> str:
-    """What somebody who typed ``name`` may have meant."""
+    """A sentence that suggests a known name similar to ``name``, or lists all known names."""
     near = difflib.get_close_matches(name, list(known), 1)
     return f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(sorted(known)) or 'none'}."
 
 
 def preset_files() -> dict[str, list[Path]]:
-    """Presets by name: the ``presets/*.toml`` files in the packages of all methods."""
+    """Files of each preset by name: ``presets/*.toml`` in the packages of all methods."""
     presets: dict[str, list[Path]] = {}
     for package in dict.fromkeys(handle.package for handle in handles("methods")):
         try:
             roots = list(importlib.import_module(package).__path__)
-        except Exception:  # a broken plug-in breaks nobody else; loading it tells what is wrong
+        except Exception:  # a broken plug-in does not affect others; loading it raises the error
             continue
         for file in sorted(Path(roots[0]).glob("presets/*.toml")):
             presets.setdefault(file.stem, []).append(file)

@@ -8,28 +8,28 @@ from dynaviz import registry
 from dynaviz.errors import PluginError, UsageError
 
 
-def test_built_in_plug_ins_load_and_carry_their_name() -> None:
+def test_built_in_plug_ins_load_and_have_their_name() -> None:
     for handle in registry.handles("methods"):
         assert handle.load().info.name == handle.name
     for kind in ("datasets", "metrics"):
         assert [handle.load() for handle in registry.handles(kind)]
 
 
-def test_unknown_name_suggests_the_nearest() -> None:
+def test_an_unknown_name_suggests_a_similar_one() -> None:
     with pytest.raises(UsageError, match="Did you mean 'octomap'"):
         registry.load("methods", "octomapp")
     with pytest.raises(UsageError, match="Known: "):
         registry.load("methods", "zzz")
 
 
-def test_all_of_a_kind_but_those_that_are_broken(broken_plugins: None) -> None:
+def test_loadable_plug_ins_exclude_broken_ones(broken_plugins: None) -> None:
     with pytest.warns(UserWarning, match=r"method 'a_broken_one' of somebody's 1\.0 cannot be loaded"):
         found = registry.loadable("methods")
     assert list(found) == [handle.name for handle in registry.handles("methods")][1:]
     assert found["octomap"] is registry.load("methods", "octomap")
 
 
-def test_a_broken_plug_in_is_listed_and_breaks_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_plug_in_is_listed_and_does_not_affect_others(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = metadata.EntryPoint("broken", "no_such_module:Thing", "dynaviz.methods")
     whole = metadata.entry_points(group="dynaviz.methods")
     monkeypatch.setattr(registry.metadata, "entry_points", lambda group: [broken, *whole])

@@ -1,4 +1,4 @@
-"""A small world for checks: a sensor drives over a crossing between walls; boxes stand there, and others move."""
+"""A small simulated world for checks: a sensor drives over a crossing with walls, static boxes and moving boxes."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ RINGS, ELEVATION, HEIGHT = 24, (-24.0, 10.0), 1.8  # degrees, metres
 SENSOR = Sensor(name="check", title="a sensor of 24 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)
 AZIMUTHS = 400
 NOISE = 0.01  # metres, along the ray
-SIZE = 30.0  # metres from the middle to the walls
-# (centre, half edges) of what stands, and (centre, half edges, step a frame) of what moves; metres
-STANDING = [
+SIZE = 30.0  # metres from the centre to the walls
+# Static boxes: centre, half edges. Moving boxes: centre, half edges, step per frame. Metres.
+STATIC_BOXES = [
     ((8.0, 6.0, 1.0), (2.2, 0.9, 1.0)),
     ((-9.0, -6.0, 1.0), (2.2, 0.9, 1.0)),
     ((4.0, -9.0, 2.0), (0.2, 0.2, 2.0)),
 ]
-MOVING = [
+MOVING_BOXES = [
     ((-14.0, 3.0, 1.1), (2.2, 0.9, 0.8), (1.9, 0.0, 0.0)),
     ((16.0, -3.0, 0.9), (2.2, 0.9, 0.8), (-1.6, 0.0, 0.0)),
     ((12.0, -6.0, 0.8), (0.4, 0.4, 0.9), (-0.9, 0.3, 0.0)),
     ((-6.0, 9.0, 0.9), (0.4, 0.4, 0.9), (0.8, -0.3, 0.0)),
 ]
-ASKEW = (17.0, 0.31, 0.17, 0.23)  # how the world lies: its surfaces should meet voxels at all angles
-SLOPE = np.array([0.04, 0.03, 1.0])  # across the ground
+WORLD_POSE = (17.0, 0.31, 0.17, 0.23)  # degrees and metres, so that surfaces cross voxels at all angles
+SLOPE = np.array([0.04, 0.03, 1.0])  # direction normal to the ground
 
 
 @dataclass(frozen=True)
 class InMemory:
-    """Scans in memory, as a sequence."""
+    """A sequence of scans in memory."""
 
     scans: Sequence[Scan]
     name: str = "crossing"
@@ -56,33 +56,36 @@ def crossing(frames: int = 12, seed: int = 0) -> list[Scan]:
     """Scans with exact labels; the same seed gives the same scans.
 
     Args:
-        frames: how many, 0.1 s apart.
-        seed: of the noise along the rays.
+        frames: number of scans, 0.1 s apart.
+        seed: random seed of the range noise.
     """
     random, directions = np.random.default_rng(seed), _directions()
     scans = []
     for frame in range(frames):
         T_world_sensor = _pose(frame)
         origin, rays = T_world_sensor[:3, 3], directions @ T_world_sensor[:3, :3].T
-        standing = np.minimum.reduce([_room(origin, rays), *(_box(origin, rays, *box) for box in STANDING)])
+        static = np.minimum.reduce([_room(origin, rays), *(_box(origin, rays, *box) for box in STATIC_BOXES)])
         moving = np.minimum.reduce(
-            [_box(origin, rays, tuple(np.add(centre, np.multiply(frame, step))), half) for centre, half, step in MOVING]
+            [
+                _box(origin, rays, tuple(np.add(centre, np.multiply(frame, step))), half)
+                for centre, half, step in MOVING_BOXES
+            ]
         )
-        ranges = np.minimum(standing, moving) + random.normal(0, NOISE, len(rays))
-        labels = np.where(moving < standing, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        ranges = np.minimum(static, moving) + random.normal(0, NOISE, len(rays))
+        labels = np.where(moving < static, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
         points = (origin + ranges[:, None] * rays).astype(np.float32)
         scans.append(Scan(frame, points, T_world_sensor, 100_000_000 * frame, labels))
-    return [moved(scan, turn(*ASKEW)) for scan in scans]
+    return [moved(scan, turn(*WORLD_POSE)) for scan in scans]
 
 
 def moved(scan: Scan, T: F64) -> Scan:
-    """The scan in a world that was moved by T, (4, 4)."""
+    """The scan in a world that is transformed by T, (4, 4)."""
     points = (scan.points @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
     return Scan(scan.index, points, T @ scan.T_world_sensor, scan.stamp_ns, scan.labels)
 
 
 def turn(degrees: float, x: float, y: float, z: float) -> F64:
-    """(4, 4): a turn around the vertical, then a shift in metres."""
+    """(4, 4) pose: a rotation about z, degrees, then a shift, metres."""
     angle, T = np.radians(degrees), np.eye(4)
     T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     T[:3, 3] = x, y, z
@@ -90,14 +93,14 @@ def turn(degrees: float, x: float, y: float, z: float) -> F64:
 
 
 def _directions() -> F64:
-    """(rings * AZIMUTHS, 3), unit, sensor frame; off the axes, so that no ray runs along a voxel's face."""
+    """(RINGS * AZIMUTHS, 3) unit vectors, sensor frame; off the axes, so that no ray runs along a voxel face."""
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*ELEVATION, RINGS)),
         np.linspace(-np.pi, np.pi, AZIMUTHS, endpoint=False) + 0.003,
         indexing="ij",
     )
-    flat = np.cos(elevation)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+    horizontal = np.cos(elevation)
+    return np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
 
 
 def _pose(frame: int) -> F64:
@@ -105,7 +108,7 @@ def _pose(frame: int) -> F64:
 
 
 def _room(origin: F64, rays: F64) -> F64:
-    """Ranges to the sloping ground and the walls around it."""
+    """Ranges to the sloping ground and the walls, metres."""
     with np.errstate(divide="ignore"):
         walls = ((np.where(rays > 0, SIZE, -SIZE) - origin) / rays)[:, :2].min(1)
         ground = -(origin @ SLOPE) / (rays @ SLOPE)
@@ -114,7 +117,7 @@ def _room(origin: F64, rays: F64) -> F64:
 
 
 def _box(origin: F64, rays: F64, centre: tuple[float, ...], half: tuple[float, ...]) -> F64:
-    """Ranges to a box seen from outside; infinite where it is missed."""
+    """Ranges to a box from outside, metres; infinite for misses."""
     with np.errstate(divide="ignore"):
         low, high = ((np.add(centre, np.multiply(side, half)) - origin) / rays for side in (-1, 1))
     enter, leave = np.minimum(low, high).max(1), np.maximum(low, high).min(1)
