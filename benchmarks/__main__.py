@@ -1,13 +1,13 @@
-"""Cost against work of every method and every step: ``python benchmarks [--quick]``.
+"""Cost of every method and step as the work increases: ``python benchmarks [--quick]``.
 
-    python benchmarks --quick                    small sizes, some ten minutes; --only STEP... for some steps
-    python benchmarks -o FOLDER                  30 to 240 thousand points a frame, 100 to 5,000 frames; hours
-    python benchmarks --draw FOLDER/costs.json   curves and table of an earlier run again
+    python benchmarks --quick                    small sizes, about ten minutes; --only STEP... for some steps
+    python benchmarks -o FOLDER                  30 to 240 thousand points per frame, 100 to 5,000 frames; takes hours
+    python benchmarks --draw FOLDER/costs.json   draw curves and table of an earlier run again
 
-Each step runs in a process of its own, on one thread, and its processor seconds count, so that other work on the
-machine disturbs little; methods on short drives run twice, and the better round counts. Every cost is told as ratio to
-the plain walk along the rays of the same scans (``plain.py``), so a level curve is a step that grows as its work does.
-Exponents above 1.15 are printed bold.
+Each step runs in its own process on one thread, and processor seconds are measured, so other programs have little
+effect. Methods on short drives run twice, and the better round is used. Every cost is a ratio to the plain walk along
+the rays of the same scans (``plain.py``), so a flat curve means that a step grows linearly with its work. Exponents
+above 1.15 are printed in bold.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from curves import YARDSTICK, draw, table
 from dynaviz import registry
 
 QUICK = ((30_000, 60_000, 120_000), (24, 120))
-WHOLE = ((30_000, 60_000, 120_000, 240_000), (100, 500, 2_000, 5_000))
+FULL = ((30_000, 60_000, 120_000, 240_000), (100, 500, 2_000, 5_000))
 
 
 def steps() -> dict[str, tuple[str, ...]]:
-    """The words for ``costs.py`` of everything that is measured, in an order in which files are there when needed."""
+    """Arguments of ``costs.py`` for each step, in an order in which the files of earlier steps exist when needed."""
     return {
         YARDSTICK: ("reference",),
         **{handle.name: ("method", handle.name) for handle in registry.handles("methods")},
@@ -42,20 +42,20 @@ def steps() -> dict[str, tuple[str, ...]]:
 
 
 def measured(sizes: tuple[tuple[int, ...], tuple[int, ...]], only: list[str]) -> Iterator[dict[str, Any]]:
-    """The figures of each step at each size: all numbers of points on the shortest drive, all drives with fewest."""
+    """Measure each step at each size: all numbers of points on the shortest drive, all drives with fewest points."""
     points, frames = sizes
     work = [*((p, frames[0]) for p in points), *((points[0], f) for f in frames[1:])]
     chosen = {name: step for name, step in steps().items() if not only or name in (YARDSTICK, *only)}
     with tempfile.TemporaryDirectory() as folder:
         for p, f in work:
             for name, words in chosen.items():
-                if figures := alone(p, f, f"{folder}/drive", *words):
+                if figures := run_step(p, f, f"{folder}/drive", *words):
                     yield {"step": name, "points": p, "frames": f, **figures}
             shutil.rmtree(f"{folder}/drive", ignore_errors=True)
 
 
-def alone(*words: object) -> dict[str, float] | None:
-    """The figures of a step, in a process of its own; None where it fails, which is told."""
+def run_step(*words: object) -> dict[str, float] | None:
+    """The figures of a step in its own process; None if it fails, and the error is printed."""
     command = [sys.executable, str(Path(__file__).with_name("costs.py")), *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -70,19 +70,19 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[], metavar="STEP")
     parser.add_argument("--draw", type=Path, metavar="JSON")
     parser.add_argument("-o", "--out", type=Path, default=Path("build/benchmarks"))
-    given = parser.parse_args()
-    if given.draw:
-        rows = [json.loads(line) for line in given.draw.read_text().splitlines()]
+    arguments = parser.parse_args()
+    if arguments.draw:
+        rows = [json.loads(line) for line in arguments.draw.read_text().splitlines()]
     else:
-        given.out.mkdir(parents=True, exist_ok=True)
+        arguments.out.mkdir(parents=True, exist_ok=True)
         rows = []
-        with (given.out / "costs.json").open("w") as file:
-            for row in measured(QUICK if given.quick else WHOLE, given.only):
+        with (arguments.out / "costs.json").open("w") as file:
+            for row in measured(QUICK if arguments.quick else FULL, arguments.only):
                 rows.append(row)
                 print(json.dumps(row), file=file, flush=True)
                 print(f"{row['points']:>7} points {row['frames']:>5} frames  {row['step']:15} "
-                      f"{row['seconds'] / row['frames'] * 1e3:9.2f} ms a frame", flush=True)  # fmt: skip
-    out = given.draw.parent if given.draw else given.out
+                      f"{row['seconds'] / row['frames'] * 1e3:9.2f} ms per frame", flush=True)  # fmt: skip
+    out = arguments.draw.parent if arguments.draw else arguments.out
     text = table(rows)
     (out / "costs.md").write_text(text)
     draw(rows, out / "costs.png")

@@ -1,6 +1,6 @@
-"""What each part and each parameter of SeeThrough is worth, on scenes of ``benchmarks/many.py``.
+"""The contribution of each part and parameter of SeeThrough, on scenes of ``benchmarks/many.py``.
 
-python benchmarks/ablation.py OUT [SCENE ...]      after many.py OUT; writes OUT/ablation.md
+python benchmarks/ablation.py OUT [SCENE ...]      run after many.py OUT; writes OUT/ablation.md
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CHOSEN = (
     "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
     "mid360_hall",
 )  # fmt: skip
-PARTS = {  # constants to change, and reasons to keep
+PARTS = {  # constants to change, and reasons whose points are kept
     "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
     "no lone voxels": ({}, (ALONE,)),
@@ -45,7 +45,7 @@ MODULES = {"seethrough": seethrough, "ground_height": ground_height}
 
 
 def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:
-    """SA and DA, percent; points with the reasons ``kept`` stay."""
+    """SA and DA, percent; points with the reasons ``kept`` are not removed."""
     method = SeeThrough(params)
     method.begin(Context(Extent.of(*scans)))
     for scan in scans:
@@ -58,16 +58,16 @@ def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = 
 
 def rows(scans: list[Scan]) -> dict[str, tuple[float, float]]:
     """Every variant on one scene."""
-    found, usual = {}, SeeThroughParams()
+    found, default = {}, SeeThroughParams()
     for name, (constants, kept) in PARTS.items():
         with ExitStack() as stack:
             for path, value in constants.items():
                 module, constant = path.split(".")
                 stack.enter_context(patch.object(MODULES[module], constant, value))
-            found[name] = scores(scans, usual, kept)
+            found[name] = scores(scans, default, kept)
     for name, values in PARAMETERS.items():
         for value in values:
-            found[f"{name} = {value}"] = scores(scans, replace(usual, **{name: value}))
+            found[f"{name} = {value}"] = scores(scans, replace(default, **{name: value}))
     return found
 
 

@@ -1,9 +1,9 @@
-"""What a comparison costs: seconds and peak memory of ``dynaviz compare``, beside a plain copy of its inputs.
+"""Cost of a comparison: seconds and peak memory of ``dynaviz compare``, and of a plain copy of its inputs.
 
     python benchmarks/comparing.py                 a simulated street, HDL-64E, 141 frames, OctoMap and DUFOMap
-    python benchmarks/comparing.py A.rrd B.rrd...  recordings that are there
+    python benchmarks/comparing.py A.rrd B.rrd...  existing recordings
 
-Each round is a process of its own, so that its peak memory is that of the comparison; the best of three counts.
+Each round runs in its own process, so its peak memory is that of the comparison. The best of three rounds is used.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def main(recordings: list[str]) -> None:
         print(f"copying {len(recordings)} recordings of {read:.0f} MB: {copied:.2f} s")
         for out in ("", str(folder / "compare.rrd")):
             cost = measure(out, recordings)
-            what = f"compared and written ({Path(out).stat().st_size / 1e6:.0f} MB)" if out else "compared"
+            label = f"compared and written ({Path(out).stat().st_size / 1e6:.0f} MB)" if out else "compared"
             print(
-                f"{what}: {cost['seconds']:.1f} s, {cost['cpu']:.1f} s of processor time, "
-                f"{cost['peak_mb']:.0f} MB at most, {cost['points']:,} points"
+                f"{label}: {cost['seconds']:.1f} s, {cost['cpu']:.1f} s of processor time, "
+                f"peak {cost['peak_mb']:.0f} MB, {cost['points']:,} points"
             )
 
 

@@ -1,10 +1,9 @@
-"""What each step costs at so many points a frame and so many frames: processor seconds on one thread, and memory.
+"""Cost of a step for a number of points per frame and frames: processor seconds on one thread, and memory.
 
-    python benchmarks/costs.py 30000 24 FOLDER method octomap     one of the functions here, in a process of its own
+    python benchmarks/costs.py 30000 24 FOLDER method octomap     one of the functions below
 
-A function returns figures; ``seconds`` are for the whole drive, ``memory_mb`` what is held at most beyond what was held
-before. What is compiled or loaded on first use is so beforehand, on two frames. The files of a run lie in FOLDER, for
-those that come after.
+A function returns figures: ``seconds`` for the whole drive, and ``memory_mb``, the increase of the peak memory. Code is
+compiled and loaded beforehand, on two frames. The files of a run stay in FOLDER for later steps.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ from dynaviz.reporting import report as write_report
 from dynaviz.scan import Scan, stream
 
 Figures = dict[str, Any]
-QUICKEST = "octomap"  # of the methods that judge each point on its own; what is recorded and compared here
-SHORT = 100  # frames up to which a method runs twice, and the better counts
-COARSE = ("resolution=0.2",)  # for another run to compare with
+QUICKEST = "octomap"  # fastest method that labels each point individually; recorded and compared here
+SHORT = 100  # frames up to which a method runs twice, and the better round is used
+COARSE = ("resolution=0.2",)  # settings of a second run for the comparison
 
 
 def spent(*calls: Callable[[], Any]) -> float:
-    """Processor seconds of some calls, one after the other."""
+    """Processor seconds of some calls in sequence."""
     start = time.process_time()
     for call in calls:
         call()
@@ -45,7 +44,7 @@ def spent(*calls: Callable[[], Any]) -> float:
 
 
 def reference(points: int, frames: int, folder: Path) -> Figures:
-    """The yardstick: a plain walk along the rays of each frame, the best of three rounds over six frames."""
+    """The reference: a plain walk along the rays of each frame, best of three rounds over six frames."""
     from plain import dense_octomap
 
     scans = list(Drive.of(points, 6, folder.parent))
@@ -54,7 +53,7 @@ def reference(points: int, frames: int, folder: Path) -> Figures:
 
 
 def public_dufomap(points: int, frames: int, folder: Path) -> Figures:
-    """The public program of DUFOMap."""
+    """The public implementation of DUFOMap."""
     from plain import public_dufomap as program
 
     scans, before = list(Drive.of(points, frames, folder.parent)), peak_rss_mb()
@@ -62,7 +61,7 @@ def public_dufomap(points: int, frames: int, folder: Path) -> Figures:
 
 
 def method(points: int, frames: int, folder: Path, name: str) -> Figures:
-    """A method alone: ``begin``, ``observe`` and ``label``; memory beyond the drive and the raw map."""
+    """A method without the runner: ``begin``, ``observe`` and ``label``; memory beyond the drive and the raw map."""
     kernels.set_threads(1)
     kind, drive = registry.load("methods", name), Drive.of(points, frames, folder.parent)
     execute(RunSpec(kind(kind.Params()), Drive(drive.block, 2), kind.Params()))
@@ -82,12 +81,12 @@ def method(points: int, frames: int, folder: Path, name: str) -> Figures:
 
 
 def reading(points: int, frames: int, folder: Path) -> Figures:
-    """A folder of .bin files with poses, walked through; and the files alone by ``np.fromfile``."""
+    """Reading a folder of .bin files with poses; and only the files with ``np.fromfile``."""
     scans, block = folder / "scans", Drive.of(points, frames, folder.parent).block
     scans.mkdir(parents=True)
     for scan in block:
-        here = scan.points - scan.position.astype(np.float32)
-        np.column_stack([here, np.ones(len(here), np.float32)]).tofile(scans / f"block{scan.index}")
+        local = scan.points - scan.position.astype(np.float32)
+        np.column_stack([local, np.ones(len(local), np.float32)]).tofile(scans / f"block{scan.index}")
     for index in range(frames):
         os.link(scans / f"block{index % len(block)}", scans / f"{index:06d}.bin")
     poses = np.tile(np.eye(4)[:3].ravel(), (frames, 1))
@@ -97,11 +96,11 @@ def reading(points: int, frames: int, folder: Path) -> Figures:
     plain = spent(*(lambda file=file: np.fromfile(file, np.float32) for file in files))
     seconds = spent(lambda: [len(scan) for scan in stream(open_sequence(str(scans), poses=str(folder / "poses.txt")))])
     shutil.rmtree(scans)
-    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before, "beside": plain}
+    return {"seconds": seconds, "memory_mb": peak_rss_mb() - before, "fromfile": plain}
 
 
 def metrics(points: int, frames: int, folder: Path) -> Figures:
-    """All metrics, on the answers of a method that removes a patch of ground and a tenth of what moves."""
+    """All metrics, on labels that remove patches of ground and nine tenths of the dynamic points."""
     drive, kind = Drive.of(points, frames, folder.parent), registry.load("methods", QUICKEST)
 
     def scored(some: Drive) -> Iterator[float]:
@@ -119,7 +118,7 @@ def metrics(points: int, frames: int, folder: Path) -> Figures:
 
 
 def recorded(points: int, frames: int, folder: Path, way: str) -> Figures:
-    """A whole run: survey, method, metrics, files, and a recording or none."""
+    """A complete run: summary, method, metrics, files, with or without a recording."""
     drive, mode, settings = Drive.of(points, frames, folder.parent), way, ()
     if way == "coarse":
         mode, settings = "errors", COARSE
@@ -131,7 +130,7 @@ def recorded(points: int, frames: int, folder: Path, way: str) -> Figures:
 
 
 def compare(points: int, frames: int, folder: Path) -> Figures:
-    """Two recordings of the drive, and the merged one."""
+    """Comparing two recordings of the drive, with a merged recording."""
     recordings, before = [folder / name / "run.rrd" for name in ("errors", "coarse")], peak_rss_mb()
     api.compare(*recordings)
     seconds = spent(lambda: api.compare(*recordings, out=folder / "compare.rrd"))
@@ -140,7 +139,7 @@ def compare(points: int, frames: int, folder: Path) -> Figures:
 
 
 def report(points: int, frames: int, folder: Path) -> Figures:
-    """A page of the runs of the drive that are there, with figures and a picture of each map."""
+    """A report on two runs of the drive, with figures and a picture of each map."""
     write_report(folder / "first", out=folder / "first.html")
     before = peak_rss_mb()
     seconds = spent(lambda: write_report(folder / "errors", folder / "coarse", out=folder / "page.html"))
@@ -148,7 +147,7 @@ def report(points: int, frames: int, folder: Path) -> Figures:
 
 
 def score(points: int, frames: int, folder: Path) -> Figures:
-    """A cleaned map in a file, scored on the drive, without a recording."""
+    """Scoring a cleaned map on the drive, without a recording."""
     drive = Drive.of(points, frames, folder.parent)
     api.score(folder / "first/static_map.pcd", Drive(drive.block, 2), threads=1)
     before = peak_rss_mb()

@@ -1,4 +1,4 @@
-"""Costs as curves and as a table, each as a ratio to the plain walk, and what grows faster than its work."""
+"""Curves and a table of costs, as ratios to the plain walk, with growth exponents."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 Row = dict[str, Any]
-YARDSTICK, FAST = "plain walk", 1.15  # the exponent from which on growth is called faster than the work
+YARDSTICK, FAST = "plain walk", 1.15  # larger exponents mean that a step grows faster than its work
 HIDDEN = ("run, coarse",)
 
 
 def ratios(rows: list[Row]) -> dict[str, dict[tuple[int, int], float]]:
-    """By step and size: processor seconds a frame, in plain walks of a frame of that size."""
-    walks: defaultdict[int, float] = defaultdict(lambda: np.inf)  # the best of all drives: its work a frame is the same
+    """By step and size: processor seconds per frame, in plain walks of a frame of that size."""
+    walks: defaultdict[int, float] = defaultdict(
+        lambda: np.inf
+    )  # the best of all drives: the work per frame is the same
     for row in rows:
         if row["step"] == YARDSTICK:
             walks[row["points"]] = min(walks[row["points"]], row["seconds"] / row["frames"])
@@ -28,25 +30,25 @@ def ratios(rows: list[Row]) -> dict[str, dict[tuple[int, int], float]]:
 
 
 def axes(rows: list[Row]) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """The sizes with more and more points a frame, and those with more and more frames."""
+    """The sizes with increasing points per frame, and those with increasing frames."""
     sizes = sorted({(row["points"], row["frames"]) for row in rows})
     fewest, shortest = min(p for p, _ in sizes), min(f for _, f in sizes)
     return [size for size in sizes if size[1] == shortest], [size for size in sizes if size[0] == fewest]
 
 
 def exponent(work: list[int], cost: list[float]) -> float:
-    """The k of the power law cost = work ** k that fits best; not a number for fewer than two."""
+    """The exponent k of the best power law cost = work ** k; NaN for fewer than two values."""
     return float(np.polyfit(np.log(work), np.log(np.maximum(cost, 1e-9)), 1)[0]) if len(work) > 1 else np.nan
 
 
-def growth(rows: list[Row], step: str, sizes: list[tuple[int, int]], what: Callable[[Row], float]) -> float:
-    """How the total cost of a step grows with the points of the whole drive."""
+def growth(rows: list[Row], step: str, sizes: list[tuple[int, int]], cost: Callable[[Row], float]) -> float:
+    """Exponent with which the total cost of a step grows with the points of the whole drive."""
     found = [row for row in rows if row["step"] == step and (row["points"], row["frames"]) in sizes]
-    return exponent([row["points"] * row["frames"] for row in found], [what(row) for row in found])
+    return exponent([row["points"] * row["frames"] for row in found], [cost(row) for row in found])
 
 
 def table(rows: list[Row]) -> str:
-    """Markdown: the ratio at each size, exponents with points and with frames, memory at the largest sizes."""
+    """A Markdown table: ratio at each size, exponents with points and with frames, memory at the largest sizes."""
     wide, long = axes(rows)
     sizes = list(dict.fromkeys([*wide, *long]))
     head = [f"{p // 1000} k x {f:,}" for p, f in sizes]
@@ -55,7 +57,7 @@ def table(rows: list[Row]) -> str:
         "|---" * (len(head) + 5) + "|",
     ]
     for step, by_size in ratios(rows).items():
-        told = [f"{by_size[size]:.2f}" if size in by_size else "" for size in sizes]
+        cells = [f"{by_size[size]:.2f}" if size in by_size else "" for size in sizes]
         grown = [growth(rows, step, axis, lambda row: row["seconds"]) for axis in (wide, long)]
         bold = [f"**{k:.2f}**" if k > FAST else f"{k:.2f}" for k in grown]
         memory = [
@@ -69,12 +71,12 @@ def table(rows: list[Row]) -> str:
             )
             for at in (wide[-1], long[-1])
         ]
-        lines.append(f"| {step} | {' | '.join([*told, *bold, *memory])} |")
+        lines.append(f"| {step} | {' | '.join([*cells, *bold, *memory])} |")
     return "\n".join(lines) + "\n"
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Six panels: ratio of methods, ratio of the other steps, and memory, against points a frame and against frames."""
+    """Six panels: ratios of methods, ratios of other steps, and memory, by points per frame and by frames."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -89,12 +91,12 @@ def draw(rows: list[Row], path: Path) -> None:
         for step in found
     }
     figure, panels = pyplot.subplots(2, 3, figsize=(17, 10), layout="constrained")
-    labels = ("points a frame", "frames of the drive")
+    labels = ("points per frame", "frames of the drive")
     for line, sizes, position, label in zip(panels, around, (0, 1), labels, strict=True):
         shown = (
-            (methods, found, "methods: cost of a frame, in plain walks"),
-            ([step for step in others if step in found], found, "other steps: cost of a frame, in plain walks"),
-            (list(found), memory, "memory held at most, MB"),
+            (methods, found, "methods: cost per frame, in plain walks"),
+            ([step for step in others if step in found], found, "other steps: cost per frame, in plain walks"),
+            (list(found), memory, "peak memory, MB"),
         )
         for panel, (steps, values, title) in zip(line, shown, strict=True):
             for n, step in enumerate(steps):
@@ -111,6 +113,6 @@ def draw(rows: list[Row], path: Path) -> None:
             panel.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             panel.grid(alpha=0.3)
             panel.legend(fontsize=7, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.12))  # hides no curve
-    figure.suptitle("Cost against work; a level curve grows as its work does")
+    figure.suptitle("Cost by amount of work; a flat curve means linear growth")
     figure.savefig(path, dpi=90)
     pyplot.close(figure)

@@ -1,4 +1,4 @@
-"""Joining five million wrong points to failure cases: ``python benchmarks/failures.py``."""
+"""Group five million wrong points into failure cases: ``python benchmarks/failures.py``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FRAMES, POINTS = 143, 35_000
 
 
 def main() -> None:
-    """A street's ground around a sensor that drives 1 m a frame, all of it wrongly removed."""
+    """All ground points around a sensor that moves 1 m per frame are removed by mistake."""
     for first in (True, False):
         small: list[Any] = []
         spent, cases, rng = 0.0, Cases(8, span=20.0, forgotten=small.extend), np.random.default_rng(0)
@@ -28,7 +28,7 @@ def main() -> None:
         start = time.perf_counter()
         cases.settle(FRAMES + GAP)
         spent += time.perf_counter() - start
-        if not first:  # which compiles
+        if not first:  # the first round compiles
             found = len(summed(cases.rows)) + len(small)
             print(f"{FRAMES * POINTS:,} points, {found:,} cases: {spent:.1f} s, peak {peak_rss_mb():.0f} MB")
 

@@ -1,9 +1,9 @@
-"""All methods on many simulated scenes, of other seeds than those that changes of SeeThrough were decided on.
+"""All methods on many simulated scenes, with seeds that were not used to develop SeeThrough.
 
-    python benchmarks/many.py OUT [METHOD ...]        some twenty minutes on two cores; what is done is not done again
+    python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished runs are kept
 
-Makes the scenes in OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
-OUT/many.md: for each method the AA on every scene, how it is spread, and on how many scenes it is first.
+Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
+OUT/many.md: the AA of each method on every scene, its distribution, and on how many scenes the method is first.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.sensors import load_sensor
 from dynaviz.simulate.classes import CLASS_NAMES
 from dynaviz.simulate.presets import PRESETS
-from dynaviz.simulate.recording import build, shoot
+from dynaviz.simulate.recording import build, record_sweeps
 from dynaviz.spatial import geometry
 
-FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # metres and degrees by which poses are off
+FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # pose errors, metres and degrees
 
 
 @dataclass(frozen=True)
 class Variation:
-    """A preset with some of its facts changed; the slope is that of all the ground, in percent."""
+    """A preset with some changed fields; slope: of the whole ground, percent."""
 
     name: str
     preset: str
@@ -71,25 +71,25 @@ SCENES = (
 
 
 def write(variation: Variation, out: Path) -> None:
-    """Simulate a scene in the public benchmark's layout, leaning as a whole where it has a slope."""
+    """Simulate a scene in the public benchmark's layout, tilted by its slope."""
     preset = replace(PRESETS[variation.preset], **dict(variation.changed))
-    lean = np.eye(4)
+    tilt = np.eye(4)
     angle = np.arctan(variation.slope / 100)
-    lean[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
+    tilt[:3, :3] = [[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]]
     merged = bool(load_sensor(preset.sensor).mounts)
     with BenchmarkWriter(out) as writer:
         scene = build(preset, variation.frames, variation.seed)
-        for shot in shoot(scene, preset, variation.frames, variation.seed):
-            points = geometry.transform(lean, shot.points)
-            pose = geometry.compose(lean, shot.T_world_sensor)
-            writer.append(shot.index, points, pose, shot.intensity, shot.lidar if merged else None)
-            writer.append_truth(points, shot.labels, shot.kinds, shot.instances)
+        for sweep in record_sweeps(scene, preset, variation.frames, variation.seed):
+            points = geometry.transform(tilt, sweep.points)
+            pose = geometry.compose(tilt, sweep.T_world_sensor)
+            writer.append(sweep.index, points, pose, sweep.intensity, sweep.lidar if merged else None)
+            writer.append_truth(points, sweep.labels, sweep.kinds, sweep.instances)
         facts = {"name": out.name, "title": variation.name.replace("_", " "), "preset": preset.name}
         writer.describe({**facts, "sensor": preset.sensor, "seed": variation.seed}, CLASS_NAMES)
 
 
 def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
-    """Markdown: how AA is spread for each method over the scenes, and AA by scene."""
+    """Markdown tables: distribution of AA over the scenes for each method, and AA by scene."""
     methods = sorted({m for by in results.values() for m in by})
     methods.sort(key=lambda m: -np.mean([by[m]["AA"] for by in results.values() if m in by]))
     first = {m: sum(max(by, key=lambda k: by[k]["AA"]) == m for by in results.values()) for m in methods}
@@ -108,12 +108,12 @@ def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
 
 
 def main(out: Path, methods: list[str]) -> None:
-    """Make what is missing, run what is missing, and write the tables."""
+    """Write missing scenes, run missing methods, and write the tables."""
     for scene in SCENES:
         if not (out / "scenes" / scene.name).exists():
             (out / "scenes").mkdir(parents=True, exist_ok=True)
             write(scene, out / "scenes" / scene.name)
-            print("made", scene.name, flush=True)
+            print("written:", scene.name, flush=True)
     plan = {
         "methods": methods or [handle.name for handle in registry.handles("methods")],
         "sequences": [str(out / "scenes" / scene.name) for scene in SCENES],
@@ -125,9 +125,9 @@ def main(out: Path, methods: list[str]) -> None:
         static = counts["static_kept"] + counts["static_removed"]
         sa = 100 * counts["static_kept"] / static
         da = 100 * counts["dynamic_removed"] / max(1, counts["dynamic_removed"] + counts["dynamic_kept"])
-        seconds = result.runtime.get("mean_s")
+        seconds = result.runtime.mean_s
         figures = {"SA": sa, "DA": da, "AA": float(np.sqrt(sa * da)), "seconds": seconds}
-        results.setdefault(str(result.sequence["name"]), {})[result.method] = figures
+        results.setdefault(result.sequence.name, {})[result.method] = figures
     (out / "many.json").write_text(json.dumps(results, indent=1))
     (out / "many.md").write_text(table(results))
     print(table(results))

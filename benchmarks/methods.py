@@ -1,14 +1,14 @@
-"""Seconds a frame of every method, its profile by kernel, and its memory, on 120 000 points a frame.
+"""Seconds per frame of every method, its profile by kernel and its memory, on 120 000 points per frame.
 
-    python benchmarks/methods.py                              all methods on a street that is made here
-    python benchmarks/methods.py dufomap removert             these
-    python benchmarks/methods.py --folder FOLDER --frames 30  on the pcd/*.pcd of a folder in the benchmark's layout
+    python benchmarks/methods.py                              all methods on a generated street
+    python benchmarks/methods.py dufomap removert             some methods
+    python benchmarks/methods.py --folder FOLDER --frames 30  on pcd/*.pcd of a folder in the benchmark's layout
     python benchmarks/methods.py removert --preset port
 
-Each method runs in a process of its own, after a first round that compiles; the fastest of three rounds counts, a round
-on all threads and one on a single thread in turn. Memory is what the process holds at most beyond the scans, which lie
-in memory here, and beyond the raw map that some methods are given; both are told. A profile adds up all calls of a
-kernel, while scans are observed and labelled, in a round of its own.
+Each method runs in its own process, after a first round that compiles. Rounds on all threads and on one thread
+alternate, and the fastest of three is used. Memory is the peak beyond the scans, which are all in memory here, and
+beyond the raw map that some methods receive; both sizes are printed. The profile is measured in a separate round and
+sums all calls of each kernel while scans are observed and labelled.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ROUNDS, FRAMES = 3, 60
 def run(
     running: Any, scans: list[Scan], context: Context, ready: Callable[[], None] = lambda: None
 ) -> tuple[float, float, float, np.ndarray]:
-    """Seconds to begin; seconds a frame to observe and to label; all labels. ``ready`` is called after ``begin``."""
+    """Seconds for begin, seconds per frame for observe and for label, all labels; calls ``ready`` after ``begin``."""
     start = time.perf_counter()
     running.begin(context)
     ready()
@@ -53,7 +53,7 @@ def run(
 
 
 def watch(spent: defaultdict[str, float]) -> None:
-    """Time every call of a kernel from Python from now on; kernels that are called by kernels count as these."""
+    """Time every later call of a kernel from Python; kernels called by a kernel are included in its time."""
 
     def timed(call: Callable[..., Any], step: str) -> Callable[..., Any]:
         def wrapped(*arguments: Any) -> Any:
@@ -72,7 +72,7 @@ def watch(spent: defaultdict[str, float]) -> None:
 
 
 def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> None:
-    """Print all figures of a method."""
+    """Measure a method and print its figures."""
     method = registry.load("methods", name)
     params = resolve(method, preset).params
     scans = read(folder, frames) if folder else street(frames)
@@ -95,9 +95,9 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     kernels.set_threads(threads)
     begin, observe, label, labels = best[threads]
     ratio = (best[1][1] + best[1][2]) / (observe + label)
-    print(f"\n{name}{f' --preset {preset}' if preset else ''}: {observe + label:.4f} s a frame on {threads} threads")
-    print(f"  observe {observe:.4f}, label {label:.4f}; before the first frame {begin:.2f} s")
-    print(f"  on one thread {ratio:.2f} times as long; same labels: {np.array_equal(labels, best[1][3])}")
+    print(f"\n{name}{f' --preset {preset}' if preset else ''}: {observe + label:.4f} s per frame on {threads} threads")
+    print(f"  observe {observe:.4f}, label {label:.4f}; begin {begin:.2f} s")
+    print(f"  on one thread {ratio:.2f} times as slow; identical labels: {np.array_equal(labels, best[1][3])}")
     raw = f", and the raw map of {raw_map.nbytes / 1e6:.0f} MB" if raw_map is not None else ""
     print(f"  memory {held:.0f} MB beyond {sum(scan.points.nbytes for scan in scans) / 1e6:.0f} MB of scans{raw}")
 
@@ -106,8 +106,10 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
     _, observe, label, _ = run(method(params), scans, context, ready=spent.clear)
     steps = {step: seconds / len(scans) for step, seconds in spent.items()}
     for step, mean in sorted(steps.items(), key=lambda pair: -pair[1])[:8]:
-        print(f"  {step:28} {1000 * mean:7.2f} ms a frame")
-    print(f"  {'the rest, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms a frame", flush=True)
+        print(f"  {step:28} {1000 * mean:7.2f} ms per frame")
+    print(
+        f"  {'other steps, in numpy':28} {1000 * (observe + label - sum(steps.values())):7.2f} ms per frame", flush=True
+    )
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
-"""How much faster the methods are than the same steps written plainly, and whether these say the same.
+"""Speed of the methods compared with plain implementations of the same steps, and whether the results agree.
 
-    python benchmarks/plain.py                      on a street that is made here
-    python benchmarks/plain.py --folder FOLDER      on the pcd/*.pcd of a folder in the benchmark's layout
-    python benchmarks/plain.py --methods dufomap    some of them
+    python benchmarks/plain.py                      on a generated street
+    python benchmarks/plain.py --folder FOLDER      on pcd/*.pcd of a folder in the benchmark's layout
+    python benchmarks/plain.py --methods dufomap    some methods
 
-OctoMap is set beside one numba loop on one thread that walks a dense grid in double precision; Removert, ERASOR and
-Dynablox beside numpy; DUFOMap beside the public program, where that is installed (pip install dufomap). All run in one
-process, on the same few frames, after a first round that compiles; of each the fastest of three rounds counts.
+OctoMap is compared with a single-threaded numba loop that walks a dense grid in double precision; Removert, ERASOR and
+Dynablox with numpy; DUFOMap with the public implementation, if it is installed (pip install dufomap). All run in one
+process on the same few frames, after a first round that compiles. The fastest of three rounds is used.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from dynaviz_methods.tiles import thinned
 from methods import run
 
 ROUNDS, FRAMES = 3, 6
-Answer = tuple[float, np.ndarray]  # seconds a frame, and what was found
+Answer = tuple[float, np.ndarray]  # seconds per frame, and the result
 
 
 def fastest(call: Callable[[], Answer]) -> Answer:
-    """The least of some rounds."""
+    """The fastest of some rounds."""
     return min((call() for _ in range(ROUNDS)), key=lambda answer: answer[0])
 
 
 def ours(running: Any, scans: list[Scan], raw_map: np.ndarray | None = None) -> Answer:
-    """Seconds a frame without ``begin``, and all labels."""
+    """Seconds per frame without ``begin``, and all labels."""
     _, observe, label, labels = run(running, scans, Context(Extent.of(*scans), SENSOR, raw_map=raw_map))
     return observe + label, labels
 
 
 def octomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
-    """A dense grid."""
+    """OctoMap and the walk through a dense grid."""
     plain = fastest(lambda: dense_octomap(scans, 0.1))
     return "a plain walk", plain, fastest(lambda: ours(OctoMap(OctoMap.Params()), scans))
 
 
 @njit(cache=True)
 def plain_walk(points, origin, per_metre, low, shape, stamps, stamp, odds, miss, hit, least, most, touched):
-    """Every voxel of every ray in a dense grid, then the update; bit 1 of a stamp is free, bit 2 is occupied."""
+    """Visit every voxel of every ray in a dense grid, then update; bit 1 of a stamp is free, bit 2 is occupied."""
     n = 0
     for p in range(len(points)):
         o, d, k, goal, step, t, dt = np.empty((7, 3))
@@ -93,7 +93,7 @@ def plain_walk(points, origin, per_metre, low, shape, stamps, stamp, odds, miss,
 
 
 def dense_octomap(scans: list[Scan], resolution: float, clock: Callable[[], float] = time.perf_counter) -> Answer:
-    """Seconds a frame, and the labels."""
+    """Seconds per frame, and the labels."""
     per_metre = 1.0 / resolution
     extent = Extent.of(*scans)
     low = np.floor(extent.low * per_metre).astype(np.int64) - 1
@@ -111,20 +111,20 @@ def dense_octomap(scans: list[Scan], resolution: float, clock: Callable[[], floa
 
 
 def removert(scans: list[Scan]) -> tuple[str, Answer, Answer]:
-    """Which points of the map scans look past."""
+    """Removert's comparison of scans and map, and the same in numpy."""
     raw_map = np.concatenate([scan.points for scan in scans])
     points, _ = thinned(raw_map, 0.05)
 
-    def judged() -> Answer:
+    def method_result() -> Answer:
         method = Removert(Removert.Params())
         observe = run(method, scans, Context(Extent.of(scans[0]), SENSOR, raw_map=raw_map))[1]
         return observe, method._past[:-1] > 0
 
-    return "numpy", fastest(lambda: numpy_removert(scans, points)), fastest(judged)
+    return "numpy", fastest(lambda: numpy_removert(scans, points)), fastest(method_result)
 
 
 def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
-    """Seconds a frame in numpy, and which of the map's points scans look past."""
+    """Seconds per frame in numpy, and which map points the scans see through."""
     params = Removert.Params()
     views = image_views(params.resolutions, SENSOR.elevation or (), SENSOR.azimuth)
 
@@ -139,7 +139,7 @@ def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
     past, start = np.zeros(len(points), bool), time.perf_counter()
     for scan in scans:
         for view, pixels in zip(views, slices(views), strict=True):
-            image = np.zeros(pixels.stop - pixels.start + 1)  # the last pixel takes what is out of view
+            image = np.zeros(pixels.stop - pixels.start + 1)  # the last pixel is for points out of view
             pixel, ranges = project(scan.points, scan, view)
             farthest_first = np.argsort(-ranges)
             image[pixel[farthest_first]] = ranges[farthest_first]
@@ -150,7 +150,7 @@ def numpy_removert(scans: list[Scan], points: np.ndarray) -> Answer:
 
 
 def erasor(scans: list[Scan]) -> tuple[str, Answer, Answer]:
-    """Every scan, on a map of all of them."""
+    """ERASOR on every scan, with a map of all scans, and the same in numpy."""
     params, raw_map = (
         dataclasses.replace(Erasor.Params(), removal_interval=1),
         np.concatenate([s.points for s in scans]),
@@ -160,7 +160,7 @@ def erasor(scans: list[Scan]) -> tuple[str, Answer, Answer]:
 
 
 def numpy_erasor(params: ErasorParams, scans: list[Scan], raw_map: np.ndarray) -> Answer:
-    """Seconds a scan in numpy, the map thinned beforehand; and which raw points go."""
+    """Seconds per scan in numpy, without downsampling the map; and which raw points are removed."""
     points, voxels = thinned(raw_map, params.map_voxel)
     points, n = points.astype(float), params.rings * params.sectors
     alive, start = np.ones(len(points), bool), time.perf_counter()
@@ -194,21 +194,21 @@ def numpy_erasor(params: ErasorParams, scans: list[Scan], raw_map: np.ndarray) -
 
 
 def ground(params: ErasorParams, points: np.ndarray) -> np.ndarray:
-    """R-GPF with LAPACK."""
+    """R-GPF with LAPACK: (N,) bool, ground points."""
     lowest = np.sort(points[:, 2])[params.ground_skip :][: params.ground_lowest]
     chosen = points[:, 2] < (lowest.mean() if len(lowest) else 0) + params.ground_seed
     for _ in range(params.ground_iterations):
         if not chosen.any():
             break
         centre = points[chosen].mean(0)
-        away = points[chosen] - centre
-        normal = np.linalg.eigh(away.T @ away)[1][:, 0]
+        centred = points[chosen] - centre
+        normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
         chosen = (points - centre) @ normal * (-1 if normal[2] < 0 else 1) < params.ground_distance
     return chosen
 
 
 def dynablox(scans: list[Scan]) -> tuple[str, Answer, Answer]:
-    """The whole method, beside the distances alone."""
+    """All of Dynablox, and only its distances in numpy."""
     params = Dynablox.Params()
     method = Dynablox(params)
     ours(method, scans)
@@ -217,11 +217,11 @@ def dynablox(scans: list[Scan]) -> tuple[str, Answer, Answer]:
     first = (space._first[np.flatnonzero(space._inner)][:, None] + np.arange(512)).ravel()
     same = np.abs(space._distance[first] - plain[1]) < 1e-4
     seconds, _ = fastest(lambda: ours(Dynablox(params), scans))
-    return "numpy's distances alone", (plain[0], same), (seconds, np.ones(len(same), bool))
+    return "numpy, only the distances,", (plain[0], same), (seconds, np.ones(len(same), bool))
 
 
 def numpy_distances(p: DynabloxParams, space: Any, scans: list[Scan]) -> Answer:
-    """Seconds a frame in numpy for the distances of all voxels where points can lie, and those distances."""
+    """Seconds per frame in numpy for the distances of all voxels that can contain points, and the distances."""
     blocks = np.flatnonzero(space._inner)
     voxels = (512 * blocks[:, None] + np.arange(512)).ravel()
     centres = (space.grid.keys(voxels) + 0.5) * p.resolution
@@ -243,22 +243,22 @@ def numpy_distances(p: DynabloxParams, space: Any, scans: list[Scan]) -> Answer:
         image[-1] = np.inf
         at, ranges = pixels(centres, scan)
         behind = image[at] - ranges
-        told = np.flatnonzero(np.isfinite(behind) & (behind >= -p.truncation))
-        total = distance[told] * weight[told] + np.minimum(behind[told], p.truncation)
-        weight[told] += 1
-        distance[told] = total / weight[told]
+        seen = np.flatnonzero(np.isfinite(behind) & (behind >= -p.truncation))
+        total = distance[seen] * weight[seen] + np.minimum(behind[seen], p.truncation)
+        weight[seen] += 1
+        distance[seen] = total / weight[seen]
     return (time.perf_counter() - start) / len(scans), distance
 
 
 def dufomap(scans: list[Scan]) -> tuple[str, Answer, Answer]:
-    """The public program."""
+    """DUFOMap and the public implementation."""
     params = DufoMap.Params(max_range=50.0)
     plain = fastest(lambda: public_dufomap(scans, kernels.set_threads(None)))
-    return "the public program", plain, fastest(lambda: ours(DufoMap(params), scans))
+    return "the public implementation", plain, fastest(lambda: ours(DufoMap(params), scans))
 
 
 def public_dufomap(scans: list[Scan], threads: int, clock: Callable[[], float] = time.perf_counter) -> Answer:
-    """Seconds a frame of the public program, and its labels, with its example's limits of range."""
+    """Seconds per frame of the public implementation with the range limits of its example, and its labels."""
     program = importlib.import_module("dufomap").dufomap(0.1, 0.2, 1, threads)
     near = [np.linalg.norm(scan.points - scan.position.astype(np.float32), axis=1) for scan in scans]
     chosen = [scan.points[(r > 0.2) & (r < 50)] for scan, r in zip(scans, near, strict=True)]
@@ -286,10 +286,10 @@ def main() -> None:
         except ImportError as error:
             print(f"{name}: {error}")
             continue
-        beside, (plain, expected), (seconds, answer) = COMPARED[name](scans)
+        reference, (plain, expected), (seconds, answer) = COMPARED[name](scans)
         same = 100 * np.mean(expected == answer[: len(expected)])
-        print(f"{name:9} {1000 * seconds:8.1f} ms a frame; {beside} {1000 * plain:.1f} ms", end="", flush=True)
-        print(f", {plain / seconds:.1f} times as long; the same in {same:.4f} %", flush=True)
+        print(f"{name:9} {1000 * seconds:8.1f} ms per frame; {reference} {1000 * plain:.1f} ms", end="", flush=True)
+        print(f", {plain / seconds:.1f} times as long; {same:.4f} % identical", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""How fast scans are read, as a ratio to reading the same bytes without looking at them.
+"""Speed of reading scans, as a ratio to reading the same bytes without parsing.
 
     python benchmarks/reading.py [POINTS] [FILES]
 
-Writes scans to a temporary folder, and reads each way in turn, several times; the best round counts. The files are
-in the page cache, so what is measured is this program and not the disk.
+Writes scans to a temporary folder and reads them in several ways, which alternate over several rounds; the best round
+is used. The files are in the page cache, so the disk is not measured.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ def write_scans(folder: Path, points: int, files: int) -> None:
     random = np.random.default_rng(0)
     cloud = []
     for k in range(files):
-        angle, far = random.uniform(-np.pi, np.pi, points), random.gamma(2.0, 8.0, points)
-        xyz = np.round(np.column_stack([far * np.cos(angle), far * np.sin(angle), random.normal(size=points)]), 3)
+        azimuth, distance = random.uniform(-np.pi, np.pi, points), random.gamma(2.0, 8.0, points)
+        xyz = np.round(
+            np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), random.normal(size=points)]), 3
+        )
         fields = dict(zip(("x", "y", "z", "intensity"), np.c_[xyz, random.random(points)].astype("f4").T, strict=True))
         for encoding in ENCODINGS:
             write_pcd(folder / encoding / f"pcd/{k:06d}.pcd", fields, np.eye(4), encoding)
@@ -42,7 +44,7 @@ def write_scans(folder: Path, points: int, files: int) -> None:
 
 
 def seconds(ways: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Best time of each way; all ways in each round, so that a busy moment hits them alike."""
+    """Best time of each way; each round runs all ways, so other programs affect all of them."""
     best = dict.fromkeys(ways, np.inf)
     for _ in range(ROUNDS):
         for name, way in ways.items():
@@ -74,7 +76,7 @@ def main(points: int = 120_000, files: int = 20) -> None:
         )
     megabytes = 16 * points * files / 1e6
     title = f"{files} scans of {points:,} points"
-    table = Table("way", "ms a scan", "MB/s of points", "x plain", "x fromfile", title=title)
+    table = Table("way", "ms per scan", "MB/s of points", "x plain", "x fromfile", title=title)
     for name, time_taken in took.items():
         ratios = (f"{time_taken / took[base]:.2f}" for base in (plain, fromfile))
         table.add_row(name, f"{time_taken / files * 1e3:.2f}", f"{megabytes / time_taken:,.0f}", *ratios)

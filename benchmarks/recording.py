@@ -1,11 +1,11 @@
-"""What a recording costs: time of a run as a ratio to the run without one, and the file's size.
+"""Cost of a recording: runtime as a ratio to a run without recording, and file size.
 
     python benchmarks/recording.py                       a simulated street, HDL-64E, 60 frames
     python benchmarks/recording.py SEQ [METHOD] [ROUNDS]
 
-All ways of recording are run in turn in each round, after a first run that compiles; the best round of each counts.
-CPU seconds are of all threads together, and steadier than the clock on a machine that does other things. Sizes are
-also given for 141 frames of 120 000 points, growing with the number of points.
+Each round runs all recording modes, after a first run that compiles; the best round of each mode is used. CPU seconds
+are the sum over all threads and vary less than wall time if other programs run. Sizes are also extrapolated to 141
+frames of 120 000 points, in proportion to the number of points.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rich.table import Table
 from dynaviz import api
 from dynaviz.scan import Sequence
 
-WAYS = ("none", "scores", "errors", "full")
+MODES = ("none", "scores", "errors", "full")
 STANDARD = 141 * 120_000
 
 
@@ -30,20 +30,20 @@ Costs = dict[str, float]
 
 
 def measure(sequence: Sequence, method: str, rounds: int, folder: Path) -> tuple[Costs, Costs, Costs, int]:
-    """Best seconds, best CPU seconds and megabytes of each way, and the number of points; labels must not differ."""
-    best, cpu = dict.fromkeys(WAYS, np.inf), dict.fromkeys(WAYS, np.inf)
-    megabytes, labels, points = dict.fromkeys(WAYS, 0.0), set(), 0
+    """Best seconds, best CPU seconds and megabytes of each mode, and the number of points; checks for equal labels."""
+    best, cpu = dict.fromkeys(MODES, np.inf), dict.fromkeys(MODES, np.inf)
+    megabytes, labels, points = dict.fromkeys(MODES, 0.0), set(), 0
     api.run(method, sequence, out=folder, record="errors")
     for _ in range(rounds):
-        for way in WAYS:
+        for mode in MODES:
             start, start_cpu = time.perf_counter(), time.process_time()
-            result = api.run(method, sequence, out=folder, record=way)
-            best[way] = min(best[way], time.perf_counter() - start)
-            cpu[way] = min(cpu[way], time.process_time() - start_cpu)
+            result = api.run(method, sequence, out=folder, record=mode)
+            best[mode] = min(best[mode], time.perf_counter() - start)
+            cpu[mode] = min(cpu[mode], time.process_time() - start_cpu)
             labels.add(result.labels_sha256)
-            points = result.sequence["points"]
-            if way != "none":
-                megabytes[way] = (folder / "run.rrd").stat().st_size / 1e6
+            points = result.sequence.points
+            if mode != "none":
+                megabytes[mode] = (folder / "run.rrd").stat().st_size / 1e6
     assert len(labels) == 1, "recording changed the labels"
     return best, cpu, megabytes, points
 
@@ -58,10 +58,10 @@ def main(path: str | None = None, method: str = "octomap_gf", rounds: int = 2) -
         sequence = api.open(path or folder / "street")
         best, cpu, megabytes, points = measure(sequence, method, rounds, folder / "run")
     table = Table("recording", "seconds", "ratio", "CPU seconds", "ratio", "MB", "MB at 141 x 120 000")
-    for way in WAYS:
-        times = best[way], best[way] / best["none"], cpu[way], cpu[way] / cpu["none"]
-        size = megabytes[way], megabytes[way] * STANDARD / points
-        table.add_row(way, *map("{:.2f}".format, times), *map("{:.1f}".format, size))
+    for mode in MODES:
+        times = best[mode], best[mode] / best["none"], cpu[mode], cpu[mode] / cpu["none"]
+        size = megabytes[mode], megabytes[mode] * STANDARD / points
+        table.add_row(mode, *map("{:.2f}".format, times), *map("{:.1f}".format, size))
     Console().print(f"{method} on {len(sequence)} frames of {points // len(sequence):,} points", table)
 
 

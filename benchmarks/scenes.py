@@ -1,4 +1,4 @@
-"""What the benchmarks run on: a street of 120 000 points a frame, made here, of any length, or scans of a folder."""
+"""Input of the benchmarks: a generated street of any length with 120 000 points per frame, or scans of a folder."""
 
 from __future__ import annotations
 
@@ -15,15 +15,17 @@ from dynaviz.sensors import Sensor, load_sensor
 
 SENSOR = load_sensor("hdl64e")
 KINDS = ("points", "T_world_sensor", "labels")
-BLOCK, SCANS = 18.0, 24  # metres after which the street is the same again, and scans on the way
+BLOCK, SCANS = 18.0, 24  # metres after which the street repeats, and scans in that distance
 
 
 def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
-    """A sensor of 64 rings drives ``step`` metres a frame between house fronts; parked boxes, and three that drive."""
+    """A sensor with 64 rings drives ``step`` metres per frame between house fronts, parked boxes and 3 moving boxes."""
     random = np.random.default_rng(0)
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, azimuths), np.radians(np.linspace(-24.8, 8.0, 64)))
-    flat = np.cos(elevation)
-    direction = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
+    horizontal = np.cos(elevation)
+    direction = np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], -1).reshape(
+        -1, 3
+    )
     parked = [(x, y, 0.8) for x in range(-60, 160, 9) for y in (-5.0, 5.5)]
     scans = []
     for index in range(frames):
@@ -53,7 +55,7 @@ def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of any length in the memory of one block: the same scans again and again, each time ``farther`` on."""
+    """A drive of any length in the memory of one block: its scans repeat, shifted by ``farther`` metres each time."""
 
     block: list[Scan]
     frames: int
@@ -64,7 +66,7 @@ class Drive:
 
     @staticmethod
     def of(points: int, frames: int, folder: Path) -> Drive:
-        """About so many points a frame; the block is made once, and kept in a file in the folder."""
+        """A drive with about this many points per frame; the block is stored in a file in the folder."""
         path = folder / f"block{points}.npz"
         if not path.exists():
             block = street(SCANS, round(points / 120_000 * 1915), BLOCK / SCANS)

@@ -1,6 +1,6 @@
-"""What scoring costs: metrics per frame and at the end, the neighbour search beside scipy's kd-tree, and a whole map.
+"""Cost of scoring: metrics per frame and at the end, neighbour search compared with scipy's k-d tree, a whole map.
 
-Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, as KITTI 00, take about a minute)
+Usage: python benchmarks/scoring.py [FRAMES]      (141 frames of 123 000 points, like KITTI 00, take about a minute)
        python benchmarks/scoring.py map [SEQ]     OctoMap's map of a sequence, or of 141 frames of a simulated street
 """
 
@@ -38,7 +38,7 @@ METRICS = (Confusion, ErrorDistance, Breakdown, Reasons)
 
 
 def street(position: float, rng: np.random.Generator, n: int) -> F32:
-    """(n, 3) float32, metres: ground and the walls of houses around a sensor, dense near it."""
+    """(n, 3) float32, metres: ground and house walls around a sensor, denser near it."""
     distance, azimuth = 2 + rng.exponential(12, n), rng.uniform(-np.pi, np.pi, n)
     x, y, z = position + distance * np.cos(azimuth), distance * np.sin(azimuth), rng.normal(-1.7, 0.02, n)
     wall = np.abs(y) > 15
@@ -48,7 +48,7 @@ def street(position: float, rng: np.random.Generator, n: int) -> F32:
 
 
 def labelled_street(frame: int, n: int = 123_000) -> Labelled:
-    """A frame with a car, scored as of a bad method: 6 m patches of ground are removed, and a tenth of everything."""
+    """A frame with a car and bad labels: 6 m patches of ground and a tenth of all other points are removed."""
     rng = np.random.default_rng(frame)
     points = street(frame, rng, n)
     car = (np.abs(points[:, 0] - frame - 10) < 2) & (np.abs(points[:, 1]) < 1)
@@ -62,7 +62,7 @@ def labelled_street(frame: int, n: int = 123_000) -> Labelled:
 
 def metrics(frames: int) -> None:
     first = labelled_street(0)
-    for metric in METRICS:  # loads the kernels
+    for metric in METRICS:  # compiles or loads the kernels
         warm = metric(INFO)
         warm.update(first)
         warm.finish()
@@ -97,26 +97,26 @@ def neighbours(n: int, m: int, limit: float) -> None:
     tree = time.perf_counter() - start
     inside = np.isfinite(expected) & np.isfinite(found)
     error = np.abs(found[inside] - expected[inside]).max()
-    times = f"{own:6.2f} s, kd-tree {tree:6.2f} s, ratio {tree / own:4.1f}"
+    times = f"{own:6.2f} s, k-d tree {tree:6.2f} s, ratio {tree / own:4.1f}"
     print(f"{n:>10,} in {m:>10,} within {limit} m: {times}; largest difference {error:.0e} m")
 
 
 def timed(call: Callable[[], Any], rounds: int = 3) -> tuple[Any, float]:
-    """The answer, and the seconds of the fastest round."""
+    """The result, and the seconds of the fastest round."""
     best = np.inf
     for _ in range(rounds):
         start = time.perf_counter()
-        answer = call()
+        result = call()
         best = min(best, time.perf_counter() - start)
-    return answer, best
+    return result, best
 
 
 def whole_map(sequence: Path, folder: Path) -> None:
-    """Score OctoMap's map of a sequence: the tree and all queries alone, then the command."""
+    """Score OctoMap's map of a sequence: first only the tree and the queries, then the whole command."""
     dv.run("octomap", sequence, out=folder, record="none")
     path = folder / "static_map.pcd"
     points = read_points(path)
-    Nearest(points[:100]).within(points[:100], 0.05)  # loads the kernels
+    Nearest(points[:100]).within(points[:100], 0.05)  # compiles or loads the kernels
     tree, built = timed(lambda: Nearest(points))
     scans = [scan.points for scan in stream(dv.open(sequence))]
     print(f"{sum(map(len, scans)):,} points in a map of {len(points):,}: tree {built:.2f} s")
@@ -128,7 +128,7 @@ def whole_map(sequence: Path, folder: Path) -> None:
     assert len(set(removed.values())) == 1, removed
     start = time.perf_counter()
     cKDTree(points).query(np.concatenate(scans[::10]), distance_upper_bound=0.06, workers=-1)
-    print(f"kd-tree, all threads, a tenth of the scans: {time.perf_counter() - start:.2f} s")
+    print(f"k-d tree, all threads, a tenth of the scans: {time.perf_counter() - start:.2f} s")
     for record in ("none", "errors"):
         start = time.perf_counter()
         words = ["score", path, sequence, "-o", folder / "scored", "--record", record]
@@ -136,7 +136,7 @@ def whole_map(sequence: Path, folder: Path) -> None:
         _, status, usage = os.wait4(command.pid, 0)
         seconds, cpu = time.perf_counter() - start, usage.ru_utime + usage.ru_stime
         memory = usage.ru_maxrss / 1e3
-        print(f"dynaviz score --record {record}: {seconds:.1f} s, {cpu:.1f} s of processors, {memory:.0f} MB")
+        print(f"dynaviz score --record {record}: {seconds:.1f} s, {cpu:.1f} s of processor time, {memory:.0f} MB")
         assert status == 0
 
 

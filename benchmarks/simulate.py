@@ -1,4 +1,4 @@
-"""Time, points a frame and share of dynamic points of each preset: ``python benchmarks/simulate.py [PRESET ...]``."""
+"""Time, points per frame and dynamic share of each preset: ``python benchmarks/simulate.py [PRESET ...]``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dynaviz.simulate import PRESETS, simulate
 
 
 def main(names: list[str]) -> None:
-    import open3d  # noqa: F401  # loaded before the clock starts
+    import open3d  # noqa: F401  # loaded before the measurement
 
     for name in names or PRESETS:
         frames = PRESETS[name].frames
@@ -25,7 +25,7 @@ def main(names: list[str]) -> None:
             dynamic = read_pcd(out / "gt_cloud.pcd")["intensity"]
             print(
                 f"{name:15} {frames:4d} frames {seconds:6.1f} s ({100 * seconds / frames:5.1f} s per 100 frames) "
-                f"{len(dynamic) / frames:9,.0f} points a frame {100 * np.mean(dynamic, dtype=float):5.2f} % dynamic",
+                f"{len(dynamic) / frames:9,.0f} points per frame {100 * np.mean(dynamic, dtype=float):5.2f} % dynamic",
                 flush=True,
             )
 
