@@ -27,6 +27,6 @@ def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
     # The fastest options for scans: a tree without medians, and queries in the order of its leaves.
     tree, means = cKDTree(points, balanced_tree=False), np.empty(len(points))
     distances, _ = tree.query(points[tree.indices], neighbours + 1, workers=kernels.threads_in_use())
-    means[tree.indices] = distances.sum(1) / neighbours  # the point itself is among them, at distance 0
+    means[tree.indices] = np.sum(distances, 1) / neighbours  # the point itself is among them, at distance 0
     far: Bool = means > means.mean() + stddev * means.std(ddof=1)
     return far
