@@ -22,10 +22,8 @@ def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
     """A sensor with 64 rings drives ``step`` metres per frame between house fronts, parked boxes and 3 moving boxes."""
     random = np.random.default_rng(0)
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, azimuths), np.radians(np.linspace(-24.8, 8.0, 64)))
-    horizontal = np.cos(elevation)
-    direction = np.stack([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)], -1).reshape(
-        -1, 3
-    )
+    planar = np.cos(elevation)
+    direction = np.stack([planar * np.cos(azimuth), planar * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
     parked = [(x, y, 0.8) for x in range(-60, 160, 9) for y in (-5.0, 5.5)]
     scans = []
     for index in range(frames):
@@ -55,11 +53,11 @@ def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive of any length in the memory of one block: its scans repeat, shifted by ``farther`` metres each time."""
+    """A drive of any length in the memory of one block: its scans repeat, each time ``block_length`` metres farther."""
 
     block: list[Scan]
     frames: int
-    farther: float = BLOCK
+    block_length: float = BLOCK
     name: str = "drive"
     sensor: Sensor = SENSOR
     has_labels: bool = True
@@ -86,7 +84,7 @@ class Drive:
     def __getitem__(self, position: int) -> Scan:
         times, place = divmod(position, len(self.block))
         scan, pose = self.block[place], self.block[place].T_world_sensor.copy()
-        pose[0, 3] += (shift := times * self.farther)
+        pose[0, 3] += (shift := times * self.block_length)
         points = scan.points + np.float32([shift, 0, 0])
         return replace(scan, index=position, points=points, T_world_sensor=pose, origins=None)
 

@@ -23,7 +23,7 @@ SHORT, LONG = 500, 4500
 
 def again(scans: list[Scan], frames: int) -> Drive:
     """Scans repeated on the same ground as one long sequence."""
-    return Drive(scans, frames, farther=0.0, sensor=SENSOR)
+    return Drive(scans, frames, block_length=0.0, sensor=SENSOR)
 
 
 def measure(name: str, frames: int) -> None:
