@@ -13,6 +13,7 @@ import numpy as np
 from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
+from dynaviz.results.scores import SCORES, associated_accuracy, harmonic_mean, percent
 from dynaviz.scan import Outcome
 
 
@@ -52,47 +53,42 @@ class Counts:
     @property
     def SA(self) -> float:
         """Static accuracy, percent: share of the static points that were kept."""
-        return _percent(self.static_kept, self.static_kept + self.static_removed)
+        return float(percent(self.static_kept, self.static_kept + self.static_removed))
 
     @property
     def DA(self) -> float:
         """Dynamic accuracy, percent: share of the dynamic points that were removed."""
-        return _percent(self.dynamic_removed, self.dynamic_removed + self.dynamic_kept)
+        return float(percent(self.dynamic_removed, self.dynamic_removed + self.dynamic_kept))
 
     @property
     def AA(self) -> float:
         """Associated accuracy, percent: geometric mean of SA and DA (paper, equation 2)."""
-        return math.sqrt(self.SA * self.DA)
+        return float(associated_accuracy(self.SA, self.DA))
 
     @property
     def HA(self) -> float:
         """Harmonic accuracy, percent: harmonic mean of SA and DA; 0 where both are 0, its limit."""
-        total = self.SA + self.DA
-        return 0.0 if total == 0 else 2 * self.SA * self.DA / total
+        return float(harmonic_mean(self.SA, self.DA))
 
     @property
     def precision(self) -> float:
         """Share of the removed labelled points that are dynamic, percent."""
-        return _percent(self.dynamic_removed, self.dynamic_removed + self.static_removed)
+        return float(percent(self.dynamic_removed, self.dynamic_removed + self.static_removed))
 
     @property
     def IoU(self) -> float:
         """Intersection over union of the dynamic class, percent."""
-        return _percent(self.dynamic_removed, self.dynamic_removed + self.static_removed + self.dynamic_kept)
+        return float(percent(self.dynamic_removed, self.dynamic_removed + self.static_removed + self.dynamic_kept))
 
     def metrics(self) -> dict[str, float | None]:
         """All percentages as plain JSON values, None where undefined."""
-        values = {name: getattr(self, name) for name in ("SA", "DA", "AA", "HA", "precision", "IoU")}
+        values = {name: getattr(self, name) for name in (*SCORES, "precision", "IoU")}
         return {name: None if math.isnan(value) else value for name, value in values.items()}
 
     def row(self) -> dict[str, float | None]:
         """Counts and accuracies in one dictionary, as in the rows of a breakdown."""
         metrics = self.metrics()
-        return {**dataclasses.asdict(self), **{name: metrics[name] for name in ("SA", "DA", "AA", "HA")}}
-
-
-def _percent(part: int, whole: int) -> float:
-    return 100.0 * part / whole if whole else math.nan
+        return {**dataclasses.asdict(self), **{name: metrics[name] for name in SCORES}}
 
 
 def _sections(counts: Counts) -> dict[str, Any]:
@@ -110,7 +106,7 @@ class Confusion:
         frame = Counts.of(labelled.outcome)
         self._total += frame
         counts = {"frame": frame, "so_far": self._total}
-        return {f"{name}/{when}": getattr(c, name) for name in ("SA", "DA", "AA", "HA") for when, c in counts.items()}
+        return {f"{name}/{when}": getattr(c, name) for name in SCORES for when, c in counts.items()}
 
     def finish(self) -> Mapping[str, Any]:
         """The sections."""

@@ -14,6 +14,7 @@ from dynaviz.arrays import F32, I64, Bool, Intp
 from dynaviz.kernels.keys import X_SHIFT, Y_SHIFT
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameBoxes, Labelled
+from dynaviz.results.scores import percentage_points_lost
 from dynaviz.scan import Label, Outcome, Scan
 from dynaviz.spatial.grid import in_key_range, pack
 from dynaviz_eval.attribution import causes_of, sentence, shape
@@ -49,12 +50,22 @@ class Failures:
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Join the wrong points of a scan into cases."""
+        labels = labelled.scan.labels
+        if labels is not None:
+            self.add(labelled, int((labels == Label.STATIC).sum()), int((labels == Label.DYNAMIC).sum()))
+        return {}
+
+    def add(self, labelled: Labelled, static: int, dynamic: int) -> None:
+        """As ``update``, for a scan reduced to its wrong and its dynamic points.
+
+        Args:
+            labelled: the scan; correctly labelled static points may be missing.
+            static, dynamic: numbers of points in the whole scan, of which costs are shares.
+        """
         scan, self._frame = labelled.scan, labelled.frame
-        if scan.labels is None:
-            return {}
         self._names |= {number: name for number, name in scan.class_names.items() if number}  # 0 means unlabelled
-        self._totals["false_negative"] += int((scan.labels == Label.DYNAMIC).sum())
-        self._totals["false_positive"] += int((scan.labels == Label.STATIC).sum())
+        self._totals["false_negative"] += dynamic
+        self._totals["false_positive"] += static
         for kind, cases in self._cases.items():
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
             wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # drop non-finite and very distant points
@@ -62,7 +73,6 @@ class Failures:
             ranges = np.sqrt(((points - _origins(scan, wrong)) ** 2).sum(1))
             near = _near_dynamic(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
             cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near)
-        return {}
 
     def finish(self) -> Mapping[str, Any]:
         """The section."""
@@ -118,7 +128,7 @@ class Failures:
             plain = {
                 "kind": kind,
                 "points": points,
-                "cost": 100.0 * points / self._totals[kind],
+                "cost": float(percentage_points_lost(points, self._totals[kind])),
                 "first_frame": int(case["first"]),
                 "last_frame": int(case["last"]),
                 "worst_frame": int(case["frame"]),

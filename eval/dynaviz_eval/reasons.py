@@ -9,6 +9,7 @@ import numpy as np
 
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
+from dynaviz.results.scores import percentage_points_lost
 from dynaviz.scan import Outcome
 from dynaviz_eval.confusion import Counts
 
@@ -50,8 +51,8 @@ class Reasons:
         wrong = self._crossed[Outcome.FALSE_POSITIVE], self._crossed[Outcome.FALSE_NEGATIVE]
         cost = {
             self._name(code): {
-                "SA": 100.0 * int(wrong[0][code]) / static if static else None,
-                "DA": 100.0 * int(wrong[1][code]) / dynamic if dynamic else None,
+                "SA": float(percentage_points_lost(wrong[0][code], static)) if static else None,
+                "DA": float(percentage_points_lost(wrong[1][code], dynamic)) if dynamic else None,
             }
             for code in np.flatnonzero(wrong[0] + wrong[1]).tolist()
         }

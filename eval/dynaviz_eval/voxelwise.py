@@ -10,6 +10,7 @@ import numpy as np
 from dynaviz.arrays import F32
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
+from dynaviz.results.scores import harmonic_mean, percent
 from dynaviz.scan import Label, Outcome
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
@@ -55,11 +56,9 @@ class Voxelwise:
         static, kept = self._static.keys(), self._kept.keys()
         dynamic = np.setdiff1d(self._dynamic.keys(), static, assume_unique=True)
         static_kept, dynamic_kept = (len(np.intersect1d(v, kept, assume_unique=True)) for v in (static, dynamic))
-        PR = 100.0 * static_kept / len(static) if len(static) else None
+        PR = float(percent(static_kept, len(static))) if len(static) else None
         RR = 100.0 * (1 - dynamic_kept / len(dynamic)) if len(dynamic) else None
-        F1 = None
-        if PR is not None and RR is not None:
-            F1 = 2 * PR * RR / (PR + RR) if PR + RR else 0.0
+        F1 = None if PR is None or RR is None else float(harmonic_mean(PR, RR))
         counts = {
             "static": len(static),
             "static_kept": static_kept,

@@ -1,12 +1,11 @@
-"""Numbers that others published, to stand beside ours: one TOML file a sequence, and one of runtimes.
+"""Published numbers to compare with: one TOML file per sequence, and one of runtimes.
 
-Collected from their sources, not computed here. The benchmark scores by nearest neighbour (``nn``, eval/README.md), so
-beside ``mask`` scores they are for orientation only.
+Copied from their sources, not computed here. The benchmark scores by nearest neighbour (``nn``, eval/README.md), so
+compared with ``mask`` scores they are only a rough guide.
 """
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,19 +13,20 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from dynaviz.results.scores import associated_accuracy, harmonic_mean
 from dynaviz.results.sections import SequenceInfo
 
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A row of somebody's table, in percent, rounded as it was printed.
+    """A row of a published table, in percent, rounded as printed.
 
     Attributes:
-        method: dynaviz's name of the method where it has one.
-        title: as the source writes it.
-        SA, DA, AA, HA: AA and HA follow from SA and DA where the source does not print them.
-        online: labels were asked for right after each scan.
-        source: where it was published.
+        method: the name of the method in dynaviz, if it has one.
+        title: the name in the source.
+        SA, DA, AA, HA: AA and HA are computed from SA and DA if the source does not print them.
+        online: whether each scan was labelled right after it was added.
+        source: the publication.
     """
 
     method: str
@@ -41,7 +41,7 @@ class Published:
 
 @dataclass(frozen=True, slots=True)
 class PublishedRuntime:
-    """Seconds per frame of a method, with the number of its parameters where that was printed."""
+    """Seconds per frame of a method, with its number of parameters if published."""
 
     method: str
     title: str
@@ -59,7 +59,7 @@ def published_sequences() -> list[str]:
 
 
 def published(sequence: str) -> tuple[Published, ...]:
-    """Published scores of a sequence by its name, for example ``kitti_00``; empty where none are known."""
+    """Published scores of a sequence by name, for example ``kitti_00``; empty if none are known."""
     if sequence not in published_sequences():
         return ()
     content = _load(sequence)
@@ -69,8 +69,8 @@ def published(sequence: str) -> tuple[Published, ...]:
             title=row["title"],
             SA=row["SA"],
             DA=row["DA"],
-            AA=row.get("AA", math.sqrt(row["SA"] * row["DA"])),
-            HA=row.get("HA", 2 * row["SA"] * row["DA"] / (row["SA"] + row["DA"])),
+            AA=row.get("AA", float(associated_accuracy(row["SA"], row["DA"]))),
+            HA=row.get("HA", float(harmonic_mean(row["SA"], row["DA"]))),
             online=row.get("online", False),
             source=content["sources"][row["source"]],
         )
@@ -80,12 +80,12 @@ def published(sequence: str) -> tuple[Published, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A sequence that goes by the name of a public one, and how far that is true.
+    """A sequence with the name of a public one, and whether it is the same.
 
     Attributes:
-        name: of the public sequence, as ``published`` takes it.
-        same: frames and points are those of the public sequence, as far as these are known.
-        doubt: what is known of the likeness, a sentence.
+        name: name of the public sequence, as in ``published``.
+        same: whether frames and points are those of the public sequence, as far as these are known.
+        doubt: a sentence on what matches and what does not.
     """
 
     name: str
@@ -94,21 +94,21 @@ class Match:
 
 
 def matching(sequence: SequenceInfo, frames: Sequence[int] = ()) -> Match | None:
-    """The public sequence that a result may belong to, by its name; None where there is none.
+    """The public sequence with the name of a result's sequence, or None.
 
     Args:
         sequence: name, frames and points, as in a result.
-        frames: the data set's own numbers of the frames, where known.
+        frames: numbers of the frames in the data set, if known.
     """
     for name in published_sequences():
         facts = _load(name)["sequence"]
         if sequence.name in facts["names"]:
-            same, doubt = _likeness(facts, sequence, frames)
+            same, doubt = _compare(facts, sequence, frames)
             return Match(name, same, doubt)
     return None
 
 
-def _likeness(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[int]) -> tuple[bool, str]:
+def _compare(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence[int]) -> tuple[bool, str]:
     here = f"{sequence.frames:,} frames"
     there = f"{facts['frames']:,} frames"
     numbered = "first" in facts and len(frames) > 0
@@ -116,12 +116,12 @@ def _likeness(facts: Mapping[str, Any], sequence: SequenceInfo, frames: Sequence
         here += f" from {min(frames)} to {max(frames)}"
         there += f" from {facts['first']} to {facts['last']}"
     if here != there:
-        return False, f"Only the name matches: {here} here, {there} there."
+        return False, f"Only the name matches: {here} here, {there} in the public sequence."
     points, known = sequence.points, facts.get("points")
     if known is None:
         return True, f"Name and frames match ({there}); the number of points was not published."
     if points != known:
-        return False, f"Name and frames match ({there}), the points do not: {points:,} here, {known:,} there."
+        return False, f"Name and frames match ({there}), but not the points: {points:,} here, {known:,} published."
     return True, f"Name, frames and points match ({there}, {known:,} points)."
 
 
