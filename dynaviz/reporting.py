@@ -16,12 +16,12 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.results.collect import HINT, StudyRun, collect
 
-SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to those that are a format's name
+SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to the names of formats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overview:
-    """The map of a whole run with its wrong points, thinned.
+    """The thinned map of a whole run, with its wrong points.
 
     Attributes:
         points: (N, 3) float32, metres, world frame.
@@ -34,15 +34,15 @@ class Overview:
 
 @dataclass(frozen=True)
 class Study:
-    """What a report is made of.
+    """The input of a report.
 
     Attributes:
-        cells: in the order of their folders.
-        home: the folder in which the report will lie; links are relative to it.
-        progress: to be told a phase, and how much of how much is done.
+        runs: in the order of their folders.
+        home: the folder of the report; links are relative to it.
+        progress: called with a phase, the number of finished steps, and the total number of steps.
     """
 
-    cells: Sequence[StudyRun]
+    runs: Sequence[StudyRun]
     home: Path = Path()
     progress: Progress = silent
 
@@ -50,18 +50,18 @@ class Study:
         """A path relative to the report, with forward slashes."""
         return Path(os.path.relpath(path, self.home)).as_posix()
 
-    def overview(self, cell: StudyRun) -> Overview | None:
-        """The map of a run from its recording; None where there is no recording, or none with points.
+    def overview(self, run: StudyRun) -> Overview | None:
+        """The map of a run from its recording; None if it has no recording, or one without points.
 
         Raises:
             DataError: for a recording that cannot be read.
         """
-        if cell.recording is None:
+        if run.recording is None:
             return None
         from dynaviz.viz import paths
         from dynaviz.viz.reader import RunRecording
 
-        recording = RunRecording(cell.recording)
+        recording = RunRecording(run.recording)
         parts = [recording.static(path) for path in (paths.MAP, paths.REMOVED, paths.REMOVED_WRONG, paths.MAP_WRONG)]
         drawn = [part for part in parts if "Points3D:positions" in part]
         if not drawn:
@@ -78,21 +78,21 @@ def report(
     format: str | None = None,
     progress: Progress = silent,
 ) -> str:
-    """Write tables and figures of one or many results.
+    """Write a report on one or many results: tables and figures.
 
     Args:
-        paths: folders with results in them, or ``result.json`` files.
-        out: the file to write; None writes none.
-        format: ``html``, ``md``, ``latex``, ``csv`` or another that is installed (``dynaviz.reports``); by default
-            that of the suffix of ``out``, or ``md`` without one.
-        progress: called with a phase, and how much of how much is done.
+        paths: folders that contain results, or ``result.json`` files.
+        out: the file to write, or None.
+        format: ``html``, ``md``, ``latex``, ``csv`` or another installed format (entry point group
+            ``dynaviz.reports``). Default: the format of the suffix of ``out``, or ``md`` without ``out``.
+        progress: called with a phase, the number of finished steps, and the total number of steps.
 
     Returns:
         The report.
 
     Raises:
-        UsageError: for no path, or a format that is not installed.
-        DataError: for paths without results, files that cannot be read, or one that cannot be written.
+        UsageError: without paths, or for a format that is not installed.
+        DataError: for paths without results, and for files that cannot be read or written.
     """
     if not paths:
         raise UsageError(f"no results. {HINT}")
@@ -105,12 +105,12 @@ def report(
 
 
 def _format(out: str | os.PathLike[str] | None) -> str:
-    """The format that a file's suffix stands for."""
+    """The format of a file's suffix."""
     if out is None:
         return "md"
     suffix = Path(out).suffix.lower().removeprefix(".")
     known = [handle.name for handle in registry.handles("reports")]
     name = SUFFIXES.get(suffix, suffix)
     if name not in known:
-        raise UsageError(f"{os.fspath(out)} does not tell its format by its suffix: give --format {'|'.join(known)}")
+        raise UsageError(f"{os.fspath(out)}: the suffix does not name a format. Give --format {'|'.join(known)}")
     return name

@@ -1,4 +1,4 @@
-"""Published numbers: what was typed in must fit together."""
+"""Published numbers are consistent."""
 
 import math
 
@@ -9,13 +9,13 @@ from dynaviz_eval.published import published, published_runtimes, published_sequ
 ROWS = [(sequence, row) for sequence in published_sequences() for row in published(sequence)]
 
 
-def test_the_benchmarks_sequences_are_known():
+def test_the_sequences_of_the_benchmark_are_known():
     assert published_sequences() == ["av2", "kitti_00", "kitti_01", "kitti_02", "kitti_05", "kitti_07", "semindoor"]
     assert published("nowhere") == ()
 
 
 @pytest.mark.parametrize(("sequence", "row"), ROWS, ids=[f"{s} {r.title}, {r.source[:6]}" for s, r in ROWS])
-def test_means_fit_their_accuracies(sequence, row):
+def test_AA_and_HA_fit_SA_and_DA(sequence, row):
     rounding = 0.06 if "DOR" in row.source else 0.015
     means = math.sqrt(row.SA * row.DA), 2 * row.SA * row.DA / (row.SA + row.DA)
     assert pytest.approx(means, abs=rounding) == (row.AA, row.HA)

@@ -96,7 +96,7 @@ def report(study: Study, format: str) -> str:
 TWO = (result("octomap_g"), result("erasor", numbers=(950, 50, 40, 60)))
 
 
-def test_markdown_holds_the_numbers_of_the_results(study):
+def test_markdown_has_the_numbers_of_the_results(study):
     text = report(study(*TWO, failed=("removert",)), "md")
     rows = {row["method"]: row for row in markdown_table(text, "Accuracy")}
     for each in TWO:
@@ -112,7 +112,7 @@ def test_markdown_holds_the_numbers_of_the_results(study):
     assert "1 run failed" in text
 
 
-def test_csv_holds_everything(study, tmp_path):
+def test_csv_has_all_fields(study, tmp_path):
     rows = list(csv.DictReader(io.StringIO(report(study(*TWO, failed=("removert",)), "csv"))))
     assert [row["method"] for row in rows] == ["octomap_g", "erasor", "removert"]
     for row, each in zip(rows, TWO, strict=False):
@@ -135,7 +135,7 @@ def test_the_page_is_well_formed_self_contained_and_sorted(study):
     assert [row[1].get("data-sort") for row in rows] == [str(each.metrics["AA"]) for each in TWO] + [None]
     assert [row[1]["text"] for row in rows] == ["84.85", "61.64", "n/a"]
     assert [row[3]["bold"] for row in page.body("accuracy")] == [True, False, False]
-    assert rows[0][2]["text"] == "movers kept: nothing behind (−20.0 DA)"
+    assert rows[0][2]["text"] == "dynamic kept: nothing behind (−20.0 DA)"
     assert "no <memory> & 100 % | lost" in page.body("failed")[0][2]["text"]
     assert "Best on hall: octomap_g, AA 84.85 %." in page.text
 
@@ -168,11 +168,11 @@ COUNTS = st.tuples(*[st.integers(0, 10**9)] * 4)
 
 
 @given(st.lists(COUNTS, min_size=2, max_size=4))
-def test_all_sequences_together_are_their_points_in_one_pool(several):
+def test_combined_scores_are_those_of_all_points(several):
     results = [result("octomap", f"s{k}", numbers) for k, numbers in enumerate(several)]
     rows = [boards.ScoreRow("octomap", each) for each in results]
     single = [boards.ScoreBoard(f"s{k}", "mask", (row,)) for k, row in enumerate(rows)]
-    (combined,), notes = boards.together(Study([]), single)
+    (combined,), notes = boards.combined_boards(Study([]), single)
     kept, removed, right, left = (sum(numbers[k] for numbers in several) for k in range(4))
     row = combined.rows[0]
     for name, part, rest in (("SA", kept, removed), ("DA", right, left)):
@@ -182,16 +182,16 @@ def test_all_sequences_together_are_their_points_in_one_pool(several):
     assert not notes
 
 
-def test_without_all_runs_there_is_no_row_for_all_sequences(study):
+def test_no_combined_scores_if_runs_are_missing(study):
     made = tables(study(result("octomap", "a"), result("erasor", "a"), result("octomap", "b")))
     assert not made.combined
-    assert "there is no erasor on b" in " ".join(made.tables[0].notes)
+    assert "missing erasor on b" in " ".join(made.tables[0].notes)
 
 
-def test_other_parameters_elsewhere_are_told(study):
+def test_different_parameters_are_reported(study):
     made = tables(study(result("octomap", "a"), result("octomap", "b", parameters={"resolution": 0.2})))
     assert made.combined
-    assert "octomap had other parameters" in " ".join(made.tables[0].notes)
+    assert "octomap had different parameters" in " ".join(made.tables[0].notes)
 
 
 def test_scorings_are_never_mixed(study):
@@ -201,10 +201,10 @@ def test_scorings_are_never_mixed(study):
     assert [(board.title, len(board.rows)) for board in made.boards] == [("hall (mask)", 2), ("hall (nn)", 1)]
     assert made.boards[0].best("AA") == {"a"}
     assert not made.combined
-    assert "do not compare" in " ".join(made.first.notes)
+    assert "cannot be compared" in " ".join(made.first.notes)
 
 
-def test_sequences_of_one_name_stay_apart(study):
+def test_sequences_with_equal_names_have_separate_boards(study):
     other = {"name": "hall", "digest": "0123456789", "frames": 1, "points": 1}
     made = tables(study(result("a"), result("a", sequence=other)))
     assert [board.title for board in made.boards] == ["hall (digest o)", "hall (01234567)"]
@@ -216,12 +216,12 @@ def test_one_sequence_under_two_names_is_one_board(study):
     assert [(board.title, len(board.rows)) for board in made.boards] == [("hall = copy of hall", 2)]
 
 
-def test_runs_of_one_method_are_told_apart(study, tmp_path):
+def test_runs_of_one_method_have_different_labels(study, tmp_path):
     made = tables(study(result("a"), result("a"), result("a", variant="coarse"), result("a", online=True)))
     assert {row.label for row in made.boards[0].rows} == {"a [00]", "a [01]", "a (coarse)", "a (online)"}
 
 
-def test_studies_of_two_folders_are_told_apart_by_these(tmp_path):
+def test_runs_of_two_folders_are_labelled_with_them(tmp_path):
     for folder in ("old", "new"):
         for sequence in "xy":
             result("a", sequence).save(tmp_path / folder / sequence / "result.json")
@@ -253,7 +253,7 @@ def test_parameters_of_another_program_are_unknown(study):
     assert made.tables[1].rows[0][-1].text == "n/a"
 
 
-def test_reasons_stand_in_for_causes(study):
+def test_reasons_replace_missing_causes(study):
     plain = result(
         "a",
         sections={
@@ -262,13 +262,13 @@ def test_reasons_stand_in_for_causes(study):
         },
     )
     made = tables(study(plain))
-    assert made.first.rows[0][2].text == "movers kept: reason too_high (−20.0 DA)"
+    assert made.first.rows[0][2].text == "dynamic kept: reason too_high (−20.0 DA)"
     failures = next(table for table in made.tables if table.name == "failures")
     assert failures.rows[0][2].text == "seen 9.50, low 0.50"
-    assert "reasons stand in place" in " ".join(failures.notes)
+    assert "reasons are shown instead of causes" in " ".join(failures.notes)
 
 
-def test_published_numbers_stand_beside_a_public_sequence(study):
+def test_published_numbers_of_a_public_sequence(study):
     public = {"name": "semantickitti_00", "digest": "d", "frames": 141, "points": 17362230}
     indices = {"breakdown": {"frame": [{"frame": 0, "index": 4390}, {"frame": 140, "index": 4530}]}}
     made = tables(study(result("octomap", sequence=public, sections=indices)))
@@ -281,22 +281,22 @@ def test_published_numbers_stand_beside_a_public_sequence(study):
 
 
 @pytest.mark.parametrize(
-    ("facts", "indices", "said"),
+    ("facts", "indices", "message"),
     [
         (
             {"name": "00", "frames": 30, "points": 5},
             (4390, 4419),
             "Only the name matches: 30 frames from 4390 to 4419 here",
         ),
-        ({"name": "kitti_00", "frames": 141, "points": 5}, (4390, 4530), "the points do not: 5 here"),
+        ({"name": "kitti_00", "frames": 141, "points": 5}, (4390, 4530), "but not the points: 5 here"),
         ({"name": "kitti_01", "frames": 101, "points": 5}, (150, 250), "number of points was not published"),
     ],
 )
-def test_how_much_of_a_public_sequence_matches_is_told(study, facts, indices, said):
+def test_what_matches_a_public_sequence_is_reported(study, facts, indices, message):
     frames = {"breakdown": {"frame": [{"frame": k, "index": index} for k, index in enumerate(indices)]}}
     made = tables(study(result("octomap", sequence={"digest": "d", **facts}, sections=frames)))
     (table,) = made.public.values()
-    assert said in table.notes[0]
+    assert message in table.notes[0]
 
 
 def test_other_sequences_have_no_published_numbers(study):
@@ -329,7 +329,7 @@ def test_latex_is_escaped_and_its_rows_fit(study, tmp_path):
         subprocess.run(["pdflatex", "-halt-on-error", "x.tex"], cwd=tmp_path, check=True, capture_output=True)
 
 
-def test_latex_holds_the_numbers_of_the_results(study):
+def test_latex_has_the_numbers_of_the_results(study):
     rows = {row[0]: row[1:] for row in latex_rows(report(study(*TWO), "latex").split("tab:runtime")[0])}
     assert rows["erasor"] == [r"\textbf{95.00}", "40.00", "61.64", "56.30"]
 
@@ -339,7 +339,7 @@ def test_latex_holds_the_numbers_of_the_results(study):
     [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, SequenceInfo("s")),)],
     ids=["only a failed one", "one", "no points", "no sections"],
 )
-def test_little_is_reported_too(study, results):
+def test_reports_of_few_results(study, results):
     given = study(*results, failed=() if results else ("one_a",))
     assert "one_a" in Page(report(given, "html")).text
     assert "one\\_a" in report(given, "md")
@@ -347,7 +347,7 @@ def test_little_is_reported_too(study, results):
     assert (r"one\_a" in report(given, "latex")) == bool(results)
 
 
-def test_variants_show_their_front(study):
+def test_variants_show_their_pareto_front(study):
     spread = [(900, 100, 50, 50), (800, 200, 90, 10), (850, 150, 40, 60), (700, 300, 95, 5)]
     page = Page(report(study(*(result("a", numbers=n, variant=f"v{k}") for k, n in enumerate(spread))), "html"))
     words = [word.strip() for word in page.words]

@@ -1,4 +1,4 @@
-"""Reports on recorded runs: maps from above, and the same bytes every time."""
+"""Reports on recorded runs: bird's-eye maps, and reproducible bytes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dynaviz_eval.report import birdseye
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three runs on the little room: with a whole recording, with one without points, and with none."""
+    """Three runs on the little room: one with a full recording, one without points in it, one without a recording."""
     folder, world = tmp_path_factory.mktemp("recorded"), room(frames=4)
     dv.run("octomap", world, out=folder / "with_points")
     dv.run("octomap_g", world, out=folder / "scores only", record="scores")
@@ -34,13 +34,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def written(recorded: Path) -> Path:
-    """The page about them."""
+    """Their report as a page."""
     path = recorded / "page.html"
     assert dv.report(recorded, out=path) == path.read_text()
     return path
 
 
-def test_maps_from_above_where_there_is_a_recording(written):
+def test_runs_with_a_recording_have_a_map(written):
     page = Page(written.read_text())
     assert [re.split(r"[,:] ", image["alt"] or "")[0] for image in page.images] == [
         "Bird's-eye map of room",
@@ -57,13 +57,13 @@ def test_maps_from_above_where_there_is_a_recording(written):
     assert all((written.parent / place.replace("%20", " ")).is_file() for place in places)
 
 
-def test_a_broken_recording_costs_its_picture_only(recorded, tmp_path):
+def test_a_broken_recording_only_loses_its_picture(recorded, tmp_path):
     shutil.copytree(recorded / "with_points", tmp_path / "a")
     whole = (tmp_path / "a/run.rrd").read_bytes()
     (tmp_path / "a/run.rrd").write_bytes(whole[: len(whole) // 2])
     page = Page(dv.report(tmp_path, format="html"))
     assert not page.images
-    assert "was cut off" in page.text
+    assert "is incomplete" in page.text
 
 
 def test_the_same_results_give_the_same_bytes(recorded, written):
@@ -82,7 +82,7 @@ def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) ->
     return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}
 
 
-def test_a_map_shows_what_prevails():
+def test_a_pixel_shows_the_prevailing_outcome():
     here, above = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     assert pixels([here], [Outcome.FALSE_POSITIVE]) == {birdseye.HOLE}
     assert pixels([here], [Outcome.FALSE_NEGATIVE]) == {birdseye.GHOST}

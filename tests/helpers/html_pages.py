@@ -1,4 +1,4 @@
-"""Pages of reports, parsed back."""
+"""A parser for the pages of reports."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Page(HTMLParser):
-    """Tables, ids, links and what would be loaded; fails where tags do not close."""
+    """Tables, ids, links and loaded resources; fails if tags do not close."""
 
     VOID = frozenset({"meta", "img", "br", "link", "hr", "input"})
 
@@ -63,7 +63,7 @@ class Page(HTMLParser):
         return " ".join(" ".join(self.words).split())
 
     def body(self, name: str) -> list[list[dict[str, Any]]]:
-        """Rows below the heads."""
+        """Rows of a table without its head."""
         return [row for row in self.tables[name] if row[0].get("scope") == "row"]
 
 

@@ -51,14 +51,14 @@ def maps(study: Study, board: ScoreBoard) -> tuple[list[MapImage], list[str]]:
     notes = []
     rows = best_of_each_method(board)
     for row in rows:
-        assert row.cell is not None
+        assert row.run is not None
         try:
-            overview = study.overview(row.cell)
+            overview = study.overview(row.run)
         except DataError as error:
             notes.append(f"{row.label}: {error}")
             continue
         if overview is None:
-            why = "its recording contains no points" if row.cell.recording else "it has no recording"
+            why = "its recording contains no points" if row.run.recording else "it has no recording"
             notes.append(f"{row.label}: no picture, because {why}.")
         else:
             overviews[row.label] = overview

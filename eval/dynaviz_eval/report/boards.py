@@ -1,4 +1,4 @@
-"""Results that compare, put beside each other: the same points, scored in the same way."""
+"""Results that can be compared, side by side: the same points, scored in the same way."""
 
 from __future__ import annotations
 
@@ -11,63 +11,63 @@ from pathlib import Path
 from dynaviz.reporting import Study
 from dynaviz.results.collect import StudyRun, combined
 from dynaviz.results.result import Result
+from dynaviz.results.scores import percentage_points_lost
 from dynaviz.results.sections import Reasons, SequenceInfo
 
-UNKNOWN = "unknown"  # the cause of what no method explains
-SCORES = ("SA", "DA", "AA", "HA")
+UNKNOWN = "unknown"  # the cause of errors for which the method gives no known cause
 KINDS = {
     "false_positive": ("SA", "static_kept", "static_removed"),
     "false_negative": ("DA", "dynamic_removed", "dynamic_kept"),
 }
-"""Kinds of error: the score that they lower, and the counts of what is right and wrong of it."""
+"""Kinds of error: the score that they lower, and the counts of correct and wrong points."""
 
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """A run on a board; ``cell`` is None for several sequences together."""
+    """A run on a board; ``run`` is None for several sequences combined."""
 
     label: str
     result: Result
-    cell: StudyRun | None = None
+    run: StudyRun | None = None
 
     def score(self, name: str) -> float | None:
-        """A metric in percent; None where undefined."""
+        """A metric in percent; None if undefined."""
         return self.result.metrics.get(name)
 
     @property
     def rank(self) -> tuple[float, str]:
-        """The best AA first, undefined ones last, equals by name."""
+        """Sort key: best AA first, undefined ones last, equal ones by name."""
         aa = self.score("AA")
         return (math.inf if aa is None else -aa), self.label
 
 
 @dataclass(frozen=True)
 class ScoreBoard:
-    """All runs that compare.
+    """All runs that can be compared with each other.
 
     Attributes:
-        title: the sequence, and what sets it apart where another has its name.
+        title: name of the sequence, with its digest or scoring if the name is not unique.
         scoring: ``mask`` or ``nn``.
-        rows: the best first; labels are unique.
-        sequences: how many there are in it.
+        rows: best first; labels are unique.
+        n_sequences: number of sequences.
     """
 
     title: str
     scoring: str
     rows: tuple[ScoreRow, ...]
-    sequences: int = 1
+    n_sequences: int = 1
 
     @property
-    def facts(self) -> SequenceInfo:
+    def sequence(self) -> SequenceInfo:
         """Name, digest, frames and points of the sequence."""
         return self.rows[0].result.sequence
 
     def row(self, label: str) -> ScoreRow | None:
-        """The row of a label."""
+        """The row with this label, or None."""
         return next((row for row in self.rows if row.label == label), None)
 
     def best(self, name: str) -> set[str]:
-        """Labels of the rows with the highest score, as printed to two decimals; none where there is no rival."""
+        """Labels of the rows with the highest score, rounded to two decimals as printed; empty for a single row."""
         scores = {row.label: round(score, 2) for row in self.rows if (score := row.score(name)) is not None}
         return _highest(scores) if len(self.rows) > 1 else set()
 
@@ -77,23 +77,22 @@ def _highest(values: Mapping[str, float]) -> set[str]:
 
 
 def boards(study: Study) -> list[ScoreBoard]:
-    """One board for each sequence and scoring, in the order in which they come."""
+    """One board per sequence and scoring, in the order of the study."""
     groups: dict[tuple[str, str], list[StudyRun]] = {}
-    for cell in study.cells:
-        if cell.result is not None:
-            digest = cell.result.sequence.digest
-            groups.setdefault((digest, cell.result.scoring), []).append(cell)
+    for run in study.runs:
+        if run.result is not None:
+            groups.setdefault((run.result.sequence.digest, run.result.scoring), []).append(run)
     labels = _labels(study, groups.values())
     titles = _titles(groups)
     return [
-        ScoreBoard(titles[key], key[1], tuple(sorted((_row(labels[cell.file], cell) for cell in cells), key=_rank)))
-        for key, cells in groups.items()
+        ScoreBoard(titles[key], key[1], tuple(sorted((_row(labels[run.file], run) for run in runs), key=_rank)))
+        for key, runs in groups.items()
     ]
 
 
-def _row(label: str, cell: StudyRun) -> ScoreRow:
-    assert cell.result is not None
-    return ScoreRow(label, cell.result, cell)
+def _row(label: str, run: StudyRun) -> ScoreRow:
+    assert run.result is not None
+    return ScoreRow(label, run.result, run)
 
 
 def _rank(row: ScoreRow) -> tuple[float, str]:
@@ -101,50 +100,71 @@ def _rank(row: ScoreRow) -> tuple[float, str]:
 
 
 def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[str, str], str]:
-    """A name for each board: the sequence's; with its digest and scoring where that is not enough."""
-    names = {key: " = ".join(dict.fromkeys(cell.sequence for cell in cells)) for key, cells in groups.items()}
+    """A title for each board: the name of the sequence, with digest and scoring if the name is not unique."""
+    names = {key: " = ".join(dict.fromkeys(run.sequence for run in runs)) for key, runs in groups.items()}
     digests = {name: {key[0] for key in names if names[key] == name} for name in names.values()}
     scorings = {scoring for _, scoring in groups}
     titles = {}
     for (digest, scoring), name in names.items():
-        more = [digest[:8]] * (len(digests[name]) > 1) + [scoring] * (len(scorings) > 1)
-        titles[digest, scoring] = f"{name} ({', '.join(more)})" if more else name
+        suffix = [digest[:8]] * (len(digests[name]) > 1) + [scoring] * (len(scorings) > 1)
+        titles[digest, scoring] = f"{name} ({', '.join(suffix)})" if suffix else name
     return titles
 
 
+_LabelForm = Callable[[Study, StudyRun], str]
+
+
+def _plain_label(study: Study, run: StudyRun) -> str:
+    return run.label
+
+
+def _label_with_source(study: Study, run: StudyRun) -> str:
+    """The label, and the path given by the user in which the run was found."""
+    return f"{run.label} [{run.given.name or run.given}]"
+
+
+def _label_with_path(study: Study, run: StudyRun) -> str:
+    """The label, and the run's own folder or file."""
+    return f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]"
+
+
+_LABEL_FORMS: tuple[_LabelForm, ...] = (_plain_label, _label_with_source, _label_with_path)
+
+
 def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, str]:
-    """A label for each cell's file: what tells the runs on every board apart, and no more than that."""
-    ways: list[Callable[[StudyRun], str]] = [
-        lambda cell: cell.label,
-        lambda cell: f"{cell.label} [{cell.given.name or cell.given}]",
-        lambda cell: f"{cell.label} [{study.link(cell.folder if cell.file.name == 'result.json' else cell.file)}]",
-    ]
+    """A label for each run, by its file: as short as is unique on every board."""
     groups = list(groups)
-    way = dict.fromkeys((cell.label for cells in groups for cell in cells), 0)
-    for label in way:
-        alike = [[cell for cell in cells if cell.label == label] for cells in groups]
-        while way[label] < 2 and any(len({ways[way[label]](cell) for cell in cells}) < len(cells) for cells in alike):
-            way[label] += 1
-    return {cell.file: ways[way[cell.label]](cell) for cells in groups for cell in cells}
+    forms: dict[str, _LabelForm] = {}
+    for label in dict.fromkeys(run.label for runs in groups for run in runs):
+        forms[label] = _shortest_form(study, [[run for run in runs if run.label == label] for runs in groups])
+    return {run.file: forms[run.label](study, run) for runs in groups for run in runs}
 
 
-def together(study: Study, every: Sequence[ScoreBoard]) -> tuple[list[ScoreBoard], list[str]]:
-    """A board of all sequences for each scoring, by adding counts, where every method ran on every sequence.
+def _shortest_form(study: Study, groups: Sequence[Sequence[StudyRun]]) -> _LabelForm:
+    """The first form that gives the runs of each group different labels, else the last."""
+    for form in _LABEL_FORMS:
+        if all(len({form(study, run) for run in runs}) == len(runs) for runs in groups):
+            return form
+    return _LABEL_FORMS[-1]
+
+
+def combined_boards(study: Study, single: Sequence[ScoreBoard]) -> tuple[list[ScoreBoard], list[str]]:
+    """A board of all sequences for each scoring, with counts added up, if every method ran on every sequence.
 
     Returns:
-        The boards, and where there can be none, a sentence that says why.
+        The boards, and notes: which runs are missing, and whose parameters differ.
     """
     boards_of_all, notes = [], []
-    for scoring in dict.fromkeys(board.scoring for board in every):
-        alike = [board for board in every if board.scoring == scoring]
+    for scoring in dict.fromkeys(board.scoring for board in single):
+        alike = [board for board in single if board.scoring == scoring]
         labels = list(dict.fromkeys(row.label for board in alike for row in board.rows))
         absent = [f"{label} on {board.title}" for label in labels for board in alike if board.row(label) is None]
-        of = f" ({scoring})" if len({board.scoring for board in every}) > 1 else ""
+        of = f" ({scoring})" if len({board.scoring for board in single}) > 1 else ""
         if len(alike) < 2:
             continue
         if absent:
             rest = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
-            notes.append(f"No row for all sequences together{of}: there is no {', no '.join(absent[:3])}{rest}.")
+            notes.append(f"No scores for all sequences combined{of}: missing {', '.join(absent[:3])}{rest}.")
             continue
         rows = [
             ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels
@@ -152,7 +172,7 @@ def together(study: Study, every: Sequence[ScoreBoard]) -> tuple[list[ScoreBoard
         boards_of_all.append(ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
         differ = [row.label for row in rows if _parameters_differ([board.row(row.label) for board in alike])]
         if differ:
-            notes.append(f"All sequences together{of}: {', '.join(differ)} had other parameters on some sequences.")
+            notes.append(f"All sequences combined{of}: {', '.join(differ)} had different parameters on some sequences.")
     return boards_of_all, notes
 
 
@@ -164,12 +184,12 @@ def _parameters_differ(rows: Sequence[ScoreRow | None]) -> bool:
 
 @dataclass(frozen=True)
 class Losses:
-    """What a method's errors of one kind cost, over all sequences it ran on, by adding points.
+    """The cost of a method's errors of one kind, over all sequences it ran on, with points added up.
 
     Attributes:
-        cost: percentage points of SA or DA; None where undefined.
-        causes: the percentage points of each cause, the largest first.
-        by_reason: the results tell no causes, so these are the method's own reasons.
+        cost: percentage points of SA or DA; None if undefined.
+        causes: percentage points by cause, largest first.
+        by_reason: ``causes`` are the method's own reasons, because a result has no causes.
     """
 
     cost: float | None
@@ -178,7 +198,7 @@ class Losses:
 
 
 def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
-    """What the errors of a kind cost in some rows of one method.
+    """The cost of the errors of a kind, over some rows of one method.
 
     Args:
         rows: of one method and scoring.
@@ -198,8 +218,12 @@ def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
             points.update(getattr(result.sections.reasons or Reasons(), kind))
     total = sum(result.counts.get(wrong, 0) for result in results)
     return Losses(
-        100 * total / whole,
-        {cause or UNKNOWN: 100 * count / whole for cause, count in sorted(points.items(), key=_largest) if count},
+        float(percentage_points_lost(total, whole)),
+        {
+            cause or UNKNOWN: float(percentage_points_lost(count, whole))
+            for cause, count in sorted(points.items(), key=_largest)
+            if count
+        },
         not known,
     )
 
@@ -218,7 +242,7 @@ def by_method(every: Iterable[ScoreBoard]) -> dict[tuple[str, str], list[ScoreRo
 
 
 def setting(result: Result) -> str:
-    """The machine and the threads that a runtime belongs to."""
+    """The machine and the number of threads of a runtime."""
     machine, threads = result.environment.machine, result.runtime.threads
     parts = [
         " ".join(filter(None, (machine.system, machine.arch))),
@@ -229,9 +253,9 @@ def setting(result: Result) -> str:
 
 
 def fastest(board: ScoreBoard) -> set[str]:
-    """Labels of the rows with the least runtime, as printed, among those of the same setting; none without a rival.
+    """Labels of the rows with the lowest runtime, as printed, of each setting with several runtimes.
 
-    Runtimes while states were recorded do not count.
+    Runtimes measured while states were recorded do not count.
     """
     groups: defaultdict[str, dict[str, float]] = defaultdict(dict)
     for row in board.rows:
@@ -242,5 +266,5 @@ def fastest(board: ScoreBoard) -> set[str]:
 
 
 def n_parameters(result: Result) -> int | None:
-    """How many parameters a method has; None for a map of another program, whose parameters nobody knows."""
+    """Number of parameters of a method; None for a map of another program, because its parameters are unknown."""
     return None if result.sections.source else len(result.parameters)

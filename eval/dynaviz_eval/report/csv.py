@@ -1,4 +1,4 @@
-"""A report as comma-separated values: every run in a line, with all that there is."""
+"""A report as comma-separated values: one line per run, with all scalar fields."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import msgspec
 
 from dynaviz.reporting import Study
 from dynaviz.results.collect import StudyRun
+from dynaviz.results.scores import SCORES
 from dynaviz_eval.report.boards import n_parameters
 
 _COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
-_METRICS = ("SA", "DA", "AA", "HA", "precision", "IoU")
+_METRICS = (*SCORES, "precision", "IoU")
 _RUNTIME = ("mean_s", "std_s", "prepare_s", "threads", "peak_rss_mb")
 COLUMNS = (
     *("sequence", "method", "variant", "online", "seed", "scoring", "frames", "points", *_COUNTS, *_METRICS),
@@ -24,19 +25,19 @@ COLUMNS = (
 
 
 def csv_report(study: Study) -> str:
-    """Comma-separated values, a line a run, failed ones too; numbers in full, empty where undefined."""
+    """Comma-separated values, one line per run, including failed ones; numbers unrounded, empty if undefined."""
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
-    for cell in study.cells:
-        writer.writerow(_line(study, cell))
+    for run in study.runs:
+        writer.writerow(_line(study, run))
     return text.getvalue()
 
 
-def _line(study: Study, cell: StudyRun) -> dict[str, object]:
-    result = cell.result
+def _line(study: Study, run: StudyRun) -> dict[str, object]:
+    result = run.result
     head: dict[str, object] = dict.fromkeys(COLUMNS)
-    head |= {"sequence": cell.sequence, "method": cell.method, "variant": cell.variant, "error": cell.error}
+    head |= {"sequence": run.sequence, "method": run.method, "variant": run.variant, "error": run.error}
     if result is None:
         return head
     return {
@@ -56,6 +57,6 @@ def _line(study: Study, cell: StudyRun) -> dict[str, object]:
         "sequence_digest": result.sequence.digest,
         "labels_sha256": result.labels_sha256,
         "recording_sha256": result.recording_sha256,
-        "recording": study.link(cell.recording) if cell.recording else None,
+        "recording": study.link(run.recording) if run.recording else None,
         "command": result.command,
     }

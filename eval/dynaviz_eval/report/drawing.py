@@ -1,4 +1,4 @@
-"""How figures look: a colour and a marker for each method, and SVG that stands in a page of either theme."""
+"""Style of figures: a colour and a marker for each method, and SVG for light and dark pages."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INK, FAINT = "#010203", "#040506"  # stand for the page's own colours
-# Hues that differ to colour-blind eyes, on white and on black; a marker and a dash tell methods apart without them.
+INK, FAINT = "#010203", "#040506"  # placeholders for the colours of the page
+# Hues that colour-blind readers can distinguish, on white and on black. Markers and dashes work without colour.
 COLOURS = ("#0a7abf", "#d55e00", "#009e73", "#c7669e", "#b58900", "#3fa7dd", "#8a6fd1", INK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1)))
@@ -37,8 +37,8 @@ _STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
 }
 
-WIDTHS = {1: 6.0, 2: 11.0, 3: 12.0, 4: 12.5}  # inches, by panels across
-POINTS = 98  # of the page, an inch
+WIDTHS = {1: 6.0, 2: 11.0, 3: 12.0, 4: 12.5}  # inches, by panels per row
+POINTS = 98  # pixels of the page per inch
 
 
 class Palette:
@@ -48,12 +48,12 @@ class Palette:
         self._at = {method: k for k, method in enumerate(sorted(set(methods)))}
 
     def line(self, method: str) -> dict[str, Any]:
-        """Style of a line."""
+        """Style of a method's line."""
         point = self.point(method)
         return {**point, "markersize": 0.65 * point["markersize"], "linestyle": DASHES[self._at[method] % len(DASHES)]}
 
     def point(self, method: str) -> dict[str, Any]:
-        """Style of a point."""
+        """Style of a method's marker."""
         k = self._at[method]
         marker = MARKERS[(k + k // len(MARKERS)) % len(MARKERS)]
         return {"color": COLOURS[k % len(COLOURS)], "marker": marker, "markersize": 11 if marker == "*" else 8}
@@ -61,7 +61,7 @@ class Palette:
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """What all figures share."""
+    """Matplotlib settings shared by all figures."""
     import matplotlib as mpl
 
     with mpl.rc_context():
@@ -71,12 +71,12 @@ def style() -> Iterator[None]:
 
 
 def panels(count: int, height: float = 3.3, across: int = 4) -> tuple[Figure, list[Axes]]:
-    """A figure with some panels beside each other.
+    """A figure with a grid of panels.
 
     Args:
-        count: of panels.
-        height: of a row of them, inches.
-        across: panels in a row, at most.
+        count: number of panels.
+        height: height of a row, inches.
+        across: maximum number of panels per row.
     """
     from matplotlib.figure import Figure
 
@@ -94,12 +94,12 @@ def panels(count: int, height: float = 3.3, across: int = 4) -> tuple[Figure, li
 
 
 def svg(figure: Figure, name: str, title: str) -> str:
-    """A figure as an element of a page; the same figure gives the same text.
+    """A figure as an SVG element of a page. Equal figures give equal texts.
 
     Args:
-        figure: to draw.
-        name: unique in the page.
-        title: what it shows, for those who cannot see it.
+        figure: the figure to draw.
+        name: a name that is unique in the page.
+        title: description for screen readers.
     """
     from html import escape
 

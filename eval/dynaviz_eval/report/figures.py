@@ -1,4 +1,4 @@
-"""The figures of a report, as SVG: each gives None where there is nothing to draw."""
+"""The figures of a report, as SVG. Each function returns None if there is nothing to draw."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BEST = " Of several variants of a method, the best."
-FEW = 100  # points below which an accuracy is drawn hollow
+BEST = " Of several variants of a method, only the best is shown."
+FEW = 100  # points; an accuracy of fewer points is drawn hollow
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of a page: the element, and what it tells."""
+    """A figure of a page: the SVG element and its caption."""
 
     name: str
     svg: str
     caption: str
 
 
-def scores(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
+def scores(boards: Sequence[ScoreBoard], palette: Palette) -> ReportFigure | None:
     """SA against DA, with lines of equal AA."""
     drawn = [board for board in boards if any(row.score("AA") is not None for row in board.rows)]
     if not drawn:
@@ -46,21 +46,21 @@ def scores(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
             low = [max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))]
             _iso(axes, low)
             for row, sa, da in points:
-                axes.plot(sa, da, linestyle="", **looks.point(row.result.method))
+                axes.plot(sa, da, linestyle="", **palette.point(row.result.method))
             for row, sa, da in points:
                 if row.label in board.best("AA"):
                     _name(axes, row.label, sa, da, low)
             axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
-        _legend(figure, [row for board in drawn for row in board.rows], looks, lines=False)
+        _legend(figure, [row for board in drawn for row in board.rows], palette, lines=False)
         grid[0].set_ylabel("DA [%]: dynamic removed")
         caption = (
-            "Static against dynamic accuracy: the best corner is top right. Thin lines join points of equal AA; "
-            "the best method of each sequence is named."
+            "Static against dynamic accuracy; the best corner is top right. Thin lines: equal AA. The best method of "
+            "each sequence is named."
         )
         return ReportFigure("scores", svg(figure, "scores", caption), caption)
 
 
-def speed(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
+def speed(boards: Sequence[ScoreBoard], palette: Palette) -> ReportFigure | None:
     """Runtime against AA."""
     drawn = [board for board in boards if _timed(board)]
     if not drawn:
@@ -69,23 +69,23 @@ def speed(boards: Sequence[ScoreBoard], looks: Palette) -> ReportFigure | None:
         figure, grid = panels(len(drawn), 3.2)
         for axes, board in zip(grid, drawn, strict=True):
             for row in _timed(board):
-                look = looks.point(row.result.method)
+                look = palette.point(row.result.method)
                 hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
                 axes.plot(_seconds(row), row.score("AA") or 0.0, linestyle="", **look, **hollow)
             axes.set(title=board.title, xlabel="seconds per frame (log)")
             _log(axes)
-        _legend(figure, [row for board in drawn for row in board.rows], looks, lines=False)
+        _legend(figure, [row for board in drawn for row in board.rows], palette, lines=False)
         grid[0].set_ylabel("AA [%]")
         hollow_note = (
-            " Hollow: while states were recorded, so slower than the method alone."
+            " Hollow: measured while states were recorded, so slower than the method alone."
             if any(row.result.instrumented for b in drawn for row in b.rows)
             else ""
         )
-        caption = "Runtime against AA: the best corner is top left." + hollow_note
+        caption = "Runtime against AA; the best corner is top left." + hollow_note
         return ReportFigure("speed", svg(figure, "speed", caption), caption)
 
 
-def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
+def ranges(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
     """SA and DA by range from the sensor."""
     drawn = [row for row in best_of_each_method(board) if ranges_of(row)]
     if not drawn:
@@ -99,7 +99,7 @@ def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
                 here = ranges_of(row)
                 values = [np.nan if getattr(b, score) is None else getattr(b, score) for b in here]
                 few = [getattr(b, right) + getattr(b, wrong) < FEW for b in here]
-                look = looks.line(row.result.method)
+                look = palette.line(row.result.method)
                 axes.plot(range(len(here)), values, **{**look, "marker": ""})
                 for at, (value, hollow) in enumerate(zip(values, few, strict=True)):
                     face: dict[str, Any] = {"markerfacecolor": "none"} if hollow else {}
@@ -109,29 +109,29 @@ def ranges(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
             said = "static kept" if kind == "false_positive" else "dynamic removed"
             axes.set(title=f"{score}: {said}", ylabel=f"{score} [%]", xlabel="range from the sensor [m]")
             axes.set_xticks(range(len(ticks)), ticks)
-        _legend(figure, drawn, looks)
-        caption = f"Accuracy against range on {board.title}. Hollow marks stand for fewer than {FEW} points."
+        _legend(figure, drawn, palette)
+        caption = f"Accuracy against range on {board.title}. Hollow markers: fewer than {FEW} points."
         caption += BEST * (len(drawn) < len(board.rows))
         return ReportFigure(name, svg(figure, name, caption), caption)
 
 
-def distances(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
-    """How far wrong points lie from right ones, a line of bars a method (paper, Fig. 5)."""
+def distances(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
+    """Distances from wrong points to correct ones, a histogram per method (paper, Fig. 5)."""
     drawn = [row for row in best_of_each_method(board) if row.result.sections.error_distance]
     if not drawn:
         return None
     titles = {
-        "false_negative": "dynamic points kept:\nto the nearest one that was removed",
-        "false_positive": "static points removed:\nto the nearest one that was kept",
+        "false_negative": "dynamic points kept:\ndistance to the nearest one removed",
+        "false_positive": "static points removed:\ndistance to the nearest one kept",
     }
     with style():
         figure, grid = panels(2, 0.42 * len(drawn) + 1.1, across=2)
         for axes, (kind, title) in zip(grid, titles.items(), strict=True):
             for at, row in enumerate(drawn):
-                _ridge(axes, -at, row, kind, looks)
+                _ridge(axes, -at, row, kind, palette)
             axes.set(
                 title=title,
-                xlabel="distance [m]; the last bar: farther",
+                xlabel="distance [m]; last bar: larger",
                 xlim=(0, LIMIT + 0.35),
                 ylim=(-len(drawn) + 0.9, 1.05),
             )
@@ -141,9 +141,9 @@ def distances(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | No
             axes.spines["left"].set_visible(False)
         grid[1].set_yticklabels([])
         caption = (
-            f"How far wrong points lie from right ones on {board.title}. Bars: share of a method's wrong points in "
-            "5 cm, each row to its own height. Dashed line: a tenth (10 %) of the points lies nearer. "
-            "Right: how many points."
+            f"Distances from wrong points to correct ones on {board.title}. Bars: share of a method's wrong points per "
+            "5 cm, each row scaled to its own maximum. Dashed line: 10 % of the points are nearer. "
+            "Right: number of wrong points."
         )
         caption += BEST * (len(drawn) < len(board.rows))
         return ReportFigure(name, svg(figure, name, caption), caption)
@@ -154,7 +154,7 @@ def ranges_of(row: ScoreRow) -> tuple[IntervalRow, ...]:
     return row.result.sections.breakdown.range if row.result.sections.breakdown else ()
 
 
-def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) -> None:
+def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, palette: Palette) -> None:
     section = row.result.sections.error_distance.get(kind, ErrorDistances())
     histogram, number = (
         section.histogram,
@@ -162,11 +162,11 @@ def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) ->
     )
     axes.axhline(base, color=FAINT, linewidth=0.8)
     if not histogram or not sum(histogram):
-        axes.text(0.02, base + 0.2, "no point to measure to" if number else "none wrong", fontsize=7.5, color=INK)
+        axes.text(0.02, base + 0.2, "no correct points" if number else "no errors", fontsize=7.5, color=INK)
     else:
         shares = np.array(histogram, float) / max(histogram)
         edges = np.arange(len(histogram)) * BIN
-        colour = looks.point(row.result.method)["color"]
+        colour = palette.point(row.result.method)["color"]
         for heights, ends in ((shares[:-1], edges), (shares[-1:], LIMIT + 0.06 + np.array([0, BIN]))):
             axes.stairs(base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0)
         if section.p10 is not None:
@@ -175,7 +175,7 @@ def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, looks: Palette) ->
 
 
 def causes(boards: Sequence[ScoreBoard], order: Sequence[str]) -> ReportFigure | None:
-    """What each cause costs each method, as bars."""
+    """The cost of each cause for each method, as bars."""
     groups = by_method(boards)
     several = len({scoring for _, scoring in groups}) > 1
     first: dict[tuple[str, str], tuple[str, str]] = {}
@@ -226,7 +226,7 @@ def causes(boards: Sequence[ScoreBoard], order: Sequence[str]) -> ReportFigure |
             axes.grid(False, axis="y")
         grid[1].set_yticklabels([])
         figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, handleheight=1.1)
-        caption = "What each cause costs, over all sequences that a method ran on; short bars are good."
+        caption = "Accuracy lost to each cause, over all sequences that a method ran on. Short bars are good."
         caption += BEST * (len(keys) < len(groups))
         return ReportFigure("causes", svg(figure, "causes", caption), caption)
 
@@ -237,8 +237,8 @@ _FILLS = (
 )  # fmt: skip
 
 
-def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
-    """Variants of each method that has several: SA against DA and AA against runtime, the front marked."""
+def pareto(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
+    """Variants of each method that has several: SA against DA, AA against runtime, with the Pareto front."""
     variants: dict[str, list[ScoreRow]] = {}
     for row in board.rows:
         if row.score("AA") is not None:
@@ -266,7 +266,7 @@ def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
         for axes, (method, rows, xlabel, ylabel, x, y) in zip(grid, views, strict=True):
             fast = xlabel.startswith("seconds")
             front = _front([(-x(row) if fast else x(row), y(row)) for row in rows])
-            look = looks.point(method)
+            look = palette.point(method)
             axes.plot([x(row) for row in rows], [y(row) for row in rows], linestyle="", markerfacecolor="none", **look)
             best = sorted((rows[k] for k in front), key=x)
             axes.plot([x(row) for row in best], [y(row) for row in best], **look)
@@ -278,19 +278,19 @@ def pareto(board: ScoreBoard, name: str, looks: Palette) -> ReportFigure | None:
             if fast:
                 _log(axes)
         caption = (
-            f"Variants on {board.title}. Filled and joined: those that no other variant beats in both; "
-            "hollow: the others."
+            f"Variants on {board.title}. Filled and joined: variants that no other variant beats in both; "
+            "hollow: all others."
         )
         return ReportFigure(name, svg(figure, name, caption), caption)
 
 
 def _front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Points that no other one beats in both, where more is better."""
+    """Indices of the points that no other point beats in both coordinates; larger is better."""
     return [k for k, (a, b) in enumerate(points) if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)]
 
 
 def best_of_each_method(board: ScoreBoard) -> list[ScoreRow]:
-    """One row a method, that with the best AA; the best method first."""
+    """The row with the best AA of each method, best method first."""
     best: dict[str, ScoreRow] = {}
     for row in board.rows:
         best.setdefault(row.result.method, row)
@@ -306,7 +306,7 @@ def _timed(board: ScoreBoard) -> list[ScoreRow]:
 
 
 def _iso(axes: Axes, low: Sequence[float]) -> None:
-    """Lines of equal AA = sqrt(SA * DA), with their values where they leave to the right."""
+    """Lines of equal AA = sqrt(SA * DA), with their values at the right edge."""
     last = -np.inf
     for aa in range(10, 100, 10):
         sa = np.linspace(max(low[0], 1e-6, aa * aa / 101), 101, 60)
@@ -336,13 +336,13 @@ def _log(axes: Axes) -> None:
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _legend(figure: Figure, rows: Sequence[ScoreRow], looks: Palette, lines: bool = True) -> None:
-    """One legend of methods above all panels, with their lines or with their marks alone."""
+def _legend(figure: Figure, rows: Sequence[ScoreRow], palette: Palette, lines: bool = True) -> None:
+    """One legend of methods above all panels, with their lines or only their markers."""
     from matplotlib.lines import Line2D
 
     methods = list(dict.fromkeys(row.result.method for row in rows))
     bare = {} if lines else {"linestyle": ""}
-    handles = [Line2D([], [], **{**looks.line(m), **bare}, label=m) for m in methods]
+    handles = [Line2D([], [], **{**palette.line(m), **bare}, label=m) for m in methods]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=min(len(methods), 8), handlelength=2.4, columnspacing=1.4
     )

@@ -1,4 +1,4 @@
-"""A report in LaTeX: the paper's two tables and published numbers, to be input into a document with booktabs."""
+"""A report in LaTeX: the paper's two tables and published numbers, for a document with booktabs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dynaviz.reporting import Study
 from dynaviz_eval.report.tables import Column, Table, Value, tables
 
-WIDE = 17  # columns that fit across a page in small print; more go into a further table
+MAX_COLUMNS = 17  # columns that fit on a page in small print; wider tables are split
 
 _ESCAPES = {
     **{c: f"\\{c}" for c in "&%$#_{}"},
@@ -20,28 +20,28 @@ _ESCAPES = {
 
 
 def latex_report(study: Study) -> str:
-    """The tables of accuracy and runtime, and the published numbers of public sequences."""
-    made = tables(study)
-    wanted = [table for table in (*made.tables[:2], *made.public.values()) if table.rows]
+    """The tables of accuracy and runtime, and published numbers of public sequences."""
+    content = tables(study)
+    wanted = [table for table in (*content.tables[:2], *content.public.values()) if table.rows]
     parts = [r"% Needs \usepackage{booktabs} and \usepackage{graphicx}."]
     parts += [_table(part) for table in wanted for part in _parts(table)]
     return "\n\n".join(parts) + "\n"
 
 
 def escape(text: str) -> str:
-    """Text that LaTeX prints as it is."""
+    """Escape text for LaTeX."""
     return "".join(_ESCAPES.get(letter, letter) for letter in text)
 
 
 def _parts(table: Table) -> Iterator[Table]:
-    """A table that is too wide in pieces, by whole groups of columns; each repeats the first column."""
+    """Split a table that is too wide between groups of columns. Each part repeats the first column."""
     groups = [
         list(group) for _, group in itertools.groupby(range(1, len(table.columns)), lambda k: table.columns[k].group)
     ]
     piece: list[int] = [0]
     pieces = [piece]
     for group in groups:
-        if len(piece) > 1 and len(piece) + len(group) > WIDE:
+        if len(piece) > 1 and len(piece) + len(group) > MAX_COLUMNS:
             piece = [0]
             pieces.append(piece)
         piece += group
@@ -80,7 +80,7 @@ def _table(table: Table) -> str:
 
 
 def _heads(columns: Sequence[Column]) -> list[str]:
-    """One line of names, and above it one of groups with a rule below each, where there are any."""
+    """A line of column names, and above it a line of groups with rules, if there are groups."""
     names = _line([escape(column.name) for column in columns])
     if not any(column.group for column in columns):
         return [names]

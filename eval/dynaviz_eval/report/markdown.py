@@ -12,13 +12,13 @@ _SPECIAL = re.compile(r"([\\`*_\[\]<>|])")
 
 def markdown_report(study: Study) -> str:
     """The tables in Markdown."""
-    made = tables(study)
-    parts = ["# Report", *(_escaped(line) for line in made.headline), *map(table, made.every)]
+    content = tables(study)
+    parts = ["# Report", *(_escaped(line) for line in content.headline), *map(table, content.every)]
     return "\n\n".join(parts) + "\n"
 
 
 def table(table: Table) -> str:
-    """A table with its title and notes; a column's group stands before its name."""
+    """A table with its title and notes; column names start with their group."""
     head = [_head(column) for column in table.columns]
     lines = [_line(head), _line(["---:" if column.number else ":---" for column in table.columns])]
     lines += [_line([_field(value) for value in row]) for row in table.rows]

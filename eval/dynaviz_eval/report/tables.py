@@ -1,4 +1,4 @@
-"""The tables of a report, the same for every format: the paper's two, and what else a reader asks first."""
+"""The tables of a report, the same for every format: the paper's two, an overview, failures and runs."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from dataclasses import dataclass, field
 
 from dynaviz.reporting import Study
 from dynaviz.results.result import Result
+from dynaviz.results.scores import SCORES
 from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
     KINDS,
-    SCORES,
     UNKNOWN,
     Losses,
     ScoreBoard,
     ScoreRow,
     boards,
     by_method,
+    combined_boards,
     fastest,
     losses,
     n_parameters,
     setting,
-    together,
 )
 
 NONE = "n/a"
-MARK = "†"  # a runtime while states were recorded
-DID = {"false_positive": "static removed", "false_negative": "movers kept"}
+MARK = "†"  # runtimes measured while states were recorded
+ERRORS = {"false_positive": "static removed", "false_negative": "dynamic kept"}
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class Value:
     """A field of a table.
 
     Attributes:
-        text: as it is printed.
-        sort: to order the rows by; None goes last.
-        bold: the best of its kind.
-        link: where it leads, relative to the report.
+        text: the printed text.
+        sort: sort key of the row; None sorts last.
+        bold: whether it is the best of its column.
+        link: target of a link, relative to the report.
     """
 
     text: str
@@ -48,7 +48,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its name, the group that it stands in, and whether it holds numbers, and the headline."""
+    """A column of a table: its name and group, whether it contains numbers, and whether it is the main score."""
 
     name: str
     group: str = ""
@@ -58,7 +58,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a short name for links, a title, and notes below it; the first column names the row."""
+    """A table with a short name for links, a title, and notes below it. The first column names the row."""
 
     name: str
     title: str
@@ -69,12 +69,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Tables:
-    """Everything in words and numbers.
+    """All texts and numbers of a report.
 
     Attributes:
         headline: what was compared, and the best of each board, as sentences.
-        boards: one a sequence and scoring; ``combined``: all sequences together.
-        first: the table that tells most; ``tables``: the others. ``public``: published numbers by board title.
+        boards: one per sequence and scoring; ``combined``: all sequences combined.
+        first: the overview; ``tables``: the other tables; ``public``: published numbers by board title.
     """
 
     headline: Sequence[str]
@@ -91,11 +91,11 @@ class Tables:
 
 
 def tables(study: Study) -> Tables:
-    """Make all tables of a study; those without rows are left out."""
+    """Make all tables of a study; tables without rows are left out."""
     single = boards(study)
-    combined, notes = together(study, single)
+    combined, notes = combined_boards(study, single)
     every = [*combined, *single]
-    ours = [_accuracy(every, notes), _runtime(single, combined)]
+    main = [_accuracy(every, notes), _runtime(single, combined)]
     rest = [_failures(single, combined), _failed(study), _runs(study, single)]
     public = {board.title: table for k, board in enumerate(single, 1) if (table := _public(board, k))}
     return Tables(
@@ -103,7 +103,7 @@ def tables(study: Study) -> Tables:
         single,
         combined,
         _glance(single, combined),
-        [*ours, *(table for table in rest if table.rows)],
+        [*main, *(table for table in rest if table.rows)],
         public,
     )
 
@@ -119,7 +119,7 @@ def count(value: int | None) -> Value:
 
 
 def runtime(result: Result, bold: bool = False) -> Value:
-    """Seconds per frame, mean and standard deviation, marked where recording slowed the method down."""
+    """Seconds per frame, mean and standard deviation, marked if recording slowed the method down."""
     mean, std = result.runtime.mean_s, result.runtime.std_s
     if mean is None:
         return Value(NONE)
@@ -128,27 +128,27 @@ def runtime(result: Result, bold: bool = False) -> Value:
 
 
 def named(label: str) -> Value:
-    """A row's name."""
+    """The name of a row."""
     return Value(label, label)
 
 
 def _order(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
-    """Labels: as on the board of all sequences where there is one, else as they come, the first board's best first."""
+    """Labels in the order of the combined board if there is one, else of the boards, best first."""
     return list(dict.fromkeys(row.label for board in [*combined, *single] for row in board.rows))
 
 
 def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
-    methods = {cell.method for cell in study.cells}
-    known = {board.facts.name for board in single}
-    sequences = {board.facts.digest for board in single} | {
-        cell.sequence for cell in study.cells if cell.sequence not in known
+    methods = {run.method for run in study.runs}
+    known = {board.sequence.name for board in single}
+    sequences = {board.sequence.digest for board in single} | {
+        run.sequence for run in study.runs if run.sequence not in known
     }
-    failed = sum(cell.result is None for cell in study.cells)
+    failed = sum(run.result is None for run in study.runs)
     scorings = " and ".join(dict.fromkeys(board.scoring for board in single))
     lines = [
-        f"{_many(len(study.cells), 'run')} of {_many(len(methods), 'method')} on "
-        f"{_many(len(sequences), 'sequence')}"
-        + (f", scored by {scorings}." if scorings else ".")
+        f"{_many(len(study.runs), 'run')} of {_many(len(methods), 'method')} on "
+        f"{_many(len(sequences), 'sequence')}."
+        + (f" Scoring: {scorings}." if scorings else "")
         + (f" {_many(failed, 'run')} failed." if failed else "")
     ]
     for board in [*combined, *single]:
@@ -163,11 +163,11 @@ def _many(number: int, thing: str) -> str:
 
 
 def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
-    """Which method is best where, and what each fails on most."""
+    """The AA of each method on each sequence, and its costliest cause of errors."""
     groups, order = by_method(single), _order(single, combined)
     several = len({board.scoring for board in single}) > 1
     columns = [Column("method", number=False)]
-    columns += [Column(f"{board.title}", "AA [%] ↑", main=bool(board.sequences > 1)) for board in [*combined, *single]]
+    columns += [Column(f"{board.title}", "AA [%] ↑", main=board.n_sequences > 1) for board in [*combined, *single]]
     columns += [Column("worst failure", number=False), Column("SA lost [%]"), Column("DA lost [%]")]
     rows = []
     for label, scoring in sorted(groups, key=lambda key: order.index(key[0])):
@@ -182,33 +182,37 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
         costs = [percent(found[kind].cost) for kind in KINDS]
         rows.append([named(name), *aas, Value(worst(found), worst(found)), *costs])
     notes = [
-        "AA = √(SA · DA): SA is the share of static points that were kept, DA the share of dynamic points that were "
-        "removed. Best of each column in bold.",
-        "Worst failure: the cause that costs most percentage points of SA or DA, over all sequences that the method "
-        "ran on, points added up.",
+        "AA = √(SA · DA). SA: share of static points that were kept. DA: share of dynamic points that were removed. "
+        "The best of each column is bold.",
+        "Worst failure: the cause that costs the most percentage points of SA or DA, over all sequences that the "
+        "method ran on, with points added up.",
     ]
     if several:
-        notes.append("Scores of different scorings (mask, nn) do not compare; they stand in columns of their own.")
+        notes.append("Scores of different scorings (mask, nn) cannot be compared; they have separate columns.")
     return Table("glance", "At a glance", columns, rows, notes)
 
 
 def worst(found: dict[str, Losses]) -> str:
-    """The costliest cause of all, in words."""
+    """The costliest cause, in words."""
     costs = [(cost, kind, cause) for kind, loss in found.items() for cause, cost in loss.causes.items()]
     if not costs:
         return "none" if any(loss.cost == 0 for loss in found.values()) else NONE
     cost, kind, cause = max(costs)
-    reason = "reason " if found[kind].by_reason else "cause " if cause == UNKNOWN else ""
-    return f"{DID[kind]}: {reason}{cause} (−{cost:.1f} {KINDS[kind][0]})"
+    prefix = ""
+    if found[kind].by_reason:
+        prefix = "reason "
+    elif cause == UNKNOWN:
+        prefix = "cause "
+    return f"{ERRORS[kind]}: {prefix}{cause} (−{cost:.1f} {KINDS[kind][0]})"
 
 
 def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
-    """The paper's first table, with HA beside."""
+    """The paper's first table, with HA added."""
     columns = [Column("method", number=False)]
     for board in every:
         columns += [Column(f"{name} ↑", board.title, main=name == "AA") for name in SCORES]
     rows = []
-    for label in _order([b for b in every if b.sequences == 1], [b for b in every if b.sequences > 1]):
+    for label in _order([b for b in every if b.n_sequences == 1], [b for b in every if b.n_sequences > 1]):
         row = [named(label)]
         for board in every:
             here = board.row(label)
@@ -216,16 +220,20 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
         rows.append(row)
     scored = sorted({board.scoring for board in every})
     notes = [
-        f"Percent. SA, DA: static points kept, dynamic points removed; AA = √(SA · DA), HA = 2 · SA · DA / (SA + DA). "
-        f"Scoring: {', '.join(scored)}. Best of each column in bold.",
-        *(f"{board.title}: counts of {board.sequences} sequences added up." for board in every if board.sequences > 1),
+        "Percent. SA: static points kept; DA: dynamic points removed; AA = √(SA · DA); HA = 2 · SA · DA / (SA + DA). "
+        f"Scoring: {', '.join(scored)}. The best of each column is bold.",
+        *(
+            f"{board.title}: counts of {board.n_sequences} sequences added up."
+            for board in every
+            if board.n_sequences > 1
+        ),
         *notes,
     ]
     return Table("accuracy", "Accuracy", columns, rows, notes)
 
 
 def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
-    """The paper's second table; a machine and number of threads of its own for each block of rows."""
+    """The paper's second table, with a row for each machine and number of threads."""
     timed = [row.result for board in single for row in board.rows if row.result.runtime.mean_s is not None]
     settings = sorted({setting(result) for result in timed})
     several = len(settings) > 1
@@ -245,31 +253,31 @@ def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Ta
             amount = Value(", ".join(numbers), float(numbers[0]) if numbers[0].isdigit() else None)
             rows.append([named(label), *([Value(where or NONE, where)] if several else []), *values, amount])
     notes = [
-        "Mean and standard deviation over frames, of the method alone: no reading, no recording. "
-        "Parameters: how many a user may tune.",
+        "Mean and standard deviation over frames, of the method alone, without reading and recording. "
+        "Parameters: number of parameters that can be tuned.",
     ]
     if several:
-        notes.append("Runtimes of different machines or threads do not compare; the fastest of each is bold.")
+        notes.append("Runtimes of different machines or thread counts cannot be compared; the fastest of each is bold.")
     elif settings:
         notes.append(f"Measured on {settings[0]}.")
     if any(row.result.instrumented for board in single for row in board.rows):
-        notes.append(f"{MARK} while its states were recorded: slower than the method alone, so never bold.")
+        notes.append(f"{MARK} Measured while states were recorded: slower than the method alone, so never bold.")
     return Table("runtime", "Runtime and parameters", columns, rows, notes)
 
 
 def _where(result: Result) -> str:
-    """The setting of a runtime; empty where there is no runtime."""
+    """The setting of a runtime; empty without a runtime."""
     return "" if result.runtime.mean_s is None else setting(result)
 
 
 def match(board: ScoreBoard) -> Match | None:
-    """The public sequence that a board may be of."""
+    """The public sequence that the board's sequence may be."""
     breakdown = board.rows[0].result.sections.breakdown
-    return matching(board.facts, [row.index for row in breakdown.frame] if breakdown else [])
+    return matching(board.sequence, [row.index for row in breakdown.frame] if breakdown else [])
 
 
 def _public(board: ScoreBoard, number: int) -> Table | None:
-    """Published numbers beside ours."""
+    """Published numbers next to the board's own."""
     known = match(board)
     if known is None:
         return None
@@ -290,23 +298,24 @@ def _public(board: ScoreBoard, number: int) -> Table | None:
         )
         rows.append([named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)])
     notes = [
-        known.doubt + ("" if known.same else " So these numbers are of other points than ours."),
-        "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps that other programs wrote; beside "
-        "mask scores they are for orientation. Poses and parameters may differ. Published seconds: Intel i9-12900KF.",
+        known.doubt + ("" if known.same else " The published numbers are for different points."),
+        "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by other programs; "
+        "compared with mask scores, they are only a rough guide. Poses and parameters may differ. Published seconds: "
+        "Intel i9-12900KF.",
     ]
     notes.append("Sources: " + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1)) + ".")
     if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
-        notes.append("Of several variants of a method, the one with the best AA stands here.")
-    return Table(f"published-{number}", f"Published for {known.name}, beside {board.title}", columns, rows, notes)
+        notes.append("Of several variants of a method, the one with the best AA is shown.")
+    return Table(f"published-{number}", f"Published scores of {known.name}, and {board.title}", columns, rows, notes)
 
 
 def _failures(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
-    """What each method's errors cost, by cause."""
+    """The cost of each method's errors by cause."""
     groups = by_method(single)
     several = len({scoring for _, scoring in groups}) > 1
     columns = [Column("method", number=False)]
     columns += [
-        Column(name, f"{DID[kind]}, {KINDS[kind][0]} lost [%]", number=name == "all")
+        Column(name, f"{ERRORS[kind]}, {KINDS[kind][0]} lost [%]", number=name == "all")
         for kind in KINDS
         for name in ("all", "by cause")
     ]
@@ -315,47 +324,52 @@ def _failures(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> T
     for (label, scoring), mine in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
         found = [losses(mine, kind) for kind in KINDS]
         by_reason |= any(loss.by_reason for loss in found)
-        cells = [named(f"{label}, {scoring}" if several else label)]
+        row = [named(f"{label}, {scoring}" if several else label)]
         for loss in found:
-            cells += [percent(loss.cost), Value(_causes(loss), loss.cost)]
-        rows.append(cells)
+            row += [percent(loss.cost), Value(_causes(loss), loss.cost)]
+        rows.append(row)
     most = max((len(mine) for mine in groups.values()), default=0)
     fewer = [f"{label} on {len(mine)}" for (label, _), mine in groups.items() if len(mine) < most]
     notes = [
-        "Percentage points, over the sequences that a method ran on, points added up. eval/README.md explains causes."
+        "Percentage points, over the sequences that a method ran on, with points added up. eval/README.md explains the "
+        "causes."
     ]
     if fewer:
-        notes.append(f"Not on all {most} sequences, so not to be compared: {', '.join(fewer)}.")
+        notes.append(f"Not on all {most} sequences, so not comparable: {', '.join(fewer)}.")
     if by_reason:
-        notes.append("Results without failure cases: the method's own reasons stand in place of causes.")
-    return Table("failures", "Why points are wrong", columns, rows, notes)
+        notes.append("Results without failure cases: the method's own reasons are shown instead of causes.")
+    return Table("failures", "Errors by cause", columns, rows, notes)
 
 
 def _causes(loss: Losses, most: int = 3) -> str:
     listed = [f"{cause} {cost:.2f}" for cause, cost in list(loss.causes.items())[:most] if cost >= 0.005]
-    return ", ".join(listed) or ("none" if loss.cost == 0 else NONE if loss.cost is None else "less than 0.01 each")
+    if listed:
+        return ", ".join(listed)
+    if loss.cost is None:
+        return NONE
+    return "none" if loss.cost == 0 else "less than 0.01 each"
 
 
 def _failed(study: Study) -> Table:
     rows = [
-        [named(cell.label), Value(cell.sequence, cell.sequence), Value(cell.error or "", cell.error)]
-        for cell in study.cells
-        if cell.result is None
+        [named(run.label), Value(run.sequence, run.sequence), Value(run.error or "", run.error)]
+        for run in study.runs
+        if run.result is None
     ]
     columns = [Column(name, number=False) for name in ("method", "sequence", "error")]
     return Table("failed", "Failed runs", columns, rows)
 
 
 def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
-    """Every run with its counts, and where its recording is."""
+    """Every run with its counts and the path of its recording."""
     names = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
     columns = [Column("method", number=False), Column("sequence", number=False), Column("scoring", number=False)]
     columns += [Column("frames"), *(Column(name.replace("_", " "), "points") for name in names)]
     columns += [Column("labels", number=False), Column("recording", number=False)]
     rows = []
     for board, row in _pairs(single):
-        assert row.cell is not None
-        recording = row.cell.recording
+        assert row.run is not None
+        recording = row.run.recording
         path = "" if recording is None else study.link(recording)
         title = board.title.removesuffix(f" ({board.scoring})")
         rows.append(
@@ -369,9 +383,9 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
                 Value(path or "none", path, link=path),
             ]
         )
-    notes = ["Labels: the first digits of the digest of all labels; equal ones mean equal answers."]
+    notes = ["Labels: the first digits of the digest of all labels; runs with equal digests have equal labels."]
     if any(row[-1].link for row in rows):
-        notes.append("Look at a recording: dynaviz view PATH. What differs between two: dynaviz compare PATH PATH.")
+        notes.append("To view a recording: dynaviz view PATH. To compare two: dynaviz compare PATH PATH.")
     return Table("runs", "All runs", columns, rows, notes)
 
 
