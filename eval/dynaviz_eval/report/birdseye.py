@@ -180,7 +180,7 @@ class BirdsEyeView:
         if bar > 0 and height > 40:
             colour = _PALETTE[-1, ::-1].tolist()
             cv2.rectangle(picture, (10, height - 12), (9 + bar, height - 10), colour, cv2.FILLED)
-            cv2.putText(picture, f"{SCALE_BAR} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour)
+            cv2.putText(picture, f"{SCALE_BAR} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour)
         _, content = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
         return MapImage(base64.b64encode(content.tobytes()).decode(), width, height, title, caption, alt)
 

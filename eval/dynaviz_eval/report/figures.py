@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BEST = " Of several variants of a method, only the best is shown."
+LEGEND_ENTRY = 1.5  # inches: width of an entry of a legend
 FEW = 100  # points; an accuracy of fewer points is drawn hollow
 
 
@@ -343,6 +344,5 @@ def _legend(figure: Figure, rows: Sequence[ScoreRow], palette: Palette, lines: b
     methods = list(dict.fromkeys(row.result.method for row in rows))
     bare = {} if lines else {"linestyle": ""}
     handles = [Line2D([], [], **{**palette.line(m), **bare}, label=m) for m in methods]
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=min(len(methods), 8), handlelength=2.4, columnspacing=1.4
-    )
+    columns = min(len(methods), int(figure.get_figwidth() / LEGEND_ENTRY))
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=2.4, columnspacing=1.4)
