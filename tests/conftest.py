@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,10 @@ from helpers.worlds import InMemory, room
 
 from dynaviz import registry
 from dynaviz.cli import main
+
+# The threads of OpenMP must not spin while they wait: each pytest-xdist worker has as many of them as there are cores.
+# Read when numba loads its threading layer, and inherited by subprocesses.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 hypothesis.settings.register_profile("patient", deadline=None)  # the first call may compile a kernel
 hypothesis.settings.load_profile("patient")
