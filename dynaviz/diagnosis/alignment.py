@@ -119,7 +119,7 @@ class Interpretation:
 def _interpretations() -> tuple[Interpretation, ...]:
     frames = (
         Interpretation("points in sensor frame", "points are in the sensor frame, not in the world frame",
-                       "Read them with files:PATH --points-in sensor, or write T_world_sensor @ points",
+                       "Read them with files:PATH --points-in sensor, or write T_world_sensor @ points to the files",
                        lambda T: T, lambda T: T),
         Interpretation("points in world frame", "points are already in the world frame, but were transformed again",
                        "Read them with files:PATH --points-in world", geometry.inverse, lambda T: T),
@@ -215,13 +215,13 @@ def better_interpretation(views: Sequence[tuple[ScanView, ScanView]]) -> Iterato
         better = float((e.overlap > given.overlap + 0.02).mean())
         if better >= 0.6:
             confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Confidence.LIKELY
-            shares = f"{e.overlap.mean():.0%} of a scan then overlaps the other, now {given.overlap.mean():.0%}"
+            shares = f"{e.overlap.mean():.0%} of a scan then overlaps the other, instead of {given.overlap.mean():.0%}"
             yield Finding(best.name, confidence, f"{best.problem}: {shares}", best.fix)
         return
     for each, e in sorted(tried, key=lambda pair: float(pair[1].hidden.mean())):
         if e.overlap.mean() > given.overlap.mean() - 0.03 and _hides_less(e.hidden, given.hidden):
             then, now = float(e.hidden.mean()), float(given.hidden.mean())
-            shares = f"a cloud then hides {then:.1%} of its points from the sensor, now {now:.1%}"
+            shares = f"a cloud then hides {then:.1%} of its points from the sensor, instead of {now:.1%}"
             yield Finding(each.name, Confidence.LIKELY, f"{each.problem}: {shares}", each.fix)
             return
 

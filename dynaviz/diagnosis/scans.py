@@ -313,7 +313,8 @@ class ScanChecker:
             gaps.add(self.indices[k + 1])
             missing += round(ticks[k]) - 1
         if gaps.count:
-            problem = f"{missing:,} numbers are missing before these frames: scans were lost or left out"
+            numbers = "number is" if missing == 1 else "numbers are"
+            problem = f"{missing:,} {numbers} missing before these frames: scans were lost or left out"
             fix = "Add the scans with their poses. If they are lost, clean the parts separately with --frames A:B"
             yield self._finding("gap in numbers", Confidence.CERTAIN, problem, fix, gaps)
         if any(stamp is None for stamp in self.stamps):
