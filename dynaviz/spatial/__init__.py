@@ -1,1 +1,1 @@
-"""Poses, voxel grids, nearest neighbours and extents."""
+"""Rigid transforms, trajectories, voxel grids, nearest neighbours and extents."""

@@ -1,4 +1,4 @@
-"""A grid of voxels with state only near points, and the marks that rays leave in it: the numpy face of its kernels."""
+"""A sparse voxel grid with blocks only near points, and the marks that rays leave in it; wraps the kernels."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ VOXELS = 8**3  # in a block
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """What the rays of one scan met, in the blocks of a grid.
+    """Voxels that the rays of one scan crossed or hit, by block of a grid.
 
     Attributes:
-        blocks: (B,) int32, numbers of the touched blocks, each once, in no particular order.
-        bits: (B, 16) int64: for each block 512 bits of crossed voxels, then 512 of hit ones; bit v of word w is voxel
-            64 w + v of the block.
+        blocks: (B,) int32, numbers of the touched blocks, without duplicates, in no particular order.
+        bits: (B, 16) int64: for each block 512 bits of crossed voxels, then 512 bits of hit voxels; bit v of word w is
+            voxel 64 w + v of the block.
     """
 
     blocks: I32
@@ -34,21 +34,21 @@ class Marks:
 
 
 class BlockGrid:
-    """Voxels of a given edge, in blocks of 8^3 that exist where an extent says that points lie.
+    """A sparse voxel grid in blocks of 8^3 voxels, which exist only where an extent contains points.
 
-    Voxel k spans [k, k + 1) * resolution per axis. It is known by one number: block * 512 + place in the block. State
-    is kept by the caller, as arrays of ``len(grid)`` rows; memory so grows with the mapped area. Blocks are found
-    through a directory of super-blocks of 16^3 blocks, dense over the bounds, so that maps of kilometres fit.
+    Voxel k spans [k, k + 1) * resolution per axis. Its number is block * 512 + index in the block. The caller keeps the
+    state in arrays of ``len(grid)`` rows, so memory grows with the mapped area. A directory of super-blocks of 16^3
+    blocks, dense over the bounds, finds the blocks, so maps of kilometres fit into memory.
 
-    Like OctoMap's keys of 16 bit, the grid reaches 32768 voxels to each side of the world's origin. Points beyond,
-    points that are not finite and points outside the extent have no voxel.
+    Like OctoMap's 16-bit keys, the grid reaches 32768 voxels to each side of the world's origin. Points beyond that,
+    non-finite points and points outside the extent have no voxel.
 
     Args:
-        extent: where points and ray origins will lie.
-        resolution: the voxel's edge, metres.
+        extent: contains all points and ray origins.
+        resolution: edge of a voxel, metres.
 
     Raises:
-        ValueError: for a resolution that is not positive.
+        ValueError: if the resolution is not positive.
     """
 
     def __init__(self, extent: Extent, resolution: float) -> None:
@@ -63,7 +63,7 @@ class BlockGrid:
         self._blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
         self._place = (self._base, self._shape, *kernels.blocks.directory(self._blocks, self._base, self._shape))
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
-        # Rows are written from the first on, so what a scan does not need is never backed by memory.
+        # Rows are filled in order, so rows that no scan needs never occupy physical memory.
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
         self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
 
@@ -72,32 +72,33 @@ class BlockGrid:
         return len(self._blocks)
 
     def locate(self, points: F32) -> I64:
-        """The voxel of each point.
+        """Find the voxel of each point.
 
         Args:
             points: (N, 3) float32, metres, world frame.
 
         Returns:
-            (N,) int64, voxel numbers; -1 for a point without a voxel.
+            (N,) int64, voxel numbers; -1 for points without a voxel.
         """
         found: I64 = kernels.blocks.locate(kernels.as_readonly(points, np.float32), self._per_metre, *self._place)
         return found
 
     def keys(self, voxels: I64) -> I32:
-        """(N, 3) int32 indices, from the world's origin, of voxels given by number."""
+        """(N, 3) int32: indices, from the world's origin, of voxel numbers (N,) int64."""
         keys: I32 = kernels.blocks.keys_of(kernels.as_readonly(voxels, np.int64), self._blocks)
         return keys
 
     def mark(self, scan: Scan, casts: Bool, hits: Bool) -> Marks:
-        """Walk the rays of a scan.
+        """Cast the rays of a scan.
 
         Args:
-            scan: where rays start and end.
-            casts: (N,) bool: points whose rays mark voxels as crossed, from the origin's to the last before their own.
+            scan: the scan with its ray origins.
+            casts: (N,) bool: points whose rays mark voxels as crossed, from the origin's voxel to the last one before
+                the point's own.
             hits: (N,) bool: points that mark their own voxel as hit.
 
         Returns:
-            The marks; a voxel may be both crossed and hit. Rays from outside the grid's reach mark nothing.
+            The marks; a voxel may be both crossed and hit. Rays that start beyond the grid's reach mark nothing.
         """
         kernels.raycast.mark(
             kernels.as_readonly(scan.points, np.float32),
@@ -110,16 +111,16 @@ class BlockGrid:
 
 
 def voxels_of(blocks: I32, bits: I64) -> I64:
-    """Numbers of the voxels whose bit is set; blocks (B,), bits (B, 8) of those blocks."""
+    """Numbers of the voxels whose bit is set, from blocks (B,) and their bits (B, 8)."""
     voxels: I64 = kernels.blocks.voxels_of(kernels.as_readonly(blocks, np.int32), kernels.as_readonly(bits, np.int64))
     return voxels
 
 
 def read(bits: NDArray[Any], voxels: I64) -> Bool:
-    """Look up bits of voxels.
+    """Look up the bits of voxels.
 
     Args:
-        bits: (B, 8 or more) int64 or uint64, a row a block: bit v of word w is voxel 64 w + v of the block.
+        bits: (B, 8 or more) int64 or uint64, one row per block: bit v of word w is voxel 64 w + v of the block.
         voxels: (N,) int64, voxel numbers.
 
     Returns:
@@ -130,10 +131,10 @@ def read(bits: NDArray[Any], voxels: I64) -> Bool:
 
 
 def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
-    """(B, 3): all blocks that a float32 point in one of the cells can lie in, within bounds of super-blocks (2, 3)."""
+    """(B, 3): all blocks that can contain a float32 point of a cell, within bounds of super-blocks (2, 3)."""
     low = _lowest(cells.astype(np.int64))
     high = np.nextafter(_lowest(cells.astype(np.int64) + 1), np.float32(-np.inf))
-    # The products are formed as for points: as these grow, so do they, and no rounding can lead out of the range.
+    # The same products as for points. They are monotonic, so rounding cannot leave the range.
     first, last = (np.floor(p.astype(np.float64) * per_metre).astype(np.int64) >> 3 for p in (low, high))
     spans = [range(s + 1) for s in (last - first).max(0, initial=0)]
     packed: list[I64] = [np.empty(0, np.int64)]
@@ -145,7 +146,7 @@ def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
 
 
 def _lowest(cells: I64) -> F32:
-    """The lowest float32 whose cell is the given one."""
+    """The lowest float32 that lies in each cell."""
     guess = (cells * CELL).astype(np.float32)
     below = np.floor(guess.astype(np.float64) * (1.0 / CELL)) < cells
     guess = np.where(below, np.nextafter(guess, np.float32(np.inf)), guess)

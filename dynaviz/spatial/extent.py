@@ -1,4 +1,4 @@
-"""Where the points of a sequence lie: bounds, and the coarse cells that contain points."""
+"""The extent of a sequence: bounds, and coarse cells that contain points."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from dynaviz.errors import DynavizError
 from dynaviz.scan import Scan
 from dynaviz.spatial.grid import KeySet, pack, unpack
 
-CELL = 0.8  # metres: 8 voxels of 0.1 m, the block that most grids are built of
-FAR = 100_000.0  # metres; voxels of 0.1 m have keys up to there
+CELL = 0.8  # metres: 8 voxels of 0.1 m, the block size of most grids
+FAR = 100_000.0  # metres; within the key range of 0.1 m voxels
 
 
 @dataclass(frozen=True, eq=False)
 class Extent:
-    """Where the points of a sequence lie.
+    """The extent of a sequence.
 
     Attributes:
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
@@ -30,7 +30,7 @@ class Extent:
 
     @classmethod
     def of(cls, *scans: Scan) -> Extent:
-        """The extent of scans in memory."""
+        """The extent of some scans."""
         growing = GrowingExtent()
         for scan in scans:
             growing.add(scan)
@@ -45,22 +45,22 @@ class GrowingExtent:
         self._cells = KeySet()
 
     def add(self, scan: Scan) -> None:
-        """Include a scan.
+        """Add a scan.
 
         Raises:
-            DynavizError: for points or ray origins farther than ``FAR`` from the world's origin.
+            DynavizError: if a point or ray origin is farther than ``FAR`` from the world's origin.
         """
         finite = scan.points if np.isfinite(scan.points).all() else scan.points[np.isfinite(scan.points).all(1)]
         for xyz in (finite, scan.origins):
             if len(xyz):
-                columns = [xyz[:, axis] for axis in range(3)]  # much faster than along rows
+                columns = [xyz[:, axis] for axis in range(3)]  # much faster than reducing rows
                 self._low = np.minimum(self._low, [column.min() for column in columns])
                 self._high = np.maximum(self._high, [column.max() for column in columns])
         farthest = max(-self._low.min(), self._high.max())
         if farthest > FAR:
             raise DynavizError(
                 f"frame {scan.index}: a point or sensor position is {farthest / 1000:.3g} km from the world's origin, "
-                "where float32 is too coarse. Move the origin to where the sensor starts, or remove such points."
+                "where float32 is too coarse. Move the world's origin to the first pose, or remove such points."
             )
         self._cells.add(pack(finite, CELL))
 

@@ -1,4 +1,4 @@
-"""Rigid transforms: inverse, points, quaternions. Elementwise float64, so the same bits on every machine."""
+"""Rigid transforms and quaternions. Elementwise float64, so results are bit-identical on every machine."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dynaviz.arrays import F32, F64
 
 
 def inverse(T_a_b: ArrayLike) -> F64:
-    """T_b_a.
+    """The inverse transform T_b_a.
 
     Args:
         T_a_b: (..., 4, 4) float64, rigid.
@@ -26,16 +26,16 @@ def inverse(T_a_b: ArrayLike) -> F64:
 
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> F64:
-    """(..., 4, 4) float64 T_a_c, one product at a time as in ``apply``."""
+    """The product T_a_c, (..., 4, 4) float64; elementwise, as in ``apply``."""
     A, B = np.asarray(T_a_b, np.float64), np.asarray(T_b_c, np.float64)
     T: F64 = (A[..., :, :, None] * B[..., None, :, :]).sum(-2)
     return T
 
 
 def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
-    """Points in another frame, one coordinate at a time.
+    """Transform points to another frame.
 
-    Never by a matrix product, whose bits depend on machine and threads.
+    Computed one coordinate at a time, because the bits of a matrix product depend on machine and threads.
 
     Args:
         T_a_b: (4, 4) or (3, 4) float64, metres.
@@ -46,7 +46,7 @@ def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
     """
     T = np.asarray(T_a_b, np.float64)
     out = np.empty((len(points), 3))
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite stays so
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite values stay non-finite
         x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
         for axis in range(3):
             out[:, axis] = T[axis, 0] * x + T[axis, 1] * y + T[axis, 2] * z + T[axis, 3]
@@ -54,13 +54,13 @@ def apply(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F64:
 
 
 def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
-    """Points in another frame, rounded to float32 at the end; the rest as in ``apply``."""
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite
+    """Transform points as ``apply`` does, and round the result to float32."""
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow gives infinity
         return apply(T_a_b, points).astype(np.float32)
 
 
 def pose(position: ArrayLike, quaternion: ArrayLike) -> F64:
-    """(4, 4) float64 T_a_b of b's position in a, (3,) metres, and its orientation (qw, qx, qy, qz)."""
+    """T_a_b, (4, 4) float64, from the position of b in a, (3,) metres, and its orientation (qw, qx, qy, qz)."""
     T = np.eye(4)
     T[:3, :3] = matrix(quaternion)
     T[:3, 3] = position
@@ -71,17 +71,17 @@ def matrix(quaternion: ArrayLike) -> F64:
     """Rotation matrix of a quaternion.
 
     Args:
-        quaternion: (4,) float64, (qw, qx, qy, qz), of any sensible length.
+        quaternion: (4,) float64, (qw, qx, qy, qz); need not have unit length.
 
     Returns:
         (3, 3) float64.
 
     Raises:
-        ValueError: for a quaternion of about length zero, beyond a million, or not finite.
+        ValueError: if the largest component is not between 1e-6 and 1e6, or a component is not finite.
     """
     q = np.asarray(quaternion, np.float64)
-    if not 1e-6 < np.abs(q).max() < 1e6:  # also where it is not finite
-        raise ValueError(f"no rotation has the quaternion {q.tolist()}")
+    if not 1e-6 < np.abs(q).max() < 1e6:  # also false for non-finite values
+        raise ValueError(f"invalid quaternion {q.tolist()}")
     w, x, y, z = q / np.sqrt((q * q).sum())
     return np.array(
         [
@@ -95,7 +95,7 @@ def matrix(quaternion: ArrayLike) -> F64:
 def quaternion(R: ArrayLike) -> F64:
     """(4,) float64 unit quaternion (qw, qx, qy, qz), qw >= 0, of a rotation matrix (3, 3).
 
-    The largest of the four is found first and divides the others, so that nothing cancels (Shepperd 1978).
+    The largest component is computed first and divides the others, which avoids cancellation (Shepperd 1978).
     """
     R = np.asarray(R, np.float64)
     trace = R[0, 0] + R[1, 1] + R[2, 2]

@@ -1,7 +1,7 @@
-"""Voxel keys and sets of them: the numpy face of the grid kernels.
+"""Packed voxel keys and sets of them; wraps the voxel kernels.
 
-A voxel of edge ``size`` has integer indices floor(p / size) per axis. Indices are packed into one int64 of three times
-21 bits, so a world may span a million voxels to each side of its origin.
+A voxel of edge ``size`` has the integer index floor(p / size) per axis. The three indices are packed into one int64 of
+three times 21 bits, so a world may span a million voxels to each side of its origin.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ SHIFTS = np.array([X_SHIFT, Y_SHIFT, 0], np.int64)  # of x, y and z in a packed 
 
 
 def pack(points: F32 | F64, size: float) -> I64:
-    """Packed voxel keys.
+    """Compute packed voxel keys.
 
     Args:
         points: (N, 3) float, metres; finite.
-        size: the voxel's edge, metres.
+        size: edge of a voxel, metres.
 
     Returns:
         (N,) int64.
 
     Raises:
-        ValueError: for points that are not finite, or farther than ``REACH`` voxels from the origin.
+        ValueError: if a point is not finite, or farther than ``REACH`` voxels from the origin.
     """
     keys, ok = kernels.voxels.pack(kernels.as_readonly(points, np.float32), float(size))
     if not ok:
@@ -37,9 +37,9 @@ def pack(points: F32 | F64, size: float) -> I64:
 
 
 def in_key_range(points: F32 | F64, size: float) -> Bool:
-    """(N,) bool: whether each of (N, 3) points, metres, is finite and near enough to have a voxel of this edge."""
+    """(N,) bool: whether each of (N, 3) points, metres, is finite and within the key range of this voxel size."""
     limit, near = REACH * size, np.ones(len(points), np.bool_)
-    for axis in range(3):  # by columns, which is far quicker than along the rows
+    for axis in range(3):  # columns are much faster than rows
         near &= np.abs(points[:, axis]) < limit
     return near
 
@@ -50,7 +50,7 @@ def unpack(keys: I64) -> I32:
 
 
 class KeySet:
-    """A growing set of packed keys; memory grows with the number of different keys."""
+    """A growing set of packed keys; memory grows with the number of distinct keys."""
 
     def __init__(self) -> None:
         self._slots = np.full(1024, -1, np.int64)
@@ -60,7 +60,7 @@ class KeySet:
         return self._count
 
     def add(self, keys: I64) -> Bool:
-        """Add keys; (N,) bool: True where a key is new, at its first place."""
+        """Add keys (N,) int64; returns (N,) bool, True at the first occurrence of each new key."""
         room = 2 * (self._count + len(keys))
         if room > len(self._slots):
             self._slots = kernels.voxels.rehash(self._slots, 1 << int(room).bit_length())
@@ -74,15 +74,15 @@ class KeySet:
 
 
 def voxel_downsample(points: F32, size: float) -> tuple[Intp, Intp]:
-    """One point per voxel.
+    """Select one point per voxel.
 
     Args:
         points: (N, 3) float32, metres; finite.
-        size: the voxel's edge, metres.
+        size: edge of a voxel, metres.
 
     Returns:
-        chosen: (M,) the first point of each voxel, in the order of the points.
-        counts: (M,) how many points it stands for.
+        chosen: (M,) rows of the first point of each voxel, in the order of the points.
+        counts: (M,) number of points in that voxel.
     """
     _, first, counts = np.unique(pack(points, size), return_index=True, return_counts=True)
     order = np.argsort(first)

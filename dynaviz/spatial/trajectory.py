@@ -1,4 +1,4 @@
-"""Where the sensor was at any time, and sweeps straightened by it: each point is placed by the pose of its own time."""
+"""Trajectories that interpolate poses, and deskewing: each point is transformed by the pose at its own time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from dynaviz.arrays import F32, F64, I64
 from dynaviz.spatial import geometry
 
 FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "offset_ns")
-"""What the drivers of sensors call the time of a point."""
+"""Names that sensor drivers use for the time of a point."""
 
 TICK = 10_000
-"""Nanoseconds; in half of them a car at 30 m/s goes 0.15 mm."""
+"""Time resolution of deskewing, nanoseconds; in half a tick, a car at 30 m/s moves 0.15 mm."""
 
-_SHORTEST, _LONGEST = 2e6, 2e9  # nanoseconds that a sweep lasts, a factor of 1000 apart: one unit alone fits
-_SAME_CLOCK = 1e10  # nanoseconds between a sweep's stamp and its points' times, where both tell the time of day
+_SHORTEST, _LONGEST = 2e6, 2e9  # duration of a sweep, nanoseconds; a factor of 1000 apart, so that only one unit fits
+_SAME_CLOCK = 1e10  # largest difference of a sweep's stamp and its points' times on one clock, nanoseconds
 
 
 class PosesOverTime(Protocol):
@@ -37,9 +37,9 @@ class PosesOverTime(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses at some times. Between them rotations go at constant rate about one axis, positions along a line.
+    """Poses at some times, with interpolation: constant rotation rate about one axis, positions along a line.
 
-    Before and after them the first and last step go on. A single pose is that of something that stands still.
+    Before the first and after the last pose, the first and last step are extrapolated. A single pose is constant.
 
     Attributes:
         times: (K,) int64, nanoseconds, strictly increasing, K at least 1.
@@ -51,7 +51,7 @@ class Trajectory:
 
     @classmethod
     def of(cls, times: ArrayLike, poses: ArrayLike) -> Trajectory:
-        """Sort by time; of poses at the same time the last one counts."""
+        """Sort poses by time; of several poses at the same time, the last one is used."""
         all_times, all_poses = np.asarray(times, np.int64), np.asarray(poses, np.float64)
         latest_first = slice(None, None, -1)
         unique, row = np.unique(all_times[latest_first], return_index=True)
@@ -59,13 +59,13 @@ class Trajectory:
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time, nanoseconds; without end for a single pose."""
+        """First and last time, nanoseconds; infinite for a single pose."""
         if len(self.times) == 1:
             return -np.inf, np.inf
         return float(self.times[0]), float(self.times[-1])
 
     def at(self, times: ArrayLike) -> F64:
-        """Poses at any times; at a time of its own exactly its pose.
+        """Poses at any times; at the time of a given pose, exactly that pose.
 
         Args:
             times: (N,) int64, nanoseconds.
@@ -92,7 +92,7 @@ class Trajectory:
 
     @cached_property
     def _turns(self) -> F64:
-        """(K - 1, 3) rotation vectors from each pose to the next, in the frame of the former."""
+        """(K - 1, 3) rotation vectors from each pose to the next, in the frame of the first of the two."""
         from scipy.spatial.transform import Rotation
 
         R = self.poses[:, :3, :3]
@@ -101,16 +101,16 @@ class Trajectory:
 
 
 def deskew(points: NDArray[np.floating[Any]], times: I64, path: PosesOverTime) -> tuple[F32, F64]:
-    """Place each point by the pose of its own time, to the nearest ``TICK``.
+    """Transform each point by the pose at its own time, rounded to ``TICK``.
 
     Args:
-        points: (N, 3) float, metres, sensor frame at the point's own time.
+        points: (N, 3) float, metres, sensor frame at the time of each point.
         times: (N,) int64, nanoseconds.
         path: T_world_sensor over time.
 
     Returns:
         points: (N, 3) float32, metres, world frame.
-        origins: (N, 3) float64, metres, world frame: where the sensor was when it measured each point.
+        origins: (N, 3) float64, metres, world frame: sensor position at the time of each point.
     """
     ticks, of = np.unique((times + TICK // 2) // TICK, return_inverse=True)
     T = path.at(ticks * TICK)
@@ -123,13 +123,13 @@ def deskew(points: NDArray[np.floating[Any]], times: I64, path: PosesOverTime) -
 
 
 def unit_of(values: NDArray[Any]) -> float | None:
-    """Nanoseconds a count of per-point times: s, ms, us or ns, told by how long the sweep lasts.
+    """Detect the unit of per-point times (s, ms, us or ns) from the duration of the sweep.
 
     Args:
-        values: (N,) of any number type, as the driver wrote them.
+        values: (N,) of any numeric type, as written by the driver.
 
     Returns:
-        1e9, 1e6, 1e3 or 1; None where they do not span a sweep (2 ms to 2 s in one of the units).
+        Nanoseconds per unit: 1e9, 1e6, 1e3 or 1. None if the times do not span a sweep (2 ms to 2 s) in any unit.
     """
     values = values[np.isfinite(values)]
     if not len(values):
@@ -139,16 +139,16 @@ def unit_of(values: NDArray[Any]) -> float | None:
 
 
 def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
-    """When each point was measured.
+    """Compute the time at which each point was measured.
 
     Args:
-        values: (N,) of any number type: offsets from the sweep's stamp, or times of day. Of another clock than the
-            stamp's, the first point is taken to be measured at the stamp.
-        unit: nanoseconds a count.
-        stamp_ns: the sweep's stamp.
+        values: (N,) of any numeric type: offsets from the sweep's stamp, or absolute times. If they are from another
+            clock than the stamp, the first point gets the time of the stamp.
+        unit: nanoseconds per unit of the values.
+        stamp_ns: stamp of the sweep, nanoseconds.
 
     Returns:
-        (N,) int64, nanoseconds, on the stamp's clock; the stamp where a value is not finite.
+        (N,) int64, nanoseconds, on the stamp's clock; non-finite values get the stamp.
     """
     finite = np.isfinite(values)
     if not finite.any():

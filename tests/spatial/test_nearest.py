@@ -1,4 +1,4 @@
-"""Distances to the nearest point, against all pairs and against a kd-tree."""
+"""Nearest-neighbour distances, compared with all pairs and with a k-d tree."""
 
 import numba
 import numpy as np
@@ -57,7 +57,7 @@ def test_the_limit_itself_is_found():
 
 @settings(deadline=None, max_examples=40)
 @given(CLOUD, CLOUD, st.sampled_from([0.0, 1e-30, 0.05, 1.0, 30.0, 1e30, np.inf]))
-def test_within_asks_whether_the_distance_is_in_the_limit(query, reference, limit):
+def test_within_is_whether_the_distance_is_in_the_limit(query, reference, limit):
     tree = Nearest(reference)
     expected = np.isfinite(brute_force(query, reference, limit))
     np.testing.assert_array_equal(tree.within(query, limit), expected)
@@ -82,7 +82,7 @@ def test_one_tree_answers_many_queries():
     assert len(tree) == len(reference)
 
 
-def test_nothing_near_nothing():
+def test_empty_inputs():
     none, one = np.zeros((0, 3), np.float32), np.zeros((1, 3), np.float32)
     assert nearest_distance(none, one).shape == (0,)
     assert np.isinf(nearest_distance(one, none)).all()

@@ -1,4 +1,4 @@
-"""Poses between poses, and sweeps of a spinning sensor that drives: known walls, independent formulas."""
+"""Interpolated poses, and deskewed sweeps of a moving spinning sensor: known walls, independent formulas."""
 
 from __future__ import annotations
 
@@ -64,16 +64,16 @@ def test_deskewed_points_lie_on_the_walls(rate: int, millimetres: float) -> None
     np.testing.assert_allclose(origins, driven(seconds)[0], atol=millimetres / 1000)
 
 
-def test_a_sweep_that_ends_after_the_last_pose_goes_on_as_before() -> None:
+def test_poses_are_extrapolated_after_the_last_one() -> None:
     knots = np.arange(0, 0.5001, 0.01)
     points, seconds = sweep(0.5)
     straight, _ = deskew(points, ns(seconds), Trajectory.of(ns(knots), poses(knots)))
-    assert off_wall(straight).max() < 0.06  # half a metre and more without
+    assert off_wall(straight).max() < 0.06  # more than half a metre without
 
 
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 30))
-def test_between_poses_as_scipy_says(seed: int, knots: int) -> None:
+def test_interpolation_agrees_with_scipy(seed: int, knots: int) -> None:
     random = np.random.default_rng(seed)
     times = 1_700_000_000_000_000_000 + np.sort(random.choice(10**9, knots, replace=False))
     turns, positions = Rotation.random(knots, rng=random), random.normal(size=(knots, 3)) * 50
@@ -88,17 +88,17 @@ def test_between_poses_as_scipy_says(seed: int, knots: int) -> None:
         np.testing.assert_allclose(
             found[:, axis, 3], np.interp(asked - times[0], times - times[0], positions[:, axis]), atol=1e-9
         )
-    np.testing.assert_array_equal(path.at(times), T)  # bit for bit where a pose is known
+    np.testing.assert_array_equal(path.at(times), T)  # bit-identical at given poses
 
 
-def test_the_order_of_poses_does_not_matter_and_the_last_of_two_counts() -> None:
+def test_the_order_of_poses_does_not_matter_and_the_last_of_two_is_used() -> None:
     T = poses(np.array([0.3, 0.1, 0.2, 0.1]))
     path = Trajectory.of([30, 10, 20, 10], T)
     np.testing.assert_array_equal(path.times, [10, 20, 30])
     np.testing.assert_array_equal(path.poses, T[[3, 2, 0]])
 
 
-def test_a_single_pose_stands_still() -> None:
+def test_a_single_pose_is_constant() -> None:
     path = Trajectory.of([5], poses(np.array([1.0])))
     assert path.span == (-np.inf, np.inf)
     np.testing.assert_array_equal(path.at([-100, 5, 10**18]), np.repeat(path.poses, 3, 0))
@@ -129,12 +129,12 @@ def test_times_of_all_drivers(values: np.ndarray, first: int) -> None:
     np.testing.assert_allclose((times - STAMP - first) / 1e9, OFFSETS, atol=2e-6)
 
 
-def test_times_that_span_no_sweep_are_none() -> None:
+def test_times_that_do_not_span_a_sweep_have_no_unit() -> None:
     for values in (np.zeros(5), np.full(5, np.nan), np.empty(0), np.array([0.0, 1e-13]), np.array([0, 3e9])):
         assert unit_of(values) is None
 
 
-def test_a_point_without_time_has_that_of_the_sweep() -> None:
+def test_a_point_without_time_gets_the_stamp() -> None:
     times = point_times(np.array([0.0, np.nan, 0.05]), 1e9, STAMP)
     assert (times - STAMP).tolist() == [0, 0, 50_000_000]
     assert (point_times(np.full(2, np.nan), 1e9, STAMP) == STAMP).all()
