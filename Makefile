@@ -30,7 +30,7 @@ boundscheck: .venv/.dev  # test the kernels with bounds checking
 # Coverage cannot see the lines of compiled kernels, so their tests on small worlds run again as plain Python. Plain Python warns
 # when integers overflow, and cannot convert NaN to an integer. tests/README.md lists what this leaves out.
 PLAIN := not finite and (odd_scans or log_odds or lines_protect or box_goes or empty or few_points or lzf or touched or \
-	of_a_pixel or key_set or lower_edge or limit_itself or all_pairs or tree_holds or outliers or steep or components or \
+	of_a_pixel or key_set or lower_edge or limit_itself or all_pairs or outliers or steep or components or \
 	dilation or seethrough_keeps)
 coverage: .venv/.dev
 	$(BIN)/pytest -q $(ALL_CORES) --cov --cov-report=
