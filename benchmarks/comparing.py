@@ -27,7 +27,7 @@ start = time.perf_counter()
 import dynaviz as dv
 from dynaviz.engine.loop import peak_rss_mb
 comparison = dv.compare(*sys.argv[2:], out=sys.argv[1] or None)
-seconds, points = time.perf_counter() - start, comparison.sequence["points"]
+seconds, points = time.perf_counter() - start, comparison.sequence.points
 print(json.dumps({"seconds": seconds, "cpu": time.process_time(), "peak_mb": peak_rss_mb(), "points": points}))
 """
 

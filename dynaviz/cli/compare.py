@@ -12,23 +12,33 @@ from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("compare")(compare)
 
 
 def compare(
-    recordings: Annotated[list[Path], typer.Argument(metavar="A.rrd B.rrd...", help="Runs on the same sequence.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Recording that shows them side by side.")] = Path(
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="A.rrd B.rrd...", help="Recordings of runs on the same sequence. All are compared with A."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Recording to write, with the runs side by side.")] = Path(
         "compare.rrd"
     ),
-    view: Annotated[bool, typer.Option("--view", help="Open it in a viewer.")] = False,
-    json: Annotated[Path | None, typer.Option(help="Write everything printed here, for machines.")] = None,
+    view: Annotated[bool, typer.Option("--view", help="Open the written recording in the viewer.")] = False,
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the comparison to a JSON file.")] = None,
     fail_below: Annotated[
         float | None,
-        typer.Option(metavar="DELTA", help="Exit with 1 if AA minus A's AA is below DELTA for any other run."),
+        typer.Option(
+            metavar="DELTA", help="Exit with code 1 if the AA of any other run minus the AA of A is below DELTA."
+        ),
     ] = None,
 ) -> None:
-    """Say what differs between runs: scores, who is right, where and when; and show them side by side.
+    """Compare runs on the same sequence.
+
+    Shows the difference in scores, which run is right where they disagree, and the places and frames of the
+    differences. Writes a recording with the runs side by side.
 
     \b
     dynaviz compare recordings/street/octomap/run.rrd recordings/street/dufomap/run.rrd
@@ -37,9 +47,9 @@ def compare(
     """
     from dynaviz import api
 
-    with progress("compare") as tell:
-        comparison = api.compare(*recordings, out=out, progress=tell)
-    show(comparison, f"Written to {out}. Look at it: {program()} view {out}")
+    with progress("compare", unit="recordings") as report:
+        comparison = api.compare(*recordings, out=out, progress=report)
+    show(comparison, f"Written to {out}. Open it with: {program()} view {out}")
     if json is not None:
         comparison.save(json)
         show(f"Written to {json}.")
@@ -47,7 +57,7 @@ def compare(
         from dynaviz.viz.view import view as open_viewer
 
         open_viewer([out])
-    if fail_below is not None and (fallen := comparison.fallen(fail_below)):
-        for line in fallen:
+    if fail_below is not None and (drops := comparison.drops_below(fail_below)):
+        for line in drops:
             print(f"dynaviz: {line}", file=sys.stderr)
         raise typer.Exit(1)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import U8, Bool
 from dynaviz.metric import Labelled
+from dynaviz.results.scores import RANGE_EDGES
 from dynaviz.scan import Label, Scan, outcomes
 
-BANDS = (10.0, 20.0, 30.0, 50.0)  # metres from the ray's origin: 0-10, 10-20, 20-30, 30-50, 50+
-BAND_NAMES = ("0-10 m", "10-20 m", "20-30 m", "30-50 m", "50+ m")
+BAND_NAMES = ("0-10 m", "10-20 m", "20-30 m", "30-50 m", "50+ m")  # of the bins of RANGE_EDGES
 ARCHETYPE = "dynaviz.Answers"
 
 
@@ -78,10 +78,9 @@ class Answers:
 
 def range_bands(scan: Scan) -> U8:
     """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``; the last if not finite."""
-    offset = scan.points - scan.origins.astype(np.float32)
-    squared = np.einsum("ij,ij->i", offset, offset)
+    squared = scan.squared_ranges()
     bands = np.zeros(len(squared), np.uint8)
-    for limit in BANDS:
+    for limit in RANGE_EDGES:
         bands += ~(squared < limit * limit)  # written so that NaN counts as far
     return bands
 

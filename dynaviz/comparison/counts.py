@@ -1,16 +1,18 @@
-"""What differs between two runs on the same points, in numbers: scores, who is right, and where and when it changes.
+"""Numbers behind a comparison of two runs on the same points: scores, agreement, and gains by frame and place.
 
-Everything follows from counts of points. A change is told as a *gain*: how much less the second run loses than the
-first, in percentage points of SA and of DA. Gains add up: those of all frames, or of all places, are the difference of
-the runs' scores. So a hundred static points weigh little beside a hundred dynamic ones, as they do in the scores.
+Everything follows from counts of points. A *gain* is how much less the second run loses than the first, in percentage
+points of SA and of DA. Gains are additive: summed over all frames, or over all places, they give the difference of the
+scores. Because a sequence has far more static than dynamic points, 100 static points change a gain far less than 100
+dynamic ones, just as in the scores.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -22,32 +24,51 @@ TRUTHS = ("static", "dynamic")
 AGREEMENT = ("neither", "only_first", "only_second", "both")  # bit 0: the first run is right; bit 1: the second is
 NEITHER, FIRST, SECOND, BOTH = range(4)
 SCORES = ("SA", "DA", "AA", "HA")  # percent
-WRONG = ("FP", "FN")  # points: static ones removed, dynamic ones kept
-MOST = 10  # frames and places that are named
-PLACE = 5.0  # metres: edge of the cells of the ground that are called places
+WRONG = ("FP", "FN")  # points: static points removed, dynamic points kept
+PLACE = 5.0  # metres: edge of the square columns called places
 LEVEL = 0.95
 RESAMPLES = 4000
 SEED = 0
 _REASONS = 256
 _REACH = 1 << 31  # cells along y
 
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class ByScore(Generic[T]):
+    """One value for each score: SA, DA, AA and HA in percent, FP and FN in points."""
+
+    SA: T
+    DA: T
+    AA: T
+    HA: T
+    FP: T
+    FN: T
+
+    def items(self) -> Iterator[tuple[str, T]]:
+        """Names and values, in the order of tables."""
+        for field in dataclasses.fields(self):
+            yield field.name, getattr(self, field.name)
+
 
 def agreement(truth: U8, first: Bool, second: Bool) -> U8:
     """(N,) uint8, an index into ``AGREEMENT`` per point; truth (N,) uint8, answers (N,) bool, True = dynamic."""
-    moves = truth == Label.DYNAMIC
-    right: U8 = (first == moves) + np.uint8(2) * (second == moves)
+    dynamic = truth == Label.DYNAMIC
+    right: U8 = (first == dynamic) + np.uint8(2) * (second == dynamic)
     return right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgreementCounts:
-    """The labelled points of two runs, crossed.
+    """Counts of the labelled points by which of two runs labelled them correctly.
 
     Attributes:
         index: (F,) int64, numbers of the frames in their data set.
-        frames: (F, 2, 4) int64, points by frame, truth (``TRUTHS``) and who is right (``AGREEMENT``).
-        bands: (2, 4, 5) int64, points by truth, who is right and range band.
-        reasons: (2, 4, 256, 256) int64, points that not both have right, by the first's and the second's reason code.
+        frames: (F, 2, 4) int64, points by frame, truth (``TRUTHS``) and agreement (``AGREEMENT``).
+        bands: (2, 4, 5) int64, points by truth, agreement and range band.
+        reasons: (2, 4, 256, 256) int64, points that at least one run got wrong, by truth, agreement and the reason
+            codes of the first and of the second run.
     """
 
     index: I64
@@ -57,16 +78,16 @@ class AgreementCounts:
 
     @property
     def points(self) -> I64:
-        """(2, 4) int64: points by truth and who is right."""
+        """(2, 4) int64: points by truth and agreement."""
         points: I64 = self.frames.sum(0)
         return points
 
 
 def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> AgreementCounts:
-    """Cross two runs, frame by frame.
+    """Count agreement between two runs, frame by frame.
 
     Raises:
-        ValueError: where the answers are not of the same points.
+        ValueError: if the two runs differ in their frames or points.
     """
     index, frames = [], []
     bands = np.zeros((len(TRUTHS), len(AGREEMENT), len(BAND_NAMES)), np.int64)
@@ -87,14 +108,14 @@ def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> Agre
     return AgreementCounts(np.array(index, np.int64), counts, bands, reasons)
 
 
-def scores(counts: I64 | F64) -> tuple[dict[str, F64], dict[str, F64]]:
-    """SA, DA, AA, HA in percent, and FP and FN in points, of the first and of the second run.
+def scores(counts: I64 | F64) -> tuple[ByScore[F64], ByScore[F64]]:
+    """Scores of the first and of the second run.
 
     Args:
-        counts: (..., 2, 4), points by truth and who is right.
+        counts: (..., 2, 4), points by truth and agreement.
 
     Returns:
-        Two dictionaries of (...) float64; NaN where undefined.
+        For each run (...) float64 per score; NaN where undefined.
     """
     total = counts.sum(-1)
     found = []
@@ -105,38 +126,37 @@ def scores(counts: I64 | F64) -> tuple[dict[str, F64], dict[str, F64]]:
             sa, da = accuracy[..., 0], accuracy[..., 1]
             ha = np.where(sa + da == 0, 0.0, 2 * sa * da / (sa + da))
         wrong = (total - right).astype(np.float64)
-        values = (sa, da, np.sqrt(sa * da), ha, wrong[..., 0], wrong[..., 1])
-        found.append(dict(zip((*SCORES, *WRONG), values, strict=True)))
+        found.append(ByScore(sa, da, np.sqrt(sa * da), ha, wrong[..., 0], wrong[..., 1]))
     return found[0], found[1]
 
 
 def block_length(frames: int) -> int:
-    """Frames in a block of the resampling: the square root of their number."""
+    """Frames per block of the bootstrap: the square root of their number."""
     return max(1, round(math.sqrt(frames)))
 
 
-def intervals(frames: I64, resamples: int = RESAMPLES, level: float = LEVEL) -> dict[str, tuple[float, float] | None]:
-    """Confidence intervals of the differences of all scores, by a paired bootstrap over blocks of frames.
+def intervals(frames: I64, resamples: int = RESAMPLES, level: float = LEVEL) -> ByScore[tuple[float, float] | None]:
+    """Confidence intervals of the score differences, by a paired circular block bootstrap over frames.
 
-    A resample draws blocks of successive frames with replacement, the same ones for both runs, and takes the scores of
-    the summed counts. Blocks, since a frame shows nearly the same points and objects as the one before: drawn one by
-    one, as ``scipy.stats.bootstrap`` does, correlated frames would pass for independent ones, and the interval
-    would be several times too narrow. They are circular (the last frame is followed by the first), so that each frame
-    is drawn equally often, and as long as the square root of the number of frames. The percentile interval holds for
-    this drive: how much the difference depends on its stretches. Of other drives it says nothing.
+    Each resample draws blocks of consecutive frames with replacement, the same blocks for both runs, and computes the
+    scores of the summed counts. Blocks are needed because consecutive frames show nearly the same points and objects:
+    drawing single frames, as ``scipy.stats.bootstrap`` does, would treat correlated frames as independent and make the
+    interval several times too narrow. Blocks are circular (the last frame is followed by the first), so that each frame
+    is drawn equally often, and their length is the square root of the number of frames. The percentile interval is
+    valid for this drive: it shows how much the difference depends on single stretches of it. It says nothing about
+    other drives.
 
     Args:
-        frames: (F, 2, 4), points by frame, truth and who is right.
-        resamples: how many.
-        level: of confidence.
+        frames: (F, 2, 4), points by frame, truth and agreement.
+        resamples: number of resamples.
+        level: confidence level.
 
     Returns:
-        (low, high) of second minus first by score; None below two frames, or where no resample defines it.
+        (low, high) of second minus first by score; None below two frames, or if no resample defines the score.
     """
     n = len(frames)
-    names = (*SCORES, *WRONG)
     if n < 2:
-        return dict.fromkeys(names)
+        return ByScore(None, None, None, None, None, None)
     length = block_length(n)
     around = np.concatenate([frames, frames[: length - 1]]).astype(np.float64)
     sums = np.concatenate([np.zeros((1, *frames.shape[1:])), around.cumsum(0)])
@@ -144,18 +164,21 @@ def intervals(frames: I64, resamples: int = RESAMPLES, level: float = LEVEL) -> 
     starts = np.random.default_rng(SEED).integers(0, n, (resamples, -(-n // length)))
     drawn = blocks[starts].sum(1) * (n / (starts.shape[1] * length))
     first, second = scores(drawn)
-    found: dict[str, tuple[float, float] | None] = {}
-    for name in names:
-        differences = second[name] - first[name]
-        differences = differences[np.isfinite(differences)]
-        tail = (1 - level) / 2
-        low_high = np.quantile(differences, [tail, 1 - tail]).tolist() if len(differences) else None
-        found[name] = None if low_high is None else (low_high[0], low_high[1])
-    return found
+    pairs = zip(first.items(), second.items(), strict=True)
+    return ByScore(*(_percentiles(b - a, level) for (_, a), (_, b) in pairs))
+
+
+def _percentiles(differences: F64, level: float) -> tuple[float, float] | None:
+    differences = differences[np.isfinite(differences)]
+    if not len(differences):
+        return None
+    tail = (1 - level) / 2
+    low, high = np.quantile(differences, [tail, 1 - tail]).tolist()
+    return low, high
 
 
 def gains(wrong_first: I64, wrong_second: I64, total: I64) -> F64:
-    """How much less the second loses than the first.
+    """How much less the second run loses than the first.
 
     Args:
         wrong_first, wrong_second: (..., 2), wrong points by truth.
@@ -168,16 +191,17 @@ def gains(wrong_first: I64, wrong_second: I64, total: I64) -> F64:
     return gain
 
 
-def frame_gains(crossed: AgreementCounts) -> F64:
-    """(F, 2) float64: the gain of each frame, percentage points of the run's SA and DA; adding up to the difference."""
-    return gains(crossed.frames[..., SECOND], crossed.frames[..., FIRST], crossed.points.sum(1))
+def frame_gains(counts: AgreementCounts) -> F64:
+    """(F, 2) float64: the gain of each frame in percentage points of the run's SA and DA; sums to the difference."""
+    return gains(counts.frames[..., SECOND], counts.frames[..., FIRST], counts.points.sum(1))
 
 
 class SpatialCells:
-    """Where a run is wrong: its wrong points by square columns of the world, from the points that were drawn.
+    """Wrong points of a run, counted by square columns of the world, from the points that were drawn.
 
-    Columns begin at whole metres, as the voxels do in which a recording thins false positives; so one of whole metres
-    holds all points that a drawn one stands for, but for some within rounding of its border.
+    Columns start at whole metres, like the voxels used to downsample false positives in a recording. A column whose
+    size is a whole number of metres therefore contains all points a drawn point stands for, except for rounding at its
+    border.
 
     Args:
         size: edge of a column, metres.
@@ -191,7 +215,7 @@ class SpatialCells:
         self._frames: list[int] = []
 
     def add(self, frame: int, xyz: F32, outcome: U8, stands_for: I64) -> None:
-        """Add drawn points: xyz (M, 3) metres, world frame; outcome (M,), stands_for (M,). Finite ones have a place."""
+        """Add drawn points: xyz (M, 3) metres, world frame; outcome (M,), stands_for (M,). Skips non-finite points."""
         wrong = np.isin(outcome, (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)) & np.isfinite(xyz).all(1)
         xyz, weight = xyz[wrong].astype(np.float64), stands_for[wrong]
         cell = np.floor(xyz[:, :2] / self.size).astype(np.int64)
@@ -203,7 +227,7 @@ class SpatialCells:
         self._frames.append(frame)
 
     def rows(self) -> tuple[I64, I64, I64, F64]:
-        """A cell in a frame each: packed cells (K,), frames (K,), wrong points by truth (K, 2), their summed z (K,)."""
+        """One row per cell and frame: packed cells (K,), frames (K,), wrong points by truth (K, 2), summed z (K,)."""
         counts: I64 = np.concatenate([np.empty((0, 2), np.int64), *self._counts])
         frames = np.repeat(np.array(self._frames, np.int64), [len(part) for part in self._keys])
         keys = np.concatenate([np.empty(0, np.int64), *self._keys])
@@ -217,7 +241,7 @@ class SpatialCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpatialGains:
-    """Places where one of two runs is wrong.
+    """Places where at least one of two runs is wrong.
 
     Attributes:
         low: (K, 3) float64, metres, world frame: lower corner in x and y, mean height of wrong points in z.
@@ -234,12 +258,12 @@ class SpatialGains:
     frame: I64
 
     def order(self) -> Intp:
-        """(K,) largest change first; those without any left out."""
-        return _largest(self.gain)
+        """(K,) places by absolute gain, largest first; unchanged places are left out."""
+        return largest(self.gain)
 
 
 def spatial_gains(first: SpatialCells, second: SpatialCells, total: I64) -> SpatialGains:
-    """Cross the places of two runs; total (2,): all points of the run by truth."""
+    """Gains by place; total (2,): all points of the run by truth."""
     sides = [first.rows(), second.rows()]
     keys, frames, counts, heights = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     side = np.repeat([0, 1], [len(part[0]) for part in sides])
@@ -253,7 +277,7 @@ def spatial_gains(first: SpatialCells, second: SpatialCells, total: I64) -> Spat
 
 
 def _worst_frames(of: I64, frames: I64, side: I64, counts: I64, gain: F64, total: I64) -> I64:
-    """The frame in which each place changes most towards its winner."""
+    """The frame in which each place changes most in the direction of its total gain."""
     worst = np.zeros(len(gain), np.int64)
     if not len(of):
         return worst
@@ -265,109 +289,13 @@ def _worst_frames(of: I64, frames: I64, side: I64, counts: I64, gain: F64, total
     place, frame = np.divmod(visits, frames.max() + 1)
     towards *= np.sign(gain.sum(1))[place]
     order = np.argsort(towards, kind="stable")
-    worst[place[order]] = frame[order]  # the last one written is the largest
+    worst[place[order]] = frame[order]  # the last write is the largest
     return worst
 
 
-def _largest(gain: F64) -> Intp:
-    """Rows by the size of their summed gain, the largest first; those that change nothing left out."""
+def largest(gain: F64) -> Intp:
+    """Rows of (K, 2) gains by the absolute value of their sum, largest first; zero rows are left out."""
     total = np.abs(gain.sum(1))
     order = np.argsort(-total, kind="stable")
     chosen: Intp = order[total[order] > 0]
     return chosen
-
-
-def run_scores(points: I64) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    """Scores of the first and of the second run as plain JSON values; points (2, 4) by truth and who is right."""
-    first, second = scores(points)
-    return {n: _plain(v) for n, v in first.items()}, {n: _plain(v) for n, v in second.items()}
-
-
-def compare_pair(
-    crossed: AgreementCounts, places: SpatialGains | None, reasons: tuple[Mapping[int, str], Mapping[int, str]]
-) -> dict[str, Any]:
-    """All that differs, as plain JSON values; percentages are None where undefined.
-
-    Args:
-        crossed: the runs' points.
-        places: where each is wrong, or None where a recording holds no coordinates.
-        reasons: names of the reason codes of the first and of the second.
-    """
-    a, b = scores(crossed.points)
-    within = intervals(crossed.frames)
-    return {
-        "scores": {
-            name: {
-                "first": _plain(a[name]),
-                "second": _plain(b[name]),
-                "delta": _plain(b[name] - a[name]),
-                "interval": within[name],
-            }
-            for name in (*SCORES, *WRONG)
-        },
-        "right": _by_truth(crossed.points),
-        "by_range": [{"band": name, **_by_truth(crossed.bands[..., i])} for i, name in enumerate(BAND_NAMES)],
-        "by_reason": _by_reason(crossed.reasons, reasons),
-        "frames": _frames(crossed),
-        "places": None if places is None else _places(places),
-    }
-
-
-def _by_truth(points: I64) -> dict[str, dict[str, int]]:
-    return {truth: dict(zip(AGREEMENT, row.tolist(), strict=True)) for truth, row in zip(TRUTHS, points, strict=True)}
-
-
-def _by_reason(counts: I64, names: tuple[Mapping[int, str], Mapping[int, str]]) -> list[dict[str, Any]]:
-    """Points by the reason of whoever is wrong; None for whoever is right. The largest number first."""
-    rows: list[dict[str, Any]] = []
-    for truth, kind in np.ndindex(len(TRUTHS), BOTH):
-        crossed = counts[truth, kind]
-        # Whoever is right needs no excuse: its reasons are summed.
-        summed = crossed.sum(0, keepdims=True) if kind == FIRST else crossed
-        summed = crossed.sum(1, keepdims=True) if kind == SECOND else summed
-        for i, j in np.argwhere(summed).tolist():
-            first = None if kind == FIRST else names[0].get(i, str(i))
-            second = None if kind == SECOND else names[1].get(j, str(j))
-            place = {"truth": TRUTHS[truth], "right": AGREEMENT[kind], "first_reason": first, "second_reason": second}
-            rows.append({**place, "points": int(summed[i, j])})
-    return sorted(rows, key=lambda row: -row["points"])
-
-
-def _frames(crossed: AgreementCounts) -> list[dict[str, Any]]:
-    gain = frame_gains(crossed)
-    order = _largest(gain)[:MOST]
-    a, b = scores(crossed.frames)
-    return [
-        {
-            "frame": int(f),
-            "index": int(crossed.index[f]),
-            **_gain(gain[f]),
-            **{side: {name: int(s[name][f]) for name in WRONG} for side, s in (("first", a), ("second", b))},
-        }
-        for f in order
-    ]
-
-
-def _places(places: SpatialGains) -> list[dict[str, Any]]:
-    return [
-        {
-            "low": places.low[k, :2].tolist(),
-            "high": (places.low[k, :2] + places.size).tolist(),
-            "height": float(places.low[k, 2]),
-            "frame": int(places.frame[k]),
-            **_gain(places.gain[k]),
-            **{
-                side: dict(zip(WRONG, wrong.tolist(), strict=True))
-                for side, wrong in zip(("first", "second"), places.wrong[k], strict=True)
-            },
-        }
-        for k in places.order()[:MOST]
-    ]
-
-
-def _gain(gain: F64) -> dict[str, Any]:
-    return {"gain": float(gain.sum()), "gain_SA": float(gain[0]), "gain_DA": float(gain[1])}
-
-
-def _plain(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None

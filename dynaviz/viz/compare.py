@@ -1,4 +1,4 @@
-"""Compare recordings of the same points: open them, refuse what does not compare, count, and draw."""
+"""Compare recordings of the same points: open and check them, count agreement, and write a merged recording."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from dynaviz.comparison.counts import (
     AgreementCounts,
     SpatialCells,
     SpatialGains,
-    compare_pair,
     count_agreement,
-    run_scores,
     spatial_gains,
 )
-from dynaviz.comparison.summary import Comparison, differences, names, runtimes
+from dynaviz.comparison.pair import ComparedRun, PairComparison, ReasonNames, Scores, compare_pair, run_scores
+from dynaviz.comparison.settings import names
+from dynaviz.comparison.summary import Comparison
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
@@ -38,44 +38,30 @@ def compare(
     Args:
         recordings: two or more, at most one for each of ``LETTERS``; each is compared with the first.
         out: where to write a recording that shows them side by side; None writes none.
-        progress: called with a phase, and how many recordings of how many are done.
+        progress: called with a phase, the number of recordings done, and their total number.
 
     Raises:
         UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
-        DataError: for a recording that cannot be read, of a run that was not finished, without ground truth, or of
-            other points than the first.
+        DataError: for a recording that cannot be read, of an unfinished run, without ground truth, or of other points
+            than the first.
     """
     opened = _open(recordings, out)
     results = [_result(recording) for recording in opened]
-    crossed = []
-    for done, other in enumerate(opened[1:], 1):
-        crossed.append(_cross(opened[0], other))
-        progress("answers", done, len(opened) - 1)
-    total = crossed[0].points.sum(1)
-    if not total.sum():
-        raise DataError(opened[0].path, "has no labelled point to compare", hint="Run on a sequence with ground truth")
-    blind = [recording for recording in opened if recording.properties["mode"] == "scores"]
-    places: list[tuple[SpatialCells, SpatialCells]] = []
-    for done, recording in enumerate([] if blind else opened, 1):
-        places.append(_places(recording))
-        progress("places", done, len(opened))
+    counts = _count(opened, progress)
+    total = counts[0].points.sum(1)
+    places = _cells(opened, progress)
     pairs = []
-    for i, this in enumerate(crossed, 1):
-        where = spatial_gains(places[0][0], places[i][0], total) if places else None
-        pair = compare_pair(this, where, (_legend(opened[0]), _legend(opened[i])))
-        about = {"first": LETTERS[0], "second": LETTERS[i]}
-        settings = {"differ": differences(results[0], results[i]), "runtime": runtimes(results[0], results[i])}
-        pairs.append({**about, **pair, "places_note": _note(opened[0], opened[i]), **settings})
-    runs = [
-        _run(*what, _side(crossed, i))
-        for i, what in enumerate(zip(LETTERS, names(results, [r.path for r in opened]), opened, results, strict=False))
-    ]
-    comparison = Comparison(dict(results[0].sequence), runs, pairs)
+    for i in range(1, len(opened)):
+        gains = spatial_gains(places[0][0], places[i][0], total) if places else None
+        pairs.append(_pair(i, opened, results, counts[i - 1], gains))
+    labels = names(results, [recording.path for recording in opened])
+    runs = [_run(i, name, opened[i], results[i], _scores(counts, i)) for i, name in enumerate(labels)]
+    comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs))
     if out is not None:
         from dynaviz.viz import merge
 
         fine: list[SpatialGains] = [spatial_gains(places[0][1], other[1], total) for other in places[1:]]
-        merge.write(Path(out), opened, comparison, crossed, fine, progress)
+        merge.write(Path(out), opened, comparison, counts, fine, progress)
     return comparison
 
 
@@ -90,12 +76,12 @@ def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] |
         p = recording.properties
         if not recording.complete:
             hint = "Run it again" + (f" with: {p['command']}" if p.get("command") else "")
-            raise DataError(recording.path, "holds a run that was not finished", hint=hint)
+            raise DataError(recording.path, "contains an unfinished run", hint=hint)
         if not p["has_labels"]:
             hint = "Run on a sequence with ground truth"
-            raise DataError(recording.path, "has no ground truth, so that nothing is right or wrong", hint=hint)
+            raise DataError(recording.path, "has no ground truth, so errors cannot be computed", hint=hint)
         if p["digest"] != first["digest"]:
-            problem = f"is of other points than {opened[0].path}: {_data(p)} instead of {_data(first)}"
+            problem = f"is from a different sequence than {opened[0].path}: {_data(p)} instead of {_data(first)}"
             raise DataError(recording.path, problem, hint="Run both on the same sequence and --frames")
     return opened
 
@@ -105,60 +91,90 @@ def _data(p: dict[str, Any]) -> str:
 
 
 def _result(recording: RunRecording) -> Result:
-    if recording.result is None:  # told apart before; a run that is finished has one
-        raise DataError(recording.path, "holds no result", hint="Run it again")
+    if recording.result is None:  # unfinished runs were refused before
+        raise DataError(recording.path, "contains no result", hint="Run it again")
     return recording.result
 
 
-def _cross(first: RunRecording, second: RunRecording) -> AgreementCounts:
-    try:
-        return count_agreement(first.answers(), second.answers())
-    except ValueError as error:
-        problem = f"does not hold the same points as {first.path} ({error})"
-        raise DataError(second.path, problem, hint="Run both methods again") from error
+def _count(opened: Sequence[RunRecording], progress: Progress) -> list[AgreementCounts]:
+    """Agreement of the first run with each other."""
+    counts = []
+    for done, other in enumerate(opened[1:], 1):
+        try:
+            counts.append(count_agreement(opened[0].answers(), other.answers()))
+        except ValueError as error:
+            problem = f"does not contain the same points as {opened[0].path} ({error})"
+            raise DataError(other.path, problem, hint="Run both methods again") from error
+        progress("answers", done, len(opened) - 1)
+    if not counts[0].points.sum():
+        raise DataError(opened[0].path, "has no labelled point to compare", hint="Run on a sequence with ground truth")
+    return counts
 
 
-def _places(recording: RunRecording) -> tuple[SpatialCells, SpatialCells]:
-    named, fine = SpatialCells(), SpatialCells(FINE)
-    for drawn in recording.drawn():
-        for places in (named, fine):
-            places.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
-    return named, fine
+def _cells(opened: Sequence[RunRecording], progress: Progress) -> list[tuple[SpatialCells, SpatialCells]]:
+    """Wrong points of each run by place, and by the smaller cells that are drawn; empty without coordinates."""
+    if any(recording.properties["mode"] == "scores" for recording in opened):
+        return []
+    cells = []
+    for done, recording in enumerate(opened, 1):
+        coarse, fine = SpatialCells(), SpatialCells(FINE)
+        for drawn in recording.drawn():
+            coarse.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
+            fine.add(drawn.frame, drawn.xyz, drawn.outcome, drawn.stands_for)
+        cells.append((coarse, fine))
+        progress("places", done, len(opened))
+    return cells
 
 
-def _side(crossed: Sequence[AgreementCounts], i: int) -> dict[str, float | None]:
-    """The scores of a run: the first's are in each pair, another's in its own."""
-    return run_scores(crossed[max(i - 1, 0)].points)[min(i, 1)]
+def _pair(
+    i: int,
+    opened: Sequence[RunRecording],
+    results: Sequence[Result],
+    counts: AgreementCounts,
+    gains: SpatialGains | None,
+) -> PairComparison:
+    first, second = opened[0], opened[i]
+    return compare_pair(
+        (LETTERS[0], LETTERS[i]),
+        (results[0], results[i]),
+        counts,
+        (_reason_names(first), _reason_names(second)),
+        gains,
+        _note(first, second),
+    )
 
 
-def _legend(recording: RunRecording) -> dict[int, str]:
+def _reason_names(recording: RunRecording) -> ReasonNames:
     return {code: reason.name for code, reason in enumerate(recording.reasons)}
 
 
 def _note(first: RunRecording, second: RunRecording) -> str:
     for recording in (first, second):
         if recording.properties["mode"] == "scores":
-            return f"none: {recording.path} holds no coordinates (--record scores)"
-    return f"columns of {PLACE:g} m by their lower corner, and the frame that changes each most"
+            return f"none: {recording.path} contains no coordinates (--record scores)"
+    return f"Columns of {PLACE:g} m; x, y: lower corner; frame: where the place changes most"
 
 
-def _run(
-    letter: str, name: str, recording: RunRecording, result: Result, found: dict[str, float | None]
-) -> dict[str, Any]:
-    return {
-        "letter": letter,
-        "name": name,
-        "path": os.fspath(recording.path),
-        "sha256": sha256(recording.path),
-        "method": result.method,
-        "title": recording.properties["title"],
-        "mode": recording.properties["mode"],
-        "scoring": result.scoring,
-        "online": result.online,
-        "seed": result.seed,
-        "parameters": result.parameters,
-        "scores": found,
-        "runtime": result.runtime,
-        "instrumented": result.instrumented,
-        "command": result.command,
-    }
+def _scores(counts: Sequence[AgreementCounts], i: int) -> Scores:
+    """The scores of a run: the first run is in each pair, any other in its own."""
+    return run_scores(counts[max(i - 1, 0)].points)[min(i, 1)]
+
+
+def _run(i: int, name: str, recording: RunRecording, result: Result, scores: Scores) -> ComparedRun:
+    return ComparedRun(
+        letter=LETTERS[i],
+        name=name,
+        path=os.fspath(recording.path),
+        sha256=sha256(recording.path),
+        method=result.method,
+        title=recording.properties["title"],
+        mode=recording.properties["mode"],
+        scoring=result.scoring,
+        online=result.online,
+        seed=result.seed,
+        parameters=result.parameters,
+        scores=scores,
+        runtime=result.runtime,
+        instrumented=result.instrumented,
+        command=result.command,
+    )

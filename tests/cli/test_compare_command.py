@@ -24,20 +24,20 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_tables_a_recording_and_json(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
     out, plain = tmp_path / "deep/both.rrd", tmp_path / "both.json"
-    code, said, err = run_command("compare", *recordings, "-o", out, "--json", plain)
+    code, shown, err = run_command("compare", *recordings, "-o", out, "--json", plain)
     assert code == 0, err
-    assert "answers 1/1" in err
+    assert "1/1 recordings" in err
     content = json.loads(plain.read_text())
     score = content["pairs"][0]["scores"]["AA"]
-    assert f"{score['first']:.2f}" in said
-    assert f"{score['delta']:+.2f}" in said
-    assert "holds no coordinates" in said
+    assert f"{score['first']:.2f}" in shown
+    assert f"{score['delta']:+.2f}" in shown
+    assert "contains no coordinates" in shown
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["both.json", "both.rrd"]
-    code, said, _ = run_command("info", out)
-    assert (code, "octomap resolution=0.6" in said) == (0, True)
+    code, shown, _ = run_command("info", out)
+    assert (code, "octomap resolution=0.6" in shown) == (0, True)
 
 
-def test_without_a_name_it_lands_here(
+def test_the_default_output_is_in_the_working_directory(
     run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -45,16 +45,17 @@ def test_without_a_name_it_lands_here(
     assert [path.name for path in tmp_path.iterdir()] == ["compare.rrd"]
 
 
-def test_exit_codes_of_a_fall(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
+def test_fail_below_sets_the_exit_code(run_command: Command, recordings: tuple[Path, Path], tmp_path: Path) -> None:
     out = ("-o", tmp_path / "x.rrd")
-    delta = dv.compare(*recordings).pairs[0]["scores"]["AA"]["delta"]
-    for order, fall in ((recordings, delta), (recordings[::-1], -delta)):
-        assert run_command("compare", *order, *out, "--fail-below", fall - 1e-6)[0] == 0
-        code, said, err = run_command("compare", *order, *out, "--fail-below", fall + 1e-6)
+    delta = dv.compare(*recordings).pairs[0].scores.AA.delta
+    assert delta is not None
+    for order, change in ((recordings, delta), (recordings[::-1], -delta)):
+        assert run_command("compare", *order, *out, "--fail-below", change - 1e-6)[0] == 0
+        code, shown, err = run_command("compare", *order, *out, "--fail-below", change + 1e-6)
         assert code == 1
         assert "AA" in err
         assert "below" in err
-        assert "Scores" in said
+        assert "Scores" in shown
     code, _, err = run_command("compare", recordings[0], *recordings, *out, "--fail-below", 100)
     assert code == 1
     assert [line.split()[1] for line in err.splitlines() if line.startswith("dynaviz:")] == ["B", "C"]
@@ -63,15 +64,15 @@ def test_exit_codes_of_a_fall(run_command: Command, recordings: tuple[Path, Path
 @pytest.mark.parametrize(
     "typed", ["{0}", "{0} absent.rrd", "{0} {1} -o {1}", "{0} {1} --json {0}/x.json", "{0} {0} --fail-below x"]
 )
-def test_a_mistake_is_answered_without_a_traceback(
+def test_errors_have_no_traceback(
     run_command: Command, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     code, _, err = run_command("compare", *typed.format(*recordings).split())
     assert code == 2
     assert "Traceback" not in err
-    told = [line for line in err.splitlines() if line.startswith("dynaviz:")]
-    assert len(told) == 1
+    errors = [line for line in err.splitlines() if line.startswith("dynaviz:")]
+    assert len(errors) == 1
 
 
 def test_help_begins_with_examples(run_command: Command) -> None:
