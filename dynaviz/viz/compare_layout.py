@@ -1,4 +1,4 @@
-"""The layout of a comparison: runs side by side, who is right, curves over each other; and where its parts lie."""
+"""The layout of a comparison: runs side by side, agreement, overlaid curves; and the names of its entities."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from dynaviz.arrays import F64
 from dynaviz.viz import paths
 from dynaviz.viz.layout import blueprint, follow, solid
 
-COMPARE = "compare"  # holds the legend of who is right
+COMPARE = "compare"  # the legend of agreement
 GROUND = "compare/ground"  # static: the first run's map, darker
-SCAN = "compare/scan"  # the frame's points by who is right
-WHERE = "compare/where"  # static: cells of the whole run, in the colour of the better run, as large as its gain
-PLACES = "compare/places"  # static: the places told, numbered
-GAIN = "compare/gain"  # curves: the gain of each frame, above 0 where the second run is better
+SCAN = "compare/scan"  # the frame's points by agreement
+WHERE = "compare/where"  # static: cells of the whole run in the colour of the better run; area = gain
+PLACES = "compare/places"  # static: the places in the report, numbered
+GAIN = "compare/gain"  # curves: the gain of each frame, above 0 if the second run is better
 CHANGED = "compare/changed_frames"  # marks on these curves
-DISTANCE = "compare/error_distance"  # static: histograms of all runs, their bars beside each other
+DISTANCE = "compare/error_distance"  # static: histograms of all runs, bars next to each other
 REPORT = "compare/report"  # Markdown
 
-SIDES = "abcdefgh"  # below these lie the runs
-COLOURS: tuple[tuple[str, paths.Colour], ...] = (  # of the runs; the first two differ to every eye, also from outcomes
+SIDES = "abcdefgh"  # roots of the runs
+COLOURS: tuple[
+    tuple[str, paths.Colour], ...
+] = (  # of the runs; A and B differ from each other and from outcomes with any colour vision
     ("green", (90, 220, 120)),
     ("purple", (190, 80, 230)),
     ("yellow", (255, 210, 60)),
@@ -33,25 +35,26 @@ COLOURS: tuple[tuple[str, paths.Colour], ...] = (  # of the runs; the first two 
     ("olive", (150, 150, 60)),
     ("pink", (240, 150, 190)),
 )
-ABREAST = 4  # runs whose map and frame are both seen at once
+ABREAST = 4  # runs whose map and frame are both visible; with more, they share tabs
 
 
 def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
-    """The layout for two runs: above, who is better where and who is right in the frame; below, the runs' frames.
+    """The layout for two runs.
 
-    Right, the report, and the curves and histograms of both.
+    Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each run. Right: the
+    report, curves and histograms.
 
     Args:
         names: of the runs.
-        places: (N, 3) metres, world frame: what to look at; None where nothing was drawn.
+        places: (N, 3) metres, world frame: points to look at; None if nothing is drawn.
     """
-    gain = f"above 0: {names[1]} is better in this frame; below: {names[0]}"
+    gain = f"gain per frame: above 0 {names[1]} is better, below 0 {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
         return blueprint(_column(numbers))
-    which = "right in this frame: green A, purple B, white none"
+    which = "right in this frame: green only A, purple only B, white none"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
-    where = solid("whole run: green A is better, purple B", [WHERE, PLACES, *context], above(places), COMPARE)
+    where = solid("whole run: green A better, purple B better", [WHERE, PLACES, *context], above(places), COMPARE)
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
@@ -60,7 +63,7 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
-    """The layout for more runs, as ``two``: a small map and a small frame of each."""
+    """The layout for more than two runs: a small map and a small frame of each; arguments as for ``two``."""
     numbers = _column(_numbers(names))
     if places is None:
         return blueprint(numbers)
@@ -83,7 +86,7 @@ def _numbers(names: Sequence[str]) -> list[Any]:
     few = len(names) <= 3
     key = ": " + ", ".join(f"{name[0]} {word}" for name, (word, _) in zip(names, COLOURS, strict=False))
     scores = [_curves(score, names, key if few else "") for score in ("SA", "DA")]
-    kinds = {"false_negative": "kept: m to removed", "false_positive": "removed: m to kept"}
+    kinds = {"false_negative": "FN: distance [m]", "false_positive": "FP: distance [m]"}
     bars = [
         rrb.BarChartView(name=title, contents=[f"{DISTANCE}/{kind}/**"], plot_legend=rrb.PlotLegend(visible=False))
         for kind, title in kinds.items()
@@ -112,7 +115,7 @@ def _lines(name: str, contents: list[str], legend: bool = False) -> Any:
 
 
 def above(points: F64) -> rrb.EyeControls3D:
-    """A steep look from above on all (N, 3) points, the long side across the picture."""
+    """A steep view from above on all (N, 3) points, with the long side across the picture."""
     if not len(points):
         points = np.zeros((1, 3))
     flat = points[:, :2] - points[:, :2].mean(0)

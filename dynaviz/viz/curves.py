@@ -1,4 +1,4 @@
-"""Curves over frames, written some frames at a time: a number written alone costs a hundred times its size."""
+"""Curves over frames, written in batches: a value written on its own takes a hundred times its size."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 from dynaviz.viz.sink import RecordingFile
 
-TOGETHER = 10  # frames; so many numbers of each curve are lost at most when a run is killed
+BATCH = 10  # frames; a killed run loses at most this many values of each curve
 
 _WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.FALSE_POSITIVE}
 
 
 class Curves:
-    """Collects numbers of curves and writes them, with a name and a colour each."""
+    """Collects the values of curves and writes them in batches, with a name and a colour per curve."""
 
     def __init__(self, sink: RecordingFile) -> None:
         self._sink = sink
         self._styled: set[str] = set()
-        self._waiting: defaultdict[str, list[tuple[int, int | None, float]]] = defaultdict(list)
+        self._pending: defaultdict[str, list[tuple[int, int | None, float]]] = defaultdict(list)
 
     def add(self, path: str, frame: int, stamp_ns: int | None, value: float) -> None:
-        """Add a number; NaN leaves a gap."""
-        self._waiting[path].append((frame, stamp_ns, value))
-        if len(self._waiting[path]) == TOGETHER:
+        """Add a value; NaN leaves a gap."""
+        self._pending[path].append((frame, stamp_ns, value))
+        if len(self._pending[path]) == BATCH:
             self._write(path)
 
     def write(self) -> None:
-        """Write all that waits."""
-        for path in list(self._waiting):
+        """Write all pending values."""
+        for path in list(self._pending):
             self._write(path)
 
     def _write(self, path: str) -> None:
         if path not in self._styled:
             self._styled.add(path)
             self._sink.log(path, style(path), static=True)
-        frames, stamps, values = zip(*self._waiting.pop(path), strict=True)
+        frames, stamps, values = zip(*self._pending.pop(path), strict=True)
         self._sink.columns(path, frames, stamps, rr.Scalars.columns(scalars=values))
 
 

@@ -1,4 +1,4 @@
-"""The viewer's layout, made from what a method can show; it lies in the recording and opens without a click."""
+"""The viewer's layout, built from the states of a method; it is part of the recording."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from dynaviz.viz import paths
 STACK = 4  # range images in one tab
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 
-WRONG = "wrong points per frame"  # without a legend, which would hide the worst frames; colours are as in the world
+WRONG = "wrong points per frame"  # no legend: it would hide the worst frames; the colours are those of the points
 
 
 def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    Left, the world: the map of the whole run with its wrong points; below it the frame's points and the method's
-    states. In the middle the words: failure cases and the report. Right, the numbers: scores, wrong points per frame,
-    and how far errors lie from right answers.
+    Left: the map of the whole run with its wrong points; below it the points of the frame and the method's states.
+    Middle: failure cases, report and log. Right: scores, wrong points per frame, and distances of errors.
 
     Args:
-        info: whose run it is; its ``emits`` each get a view.
-        extent: where the map's points lie, so that the eye starts well.
-        geometry: whether the recording holds any.
+        info: of the method; each of its ``emits`` gets a view.
+        extent: of the map, for the initial camera.
+        geometry: whether the recording contains coordinates.
     """
-    columns = [_words(), _numbers(info)]
+    columns = [_text(), _numbers(info)]
     if geometry:
         columns.insert(0, _world(info, extent))
     body = rrb.Horizontal(*columns, column_shares=[10, 6, 5][-len(columns) :])
@@ -40,7 +39,7 @@ def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
 
 
 def blueprint(body: Any) -> rrb.Blueprint:
-    """A layout with its panels folded, and the cursor on frames."""
+    """A layout with collapsed panels and the time cursor on frames."""
     return rrb.Blueprint(
         body,
         rrb.BlueprintPanel(state="collapsed"),
@@ -60,7 +59,7 @@ def _world(info: MethodInfo, extent: Extent) -> Any:
     return rrb.Vertical(everything, below, row_shares=[3, 2])
 
 
-def _words() -> Any:
+def _text() -> Any:
     others = rrb.Tabs(
         rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
         rrb.TextLogView(name="log", origin=paths.LOG),
@@ -69,7 +68,7 @@ def _words() -> Any:
 
 
 def _tabs(info: MethodInfo) -> list[Any]:
-    """A tab for each state that is drawn; range images are wide and low, so some that follow each other share one."""
+    """A tab for each state that is drawn; consecutive range images share one, because they are wide and low."""
     tabs = []
     for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
         views = [_state(info.name, state) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
@@ -93,8 +92,8 @@ def _numbers(info: MethodInfo) -> Any:
         ],
     )
     distance = rrb.Tabs(
-        _bars("kept: error distance [m]", _run_histogram("false_negative")),
-        _bars("removed", _run_histogram("false_positive")),
+        _bars("FN: distance [m]", _run_histogram("false_negative")),
+        _bars("FP: distance [m]", _run_histogram("false_positive")),
         _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
     )
     wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST], rrb.PlotLegend(visible=False))
@@ -117,7 +116,7 @@ def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
 
 
 def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD) -> Any:
-    """A view of a world, without grid."""
+    """A 3D view without a grid."""
     return rrb.Spatial3DView(
         name=name,
         origin=origin,
@@ -136,7 +135,7 @@ def _state(method: str, state: State) -> Any:
 
 
 def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
-    """Behind and above the sensor that the rings lie around, and along with it."""
+    """A camera behind and above the sensor at the centre of the rings, moving with it."""
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         tracking_entity=f"/{rings}",
@@ -147,7 +146,7 @@ def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
 
 
 def _eye(extent: Extent) -> rrb.EyeControls3D:
-    """An oblique look from above on the bulk of the map, its long side across the picture."""
+    """An oblique view from above on the bulk of the map, with its long side across the picture."""
     centre, along, length = _bulk(extent)
     side = np.array([along[1], -along[0], 0.0])
     position = centre + 0.68 * length * (0.7 * side + np.array([0.0, 0.0, 1.0]))
@@ -157,7 +156,7 @@ def _eye(extent: Extent) -> rrb.EyeControls3D:
 
 
 def _bulk(extent: Extent) -> tuple[F64, F64, float]:
-    """Middle, long horizontal axis (unit), and length along it in metres of where nine tenths of the map lie."""
+    """Centre, long horizontal axis (unit vector) and length along it (metres) of the middle nine tenths of the map."""
     if not len(extent.cells):
         return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0
     cells = (extent.cells + 0.5) * CELL

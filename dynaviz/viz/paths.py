@@ -1,4 +1,4 @@
-"""Where everything lies in a recording, and in which colour: one name for each entity, property and timeline."""
+"""Names of the entities, properties and timelines of a recording, and the colours used in it."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeIma
 from dynaviz.scan import Outcome
 
 APPLICATION = "dynaviz"
-SCHEMA = 1  # of a recording's content; a reader refuses what is newer
+SCHEMA = 1  # version of a recording's content; readers refuse newer ones
 
 FRAME = "frame"  # timeline: position in the run, 0, 1, ...
-SENSOR_TIME = "sensor_time"  # timeline: the data's own stamps, where it has any
+SENSOR_TIME = "sensor_time"  # timeline: the stamps of the data, if any
 
-ROOT = "/"  # holds the legend of outcomes
+ROOT = "/"  # the legend of outcomes
 WORLD = "world"
 SCAN = "world/scan"  # the frame's points, class = outcome
-MAP = "world/map"  # static: what was kept in the whole run, thinned; the cleaned map
-MAP_WRONG = "world/map/wrong"  # static: what was kept wrongly, thinned
-REMOVED = "world/removed"  # static: what was removed in the whole run, thinned
-REMOVED_WRONG = "world/removed/wrong"  # static: what was removed wrongly, thinned
-TRAJECTORY = "world/trajectory"  # static: where the sensor went
+MAP = "world/map"  # static: the cleaned map: points kept in the whole run, downsampled
+MAP_WRONG = "world/map/wrong"  # static: dynamic points kept, downsampled
+REMOVED = "world/removed"  # static: points removed in the whole run, downsampled
+REMOVED_WRONG = "world/removed/wrong"  # static: static points removed, downsampled
+TRAJECTORY = "world/trajectory"  # static: path of the sensor
 SENSOR = "world/sensor"  # the sensor's pose
 RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
-FAILURES = "world/failures"  # the frame's failure cases: a box around what is wrong in this frame
-CASES = "world/failures/cases"  # static: a box around all of each case
+FAILURES = "world/failures"  # a box around the wrong points of each failure case in this frame
+CASES = "world/failures/cases"  # static: a box around each case over all of its frames
 
-ANSWERS = "answers"  # every point's answer, truth and reason, without loss; not for the eye
+ANSWERS = "answers"  # label, ground truth and reason of every point, lossless; not displayed
 SCORES = "scores"
 WRONG = "scores/wrong_points"
 WORST = "scores/worst_frames"
@@ -34,37 +34,37 @@ REPORT = "report"
 FAILURE_LIST = "report/failures"
 LOG = "log"
 
-PROPERTIES = "run"  # recording property: what ran on what, and the whole result
+PROPERTIES = "run"  # recording property: method, sequence, settings, and the complete result
 
-SOLID = (Points, PointClasses, Mask, Voxels, Plane)  # kinds of state that are drawn in the world
-FLAT = (RangeImage, PolarGrid)  # kinds of state that are pictures
+SOLID = (Points, PointClasses, Mask, Voxels, Plane)  # kinds of state drawn in the world
+FLAT = (RangeImage, PolarGrid)  # kinds of state drawn as images
 
 
 def state(method: str, state: State) -> str:
-    """A method's state: in the world where it has a place there, beside it where it is a picture or a number."""
+    """A method's state: below ``world`` if it has coordinates, else (images, numbers) below the method's name."""
     if issubclass(state.kind, (*FLAT, Scalar)):
         return f"{method}/{state.name}"
     return f"{WORLD}/{method}/{state.name}" if issubclass(state.kind, SOLID) else LOG
 
 
 def curve(name: str) -> str:
-    """A metric's curve: by its own first part where that is a known one, else a score."""
+    """A metric's curve: at its own path if that starts with a known part, else below ``scores``."""
     return name if name.split("/")[0] in (SCORES, ERROR_DISTANCE, REASONS) else f"{SCORES}/{name}"
 
 
 def histogram(name: str) -> str:
-    """A metric's histogram; the run's own lies at ``.../run``, and its 10 % line at ``.../p10``."""
+    """A metric's histogram by frame; that of the whole run is at ``.../run``, its 10 % line at ``.../p10``."""
     return name if name.split("/")[0] == ERROR_DISTANCE else f"{ERROR_DISTANCE}/{name}"
 
 
 def boxes(name: str) -> str:
-    """A metric's boxes; all that each case covers lies at ``.../cases``."""
+    """A metric's boxes by frame; those over all frames are at ``.../cases``."""
     return f"{WORLD}/{name}"
 
 
 Colour = tuple[int, int, int]
 
-# Safe for the colour-blind: blue against orange against yellow differ in hue and lightness to every eye; grey recedes.
+# Blue, orange and yellow differ in hue and lightness with every kind of colour blindness; grey stays in the background.
 COLOURS: dict[Outcome, Colour] = {
     Outcome.STATIC_KEPT: (128, 128, 136),
     Outcome.DYNAMIC_REMOVED: (86, 160, 233),
@@ -87,7 +87,7 @@ SERIES: dict[str, Colour] = {  # curves of the headline scores
     "AA": (240, 240, 240),
     "HA": (160, 130, 200),
 }
-CLASSES: tuple[Colour, ...] = (  # a method's own classes, in the order of its legend
+CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend
     (128, 128, 136),
     (230, 159, 0),
     (86, 180, 233),

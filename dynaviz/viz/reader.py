@@ -1,4 +1,4 @@
-"""Read a recording back: what ran, every point's answer, curves, and the points that were drawn."""
+"""Read a recording: its properties, the label of every point, curves, and the points that were drawn."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 _HINT = "Give the run.rrd of a run"
-NEEDED = (  # properties of a run
+NEEDED = (  # properties that every recording of a run has
     "method", "title", "reasons_json", "sequence", "digest", "has_labels", "frames", "points", "mode", "params_json",
     "seed", "online", "complete",
 )  # fmt: skip
@@ -35,13 +35,13 @@ COMPARISON = "comparison"  # properties of a comparison of runs; those of a run 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnPoints:
-    """The points of a frame that were drawn.
+    """The drawn points of a frame.
 
     Attributes:
         frame: position in the run.
         xyz: (M, 3) float32, metres, world frame.
         outcome: (M,) uint8, an ``Outcome`` per point.
-        point: (M,) their positions in the scan.
+        point: (M,) positions in the scan.
         stands_for: (M,) how many points each stands for.
     """
 
@@ -53,16 +53,16 @@ class DrawnPoints:
 
 
 class AnyRecording:
-    """A whole recording of dynaviz, be it of a run or of a comparison.
+    """A complete recording of dynaviz: of a run or of a comparison.
 
     Args:
         path: the file.
 
     Attributes:
-        kind: ``run`` or ``comparison``, the name of its properties.
+        kind: ``run`` or ``comparison``; also the name of its properties.
 
     Raises:
-        DataError: where the file is no recording of dynaviz, was cut off, or was written by a newer dynaviz.
+        DataError: if the file is not a recording of dynaviz, is incomplete, or was written by a newer dynaviz.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
@@ -76,7 +76,7 @@ class AnyRecording:
         return int(self.properties["frames"])
 
     def facts(self) -> dict[str, str]:
-        """What this recording is, for a reader."""
+        """A summary for display: names and values."""
         p = self.properties
         runs = json.loads(p["comparison_json"])["runs"]
         return {
@@ -89,7 +89,7 @@ class AnyRecording:
         }
 
     def curve(self, path: str) -> tuple[I64, F64]:
-        """A curve: frames and values, in order; NaN where undefined; empty where there is no such curve."""
+        """Frames and values of a curve, in order; NaN where undefined; empty if there is no such curve."""
         rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
         return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
 
@@ -98,7 +98,7 @@ class AnyRecording:
         return sorted(str(path).removeprefix("/") for path in self.store.schema().entity_paths())
 
     def static(self, path: str) -> dict[str, Any]:
-        """Components of an entity that were logged once; the last row counts where there are several."""
+        """Static components of an entity; the last row wins if there are several."""
         found: dict[str, Any] = {}
         for chunk in self.store.stream().filter(content=f"/{path}", is_static=True):
             batch = chunk.to_record_batch()
@@ -107,7 +107,7 @@ class AnyRecording:
         return found
 
     def rows(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Rows of an entity by frame; parts of a row may lie in several chunks, in any order."""
+        """Rows of an entity by frame; the parts of a row may be in several chunks, in any order."""
         places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
         for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
             batch = chunk.to_record_batch()
@@ -125,7 +125,7 @@ class AnyRecording:
             if "schema" in properties:
                 break
         else:
-            raise DataError(self.path, "is a recording, but not of dynaviz", hint="Give the run.rrd of a run")
+            raise DataError(self.path, "is a Rerun recording, but not from dynaviz", hint="Give the run.rrd of a run")
         if properties["schema"] > paths.SCHEMA:
             raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
         if kind == paths.PROPERTIES and (lacking := [name for name in NEEDED if name not in properties]):
@@ -138,22 +138,22 @@ class RunRecording(AnyRecording):
     """A recording of a run.
 
     Raises:
-        DataError: as ``AnyRecording``, and for a comparison of runs.
+        DataError: as ``AnyRecording``, and for the recording of a comparison.
     """
 
     def __init__(self, path: str | os.PathLike[str]):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
-            raise DataError(self.path, "holds a comparison of runs, not a run", hint="Give the run.rrd of a run")
+            raise DataError(self.path, "contains a comparison, not a run", hint="Give the run.rrd of a run")
 
     @property
     def complete(self) -> bool:
-        """Whether the run was finished."""
+        """Whether the run finished."""
         return bool(self.properties["complete"])
 
     @property
     def result(self) -> Result | None:
-        """The run's result; None where it was not finished."""
+        """The run's result; None if it did not finish."""
         return Result.from_dict(json.loads(self.properties["result_json"]), self.path) if self.complete else None
 
     @property
@@ -171,7 +171,7 @@ class RunRecording(AnyRecording):
         return parameters
 
     def facts(self) -> dict[str, str]:
-        """What this recording is, for a reader."""
+        """A summary for display: names and values."""
         p = self.properties
         return {
             "method": f"{p['method']} ({p['title']})",
@@ -188,10 +188,10 @@ class RunRecording(AnyRecording):
         }
 
     def answers(self) -> Iterator[Answers]:
-        """Every point's answer, truth and reason, frame by frame in the order of the run.
+        """Label, ground truth and reason of every point, frame by frame in the order of the run.
 
         Raises:
-            DataError: for a frame whose answers are damaged.
+            DataError: for a frame whose data are damaged.
         """
         for frame, components in self.rows(paths.ANSWERS):
             values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
@@ -199,14 +199,14 @@ class RunRecording(AnyRecording):
                 yield Answers.unpacked(frame, values)
             except Exception as error:
                 raise DataError(
-                    self.path, f"damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
+                    self.path, f"contains damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
                 ) from error
 
     def drawn(self) -> Iterator[DrawnPoints]:
-        """The points that were drawn, frame by frame; nothing in ``scores`` mode."""
+        """The drawn points, frame by frame; none in ``scores`` mode."""
         for frame, components in self.rows(paths.SCAN):
             if "Points3D:positions" not in components:
-                continue  # a killed run's last frame, cut off within
+                continue  # the incomplete last frame of a killed run
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
             yield DrawnPoints(
@@ -219,50 +219,50 @@ class RunRecording(AnyRecording):
 
 
 def open_store(path: Path) -> Any:
-    """Open any whole recording, chunk by chunk as it is read.
+    """Open any complete recording; chunks are read when they are used.
 
     Raises:
-        DataError: where the file is no recording, or was cut off.
+        DataError: if the file is not a recording, or is incomplete.
     """
     try:
         with path.open("rb") as file:
             head = file.read(8)
     except OSError as error:
         part = part_of(path)
-        hint = f"Its run did not finish; salvage it with: dynaviz repair {part}" if part.is_file() else _HINT
+        hint = f"The run did not finish. Salvage its recording with: dynaviz repair {part}" if part.is_file() else _HINT
         raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
     if head[:4] not in MAGIC:
         raise DataError(path, "is not a recording", at="byte 0", hint=_HINT)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a file that was cut off, told below
+            warnings.simplefilter("ignore")  # about an incomplete file; reported below
             return RrdReader(path).store()
     except (RuntimeError, ValueError, OSError) as error:
         raise _broken(path, head) from error
 
 
 def viewable(path: Path) -> None:
-    """See to it that the viewer opens a recording, before it is asked to.
+    """Check that the viewer can open a recording.
 
     Raises:
-        DataError: as ``open_store``; and for a name that does not end in ``.rrd``, for the viewer goes by that.
+        DataError: as ``open_store``, and if the name does not end in ``.rrd``, which the viewer requires.
     """
     open_store(path)
     if path.suffix != ".rrd":
         hint = f"dynaviz repair {path}" if of_part(path) else f"mv {path} {path.with_suffix('.rrd')}"
-        raise DataError(path, "has no name that the viewer knows", hint=f"Give it one with: {hint}")
+        raise DataError(path, "does not end in .rrd, so the viewer cannot open it", hint=f"Rename it with: {hint}")
 
 
 def _broken(path: Path, head: bytes) -> DataError:
-    """Why a recording does not open, and what to do."""
+    """The error for a recording that does not open."""
     here, there = metadata.version("rerun-sdk"), tuple(head[4:6])
     if head[:4] != MAGIC[0]:
-        return DataError(path, "was written by a rerun before 0.23, too old to read", hint="Run the method again")
+        return DataError(path, "was written by a Rerun before 0.23, which cannot be read", hint="Run the method again")
     if there > tuple(map(int, here.split(".")[:2])):
-        problem = f"was written by rerun {'.'.join(map(str, there))}, and here is {here}"
+        problem = f"was written by rerun {'.'.join(map(str, there))}, newer than the installed {here}"
         return DataError(path, problem, hint="Upgrade with: pip install -U dynaviz")
     hint = f"Salvage its frames with: dynaviz repair {path}"
-    return DataError(path, "was cut off, its writer did not finish it", hint=hint)
+    return DataError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
 
 
 def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
@@ -279,7 +279,7 @@ def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
 
 
 def read(path: str | os.PathLike[str]) -> AnyRecording:
-    """Open a recording of whatever kind: a ``RunRecording`` where it is of a run.
+    """Open a recording of either kind; that of a run as a ``RunRecording``.
 
     Raises:
         DataError: as ``AnyRecording``.

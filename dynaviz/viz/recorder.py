@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, get_args
 
 import msgspec
-import msgspec
 import numpy as np
 import rerun as rr
 

@@ -1,4 +1,4 @@
-"""Salvage a recording whose writer was killed: every frame that was flushed, and the layout."""
+"""Salvage the recording of a killed run: every flushed frame, and the layout."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from dynaviz.viz import paths, viewer
 from dynaviz.viz.reader import MAGIC, AnyRecording, RunRecording, open_store
 from dynaviz.viz.sink import of_part
 
-_HINT = "Give the run.rrd of a run, or the .run.rrd.part that a killed one left"
+_HINT = "Give the run.rrd of a run, or the .run.rrd.part of a killed run"
 
 
 @dataclass(frozen=True)
 class SalvagedRecording:
-    """What became of a broken recording.
+    """What was salvaged from a broken recording.
 
     Attributes:
-        path: where it can be opened now; the file itself where nothing was to be done, None where nothing was left.
-        answered: frames whose answers can be read.
-        observed: frames of which there is anything, as many as ``answered`` or more.
-        frames: frames of the whole run; 0 where even that is unknown.
-        finished: whether the run itself was finished, with its result.
+        path: the file to open: the input itself if it needed no repair, None if nothing could be salvaged.
+        answered: frames whose labels can be read.
+        observed: frames with any data, at least ``answered``.
+        frames: frames of the whole run; 0 if unknown.
+        finished: whether the run finished, so that its result is there.
     """
 
     path: Path | None
@@ -43,35 +43,35 @@ class SalvagedRecording:
 
 
 def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> SalvagedRecording:
-    """Salvage a recording; the broken file stays as it is.
+    """Salvage a recording; the broken file is not changed.
 
     Args:
-        broken: ``run.rrd`` that was cut off, or ``.run.rrd.part``.
-        out: where to write it; None for the recording's own name, or ``run-repaired.rrd`` where that is taken.
+        broken: a truncated ``run.rrd``, or ``.run.rrd.part``.
+        out: where to write it; None for the recording's own name, or ``run-repaired.rrd`` if that exists.
 
     Raises:
-        DataError: where the file cannot be read, is no recording of a run, or ``out`` cannot be written.
-        UsageError: where ``out`` exists.
+        DataError: if the file cannot be read, is not the recording of a run, or ``out`` cannot be written.
+        UsageError: if ``out`` exists, or the file is the recording of a comparison.
     """
     broken = Path(broken)
     _check(broken)
     proper = of_part(broken)
     if proper is None and out is None and _opens(broken):
-        return _salvage(broken)
+        return _count_frames(broken)
     target = _free(proper or broken) if out is None else Path(out)
     if target.exists():
-        raise UsageError(f"{target} exists already: remove it, or choose another name with -o")
-    with _salvaged(broken, target) as beside:
+        raise UsageError(f"{target} exists already. Remove it, or choose another name with -o")
+    with _complete_copy(broken, target) as salvaged:
         try:
-            kind = AnyRecording(beside).kind
-        except DataError:  # not even what it was
+            kind = AnyRecording(salvaged).kind
+        except DataError:  # not even the properties were written
             return SalvagedRecording(None)
         if kind != paths.PROPERTIES:
-            raise UsageError(f"{broken} holds a {kind}, not a run: write it again with dynaviz compare")
-        found = _salvage(beside)
+            raise UsageError(f"{broken} contains a {kind}, not a run. Write it again with dynaviz compare")
+        found = _count_frames(salvaged)
         if not found.observed:
             return SalvagedRecording(None, frames=found.frames)
-        os.replace(beside, target)
+        os.replace(salvaged, target)
     return SalvagedRecording(target, found.answered, found.observed, found.frames, found.finished)
 
 
@@ -81,7 +81,7 @@ def _check(broken: Path) -> None:
             magic = file.read(4)
     except OSError as error:
         raise DataError(broken, error.strerror or "cannot be read", hint=_HINT) from None
-    if not any(known.startswith(magic) for known in MAGIC):  # it may be cut off anywhere
+    if not any(known.startswith(magic) for known in MAGIC):  # the file may be truncated anywhere
         raise DataError(broken, "is not a recording", at="byte 0", hint=_HINT)
 
 
@@ -93,40 +93,40 @@ def _opens(path: Path) -> bool:
 
 
 def _free(name: Path) -> Path:
-    """A recording that is there is left alone."""
+    """A name that does not overwrite an existing recording."""
     return name if not name.exists() else name.with_name(f"{name.stem}-repaired{name.suffix}")
 
 
 @contextlib.contextmanager
-def _salvaged(broken: Path, target: Path) -> Iterator[Path]:
-    """Copy all whole messages to a file beside the target, and close it properly; it is gone after the block."""
+def _complete_copy(broken: Path, target: Path) -> Iterator[Path]:
+    """Copy all complete messages to a file next to the target, deleted after the block."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".repair-", dir=target.parent) as folder:
-            beside = Path(folder) / "salvaged.rrd"
-            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(broken), "-o", str(beside)]
+            salvaged = Path(folder) / "salvaged.rrd"
+            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(broken), "-o", str(salvaged)]
             done = subprocess.run(command, capture_output=True, check=False, text=True, errors="replace")
             if done.returncode:
-                said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+                message = (done.stderr.strip().splitlines() or ["no message"])[-1]
                 raise DataError(
-                    target, f"cannot be written ({said[:200]})", hint="Free space or choose another folder with -o"
+                    target, f"cannot be written ({message[:200]})", hint="Free space or choose another folder with -o"
                 )
-            yield beside
+            yield salvaged
     except OSError as error:
         raise DataError(
             target, f"cannot be written ({error.strerror})", hint="Choose another folder with -o"
         ) from error
 
 
-def _salvage(path: Path) -> SalvagedRecording:
-    """What a recording that opens holds of its run.
+def _count_frames(path: Path) -> SalvagedRecording:
+    """Count the frames in a recording that opens.
 
     Raises:
-        DataError: where it is none of a run.
+        DataError: if it is not the recording of a run.
     """
     recording = RunRecording(path)
     answered = 0
-    with contextlib.suppress(DataError):  # of a frame that is damaged
+    with contextlib.suppress(DataError):  # for a damaged frame
         for answered, _ in enumerate(recording.answers(), 1):  # noqa: B007
             pass
     observed = answered or _observed(path)
@@ -134,7 +134,7 @@ def _salvage(path: Path) -> SalvagedRecording:
 
 
 def _observed(path: Path) -> int:
-    """Frames of which a method showed any state; the run's own words are no frame."""
+    """Number of frames with any state of the method; log lines do not count."""
     frames: set[int] = set()
     for chunk in open_store(path).stream().filter(has_timeline=paths.FRAME):
         if chunk.entity_path != f"/{paths.LOG}":

@@ -1,4 +1,4 @@
-"""The report inside a recording, in Markdown: scores, what the colours mean, where to look first."""
+"""The report in a recording, as Markdown: scores, worst frames, failure cases, legend, settings."""
 
 from __future__ import annotations
 
@@ -16,55 +16,55 @@ from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 
 WORST = 5  # frames named in the report and marked on the curve
-LISTED = 20  # failure cases in the list and in the world, at most ...
-WORTH = 0.01  # ... and of the first one's cost, at least
+LISTED = 20  # failure cases in the list and in the map, at most ...
+WORTH = 0.01  # ... that cost at least this share of the first one
 
 
 class OutcomeCounts:
-    """What the report counts: points by outcome and reason in the run, and wrong points by frame."""
+    """Counts for the report: points by outcome and reason, and wrong points by frame."""
 
     def __init__(self) -> None:
-        self.crossed = np.zeros((len(Outcome), 256), np.int64)
+        self.points = np.zeros((len(Outcome), 256), np.int64)
         self.frames: list[tuple[int, int, int, int]] = []  # frame, index, false negatives, false positives
 
     def add(self, frame: int, index: int, outcome: U8, reasons: U8) -> tuple[int, int]:
         """Count a frame; returns its false negatives and false positives."""
         flat = outcome.astype(np.intp) * 256 + reasons
-        here = np.bincount(flat, minlength=self.crossed.size).reshape(self.crossed.shape)
-        self.crossed += here
+        here = np.bincount(flat, minlength=self.points.size).reshape(self.points.shape)
+        self.points += here
         missed, removed = (int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE))
         self.frames.append((frame, index, missed, removed))
         return missed, removed
 
     def worst(self) -> list[tuple[int, int, int, int]]:
-        """The frames with the most wrong points, the worst first; none without any."""
+        """The frames with the most wrong points, worst first; frames without wrong points are left out."""
         wrong = [entry for entry in self.frames if entry[2] + entry[3]]
         return sorted(wrong, key=lambda entry: (-entry[2] - entry[3], entry[0]))[:WORST]
 
 
 def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str) -> str:
-    """The report of a run that is not finished."""
+    """The report until the run finishes."""
     return "\n\n".join(
-        [_title(info, sequence), "**This run was not finished.**", _parameters(params), _how_to_read(mode)]
+        [_title(info, sequence), "**This run did not finish.**", _parameters(params), _how_to_read(mode)]
     )
 
 
-def report(info: MethodInfo, result: Result, tally: OutcomeCounts, mode: str) -> str:
+def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -> str:
     """The report of a finished run.
 
     Args:
-        info: the method's.
+        info: of the method.
         result: of the run.
-        tally: of its points.
+        counts: of its points.
         mode: of the recording.
     """
     parts = [
         _title(info, result.sequence.name),
         _scores(result),
-        _worst(tally),
+        _worst(counts),
         _sentences(result),
         _counts(result),
-        _reasons(info, tally),
+        _reasons(info, counts),
         _how_to_read(mode),
         _states(info) if mode != "scores" else "",
         _run(info, result),
@@ -74,15 +74,15 @@ def report(info: MethodInfo, result: Result, tally: OutcomeCounts, mode: str) ->
 
 
 def listed(result: Result) -> list[FailureCase]:
-    """The failure cases that are worth a look: the costliest ones."""
+    """The costliest failure cases."""
     return [case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost]
 
 
 def failure_list(result: Result) -> str:
-    """What went wrong at a glance: what each cause costs, and the costliest cases; numbers are those on the boxes."""
+    """The cost of each cause, and the costliest cases, numbered like their boxes."""
     cases = listed(result)
     if not cases:
-        return "No failure case: no wrong point, or no ground truth."
+        return "No failure cases: there is no wrong point, or no ground truth."
     rows = [
         (
             f"[{number}](recording://{paths.CASES}[#{number - 1}])",
@@ -100,7 +100,7 @@ _DID = {"false_positive": "removed", "false_negative": "kept"}
 
 
 def _causes(result: Result) -> str:
-    """A line for each kind of error: what it looks like, and its causes with what they cost, the largest first."""
+    """A line per kind of error: its colour, and the cost of each cause, largest first."""
     counts = result.counts
     static, dynamic = (
         counts["static_kept"] + counts["static_removed"],
@@ -114,7 +114,7 @@ def _causes(result: Result) -> str:
         costs = {cause: 100 * count.points / whole for cause, count in result.causes.get(kind, {}).items()}
         parts = [f"{cause} {cost:.2f}" for cause, cost in costs.items() if cost >= 0.005]
         if parts:
-            lines.append(f"**{colour}** was wrongly {_DID[kind]}. {score} lost, in %: {', '.join(parts)}.")
+            lines.append(f"**{colour}**: wrongly {_DID[kind]}. Loss of {score} by cause, in %: {', '.join(parts)}.")
     return "\n\n".join(lines)
 
 
@@ -125,13 +125,15 @@ def _sentences(result: Result) -> str:
     ]
     if not rows:
         return ""
-    rest = len(result.failures) - len(rows) + (result.sections.failures.others.cases if result.sections.failures else 0)
-    more = f"\n\nand {rest:,} smaller ones: `dynaviz failures` lists more." if rest else ""
-    return "### Failure cases\n\n" + _table([("#", "frames", "what happened", "the method's reason"), *rows]) + more
+    others = result.sections.failures.others.cases if result.sections.failures else 0
+    rest = len(result.failures) - len(rows) + others
+    more = f"\n\n{rest:,} smaller cases are not shown; `dynaviz failures` lists more." if rest else ""
+    head = ("#", "frames", "what happened", "reasons given by the method")
+    return "### Failure cases\n\n" + _table([head, *rows]) + more
 
 
 def _most(reasons: Mapping[str, int]) -> str:
-    """The most frequent reasons, with their share."""
+    """The two most frequent reasons, with their shares."""
     total = sum(reasons.values())
     return ", ".join(f"{name} {100 * count / total:.0f} %" for name, count in list(reasons.items())[:2])
 
@@ -155,21 +157,21 @@ def _percent(value: float | None) -> str:
     return "n/a" if value is None else f"{value:.2f} %"
 
 
-def _worst(tally: OutcomeCounts) -> str:
-    rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in tally.worst()]
+def _worst(counts: OutcomeCounts) -> str:
+    rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in counts.worst()]
     if not rows:
-        return "No wrong point in any frame." if tally.frames else ""
-    return "### Look here first\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
+        return "No frame has wrong points." if counts.frames else ""
+    return "### Worst frames\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
 
 
-def _reasons(info: MethodInfo, tally: OutcomeCounts) -> str:
-    outcomes = [o for o in Outcome if tally.crossed[o].any()]
+def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
+    outcomes = [o for o in Outcome if counts.points[o].any()]
     rows = []
     for code, reason in enumerate(info.reasons):
-        if tally.crossed[:, code].any():
-            rows.append((code, reason.name, *(f"{tally.crossed[o, code]:,}" for o in outcomes), reason.meaning))
+        if counts.points[:, code].any():
+            rows.append((code, reason.name, *(f"{counts.points[o, code]:,}" for o in outcomes), reason.meaning))
     head = ("code", "reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
-    return "### Why points got their labels\n\n" + _table([head, *rows]) if rows else ""
+    return "### Points by reason\n\n" + _table([head, *rows]) if rows else ""
 
 
 _COLOUR_WORDS = {
@@ -184,25 +186,25 @@ _COLOUR_WORDS = {
 
 def _how_to_read(mode: str) -> str:
     if mode == "scores":
-        return "### How to read this recording\n\nIt holds numbers only (`--record scores`): no points are drawn."
+        return "### How to read this recording\n\nIt contains only numbers (`--record scores`); no points are drawn."
     shown = {
-        "errors": "points that move are drawn in full, false positives one per 0.2 m, kept static points as one map",
-        "full": "every point of every frame is drawn; the map of the whole run is thinned",
+        "errors": "all dynamic points are drawn, one false positive per 0.2 m voxel, and kept static points as one map",
+        "full": "every point of every frame is drawn; the map of the whole run is downsampled",
     }[mode]
     colours = [(word, paths.NAMES[outcome]) for outcome, word in _COLOUR_WORDS.items()]
     views = (
-        "- **map**: the whole run; wrong points of all frames stand out.\n"
-        "- **frame**: the points of the frame under the cursor, and the sensor. Drag the cursor to replay.\n"
-        "- **wrong points per frame**: the worst frames are marked; click on a curve to go there.\n"
-        "- **distance**: how far wrong points lie from the nearest right one; a tenth lies left of the line."
+        "- **map**: the whole run; wrong points of all frames are highlighted.\n"
+        "- **frame**: the points of the frame at the time cursor, and the sensor. Drag the cursor to replay.\n"
+        "- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
+        "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
     )
     legend = _table([("colour", "point"), *colours])
-    return f"### How to read this recording\n\n{legend}\n\n{views}\n\nHere {shown} (`--record {mode}`)."
+    return f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} (`--record {mode}`)."
 
 
 def _states(info: MethodInfo) -> str:
     rows = [(state.name, state.meaning) for state in info.emits]
-    return "### What the method shows\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
+    return "### States of the method\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
 
 
 def _run(info: MethodInfo, result: Result) -> str:
@@ -219,7 +221,7 @@ def _run(info: MethodInfo, result: Result) -> str:
         ("digest of the sequence", f"`{result.sequence.digest[:16]}`"),
         ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
     ]
-    return "### The run\n\n" + _table([("what", "value"), *rows])
+    return "### The run\n\n" + _table([("property", "value"), *rows])
 
 
 def _parameters(params: Mapping[str, Any]) -> str:

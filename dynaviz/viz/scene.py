@@ -1,4 +1,4 @@
-"""The world of a recording: each frame's points by outcome, and the map of the whole run with its wrong points."""
+"""The 3D part of a recording: the points of each frame by outcome, and the map of the whole run."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from dynaviz.spatial.grid import KeySet, in_key_range, pack, voxel_downsample
 from dynaviz.viz import paths
 from dynaviz.viz.sink import RecordingFile
 
-VOXEL = 0.2  # metres: false positives of a frame, and the map, are thinned to one point per voxel of this edge
-FINE = 0.1  # metres: the same for points that move; there are few
-GROWTH = 1.25  # of the voxel, while a map holds more points than its cap
+VOXEL = 0.2  # metres: edge of the voxels used to downsample the map and the false positives of a frame
+FINE = 0.1  # metres: the same for dynamic points, which are few
+GROWTH = 1.25  # factor on the voxel's edge while a map has more points than its cap
 
-MAPS = {  # where the points of the whole run lie, by outcome
+MAPS = {  # entities of the points of the whole run, by outcome
     paths.MAP: (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT),
     paths.MAP_WRONG: (Outcome.FALSE_NEGATIVE,),
     paths.REMOVED: (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED),
     paths.REMOVED_WRONG: (Outcome.FALSE_POSITIVE,),
 }
-MOVING = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
-CAPS = {  # points in the map of the whole run: about 550 000 at most, which a software renderer still draws
+DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
+CAPS = {  # points in the map of the whole run: at most about 550 000, which a software renderer can draw
     Outcome.STATIC_KEPT: 300_000,
     Outcome.UNLABELLED_KEPT: 100_000,
     Outcome.FALSE_NEGATIVE: 40_000,
@@ -33,21 +33,21 @@ CAPS = {  # points in the map of the whole run: about 550 000 at most, which a s
     Outcome.FALSE_POSITIVE: 40_000,
 }
 RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
-"""By outcome, in points on the screen, so that a few wrong ones stand out from afar."""
+"""By outcome, in points on the screen; wrong points are larger so that few of them remain visible from afar."""
 SMALLEST = 1.2
-FEW = 500  # points; of more, each is drawn smaller, or a method's many small errors would hide its few large ones
-RINGS = (10.0, 20.0)  # metres; the viewer's eye follows them, and their size sets its distance
+FEW = 500  # points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
+RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
 EDGES = rr.Radius.ui_points(1.2)  # of boxes
-WIRES = rr.components.FillMode.MajorWireframe  # what is in a box must stay visible
+WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
 class DownsampledMap:
-    """Points of a whole run, one per voxel; memory grows with the volume they fill, not with their number.
+    """Points of a whole run, one per voxel; memory grows with the occupied volume, not with the number of points.
 
     Args:
         size: the voxel's edge, metres.
-        cap: the most points to end with.
+        cap: number of points at the end, at most.
     """
 
     def __init__(self, size: float, cap: int) -> None:
@@ -56,11 +56,11 @@ class DownsampledMap:
         self._parts: list[F32] = []
 
     def add(self, points: F32) -> None:
-        """Add (N, 3) finite points; the first of each voxel stays."""
+        """Add (N, 3) finite points; the first point of each voxel is kept."""
         self._parts.append(points[self._seen.add(pack(points, self.size))])
 
     def points(self) -> F32:
-        """(M, 3) float32: what is left, in a coarser voxel where it would be more than the cap."""
+        """(M, 3) float32: the points, downsampled with larger voxels if they exceed the cap."""
         left, size = np.concatenate([np.empty((0, 3), np.float32), *self._parts]), self.size
         while len(left) > self.cap:
             size *= GROWTH
@@ -69,21 +69,21 @@ class DownsampledMap:
 
 
 class MapDrawing:
-    """Draws what has a place in the world.
+    """Draws the 3D part of a recording.
 
     Args:
         sink: where to draw.
-        extent: where the points of the sequence lie.
-        full: every point of every frame; else those that move or were removed, the latter thinned.
+        extent: of the sequence.
+        full: draw every point of every frame; otherwise only dynamic and removed points, the latter downsampled.
     """
 
     def __init__(self, sink: RecordingFile, extent: Extent, full: bool) -> None:
         self._sink, self._full = sink, full
-        # Voxels are counted from the middle of the map: a world may lie far from its origin.
+        # Voxels are counted from the middle of the map, which may be far from the origin.
         self._middle: F32 = np.round(
             np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
         ).astype(np.float32)
-        self._maps = {o: DownsampledMap(FINE if o in MOVING else VOXEL, CAPS[o]) for o in Outcome}
+        self._maps = {o: DownsampledMap(FINE if o in DYNAMIC else VOXEL, CAPS[o]) for o in Outcome}
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
@@ -91,24 +91,24 @@ class MapDrawing:
         sink.log(paths.RINGS, rr.LineStrips3D(rings, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)), static=True)
 
     def pose(self, scan: Scan) -> None:
-        """Draw where the sensor is."""
+        """Draw the pose of the sensor."""
         T = scan.T_world_sensor
         self._sink.log(paths.SENSOR, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
 
     def frame(self, labelled: Labelled) -> None:
-        """Draw a frame's points by outcome, and remember them for the map."""
+        """Draw a frame's points by outcome, and add them to the map."""
         self._trajectory.append(labelled.scan.position)
         local = labelled.scan.points - self._middle
         finite = in_key_range(local, FINE)
-        for outcome, thinned in self._maps.items():
-            thinned.add(local[finite & (labelled.outcome == outcome)])
+        for outcome, downsampled in self._maps.items():
+            downsampled.add(local[finite & (labelled.outcome == outcome)])
         if self._full:
             self._draw(labelled, np.arange(len(local)), None)
         else:
             self._draw(labelled, *_chosen(labelled, local, finite))
 
     def finish(self) -> None:
-        """Draw the map of the whole run, and the way of the sensor."""
+        """Draw the map of the whole run and the trajectory of the sensor."""
         for path, kinds in MAPS.items():
             points = [self._maps[o].points() + self._middle for o in kinds]
             classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
@@ -119,7 +119,7 @@ class MapDrawing:
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
     def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
-        """Draw the first cases: each frame's boxes on the timeline, and what each covers in all of its frames."""
+        """Draw the boxes of the first ``count`` cases: by frame, and over all frames."""
         few = slice(count)
         colours = np.array([paths.COLOURS[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
         labels, path = np.array(cases.labels[few], object), paths.boxes(name)
@@ -151,7 +151,7 @@ class MapDrawing:
 
 
 def _radii(classes: U16) -> F32:
-    """A radius for each point, smaller the more of its class there are; negative, as the viewer takes screen sizes."""
+    """(N,) radii, smaller for larger classes; negative, which means screen units to the viewer."""
     counts = np.bincount(classes, minlength=len(RADII))
     shrunk = RADII * (np.maximum(counts, FEW) / FEW) ** -0.25
     sizes: F32 = -np.maximum(shrunk, SMALLEST).astype(np.float32)
@@ -159,9 +159,9 @@ def _radii(classes: U16) -> F32:
 
 
 def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a frame worth drawing, and how many each stands for: all that move, one per voxel wrongly removed."""
-    moving = np.isin(labelled.outcome, MOVING)
-    chosen, stands_for = [np.flatnonzero(moving)], [np.ones(int(moving.sum()), np.intp)]
+    """Points to draw, and how many each stands for: all dynamic points, and one per voxel of those wrongly removed."""
+    dynamic = np.isin(labelled.outcome, DYNAMIC)
+    chosen, stands_for = [np.flatnonzero(dynamic)], [np.ones(int(dynamic.sum()), np.intp)]
     for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
         points = np.flatnonzero(finite & (labelled.outcome == outcome))
         first, counts = voxel_downsample(local[points], VOXEL)

@@ -17,7 +17,7 @@ from dynaviz.viz.reader import AnyRecording, viewable
 
 SIZE = (1600, 900)
 SECONDS_TO_LOAD = 120.0
-SECONDS_OF_MESSAGES = 5.0  # so long does the viewer show its own messages over the window
+SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
 
 
 def shot(
@@ -27,13 +27,13 @@ def shot(
     view: str | None = None,
     size: tuple[int, int] = SIZE,
 ) -> list[Path]:
-    """Render PNG pictures of a recording, as it looks when opened.
+    """Render PNG pictures of a recording with its own layout.
 
     Args:
         recording: the file.
-        out: the picture; with several frames, ``-NUMBER`` is put before its suffix.
-        frames: positions in the run; none for the last.
-        view: name of the one view to show (``map``, ``frame``, a state's name); None for the whole window.
+        out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix.
+        frames: positions in the run; the last one if empty.
+        view: name of a single view to show (``map``, ``frame``, a state's name); None for the whole window.
         size: of the window, in pixels.
 
     Returns:
@@ -41,8 +41,8 @@ def shot(
 
     Raises:
         DataError: for a recording that cannot be read.
-        UsageError: for a frame or view that it does not have.
-        MissingDependency: where there is nothing to draw with.
+        UsageError: for a frame or view that does not exist.
+        MissingDependency: without a graphics adapter.
     """
     viewable(Path(recording))
     source, out = AnyRecording(recording), Path(out)
@@ -58,7 +58,7 @@ def shot(
         time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
         for frame, picture in zip(frames, pictures, strict=True):
             client.set_time(paths.FRAME, sequence=frame, play_state="paused")
-            client.take_screenshot()  # the first picture after a jump may lack what is still on its way
+            client.take_screenshot()  # data may still be missing in the first picture after a jump
             write_atomic(picture, client.take_screenshot(view_id))
     return pictures
 

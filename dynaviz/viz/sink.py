@@ -1,4 +1,4 @@
-"""The file of a recording: written beside, flushed every frame, renamed when whole; a live viewer may look on."""
+"""The file of a recording: written as ``.part``, flushed every frame, renamed when complete; may feed a viewer."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ FLUSH_SECONDS = 60.0
 
 
 def part_of(path: Path) -> Path:
-    """Where a recording is written until it is whole; what a killed run leaves behind."""
+    """The file a recording is written to until it is complete; a killed run leaves it behind."""
     return path.with_name(f".{path.name}.part")
 
 
 def of_part(path: Path) -> Path | None:
-    """The recording's place, from where it was being written; None for another path."""
+    """The inverse of ``part_of``; None if the path is not of that form."""
     name = path.name.removeprefix(".").removesuffix(".part")
     return path.with_name(name) if path == part_of(path.with_name(name)) else None
 
@@ -35,26 +35,26 @@ class RecordingFile:
     """An open recording.
 
     Args:
-        path: the recording; its folder is made. The file appears with ``finish``.
-        layout_id: recordings of one id share the viewer's layout.
-        name: of the recording, for its reader.
+        path: the recording; its folder is created. The file appears with ``finish``.
+        layout_id: recordings with the same id share the viewer's layout.
+        name: of the recording, for display.
         blueprint: the viewer's layout.
-        live: port on this machine of a viewer that looks on, or None; it may be absent, or go at any time.
+        live: port of a viewer on this machine that follows the run, or None; it may be closed at any time.
 
     Raises:
-        DataError: where the folder cannot be written.
+        DataError: if the file cannot be written.
     """
 
     def __init__(self, path: Path, layout_id: str, name: str, blueprint: Any, live: int | None = None) -> None:
         self.path, self._port = path, live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._tap = PipeWriter(part_of(path))
+            self._writer = PipeWriter(part_of(path))
         except OSError as error:
             raise self._unwritable(error) from None
         self._file = _stream(layout_id)
-        self._file.save(self._tap.inlet, default_blueprint=blueprint)
-        self._streams = [self._file]  # a stream of its own for the viewer: whatever happens to it, the file is whole
+        self._file.save(self._writer.inlet, default_blueprint=blueprint)
+        self._streams = [self._file]  # the viewer has its own stream, so that it cannot damage the file
         if live is not None and viewer.listens(live):
             self._streams.append(_stream(layout_id))
             self._streams[-1].connect_grpc(viewer.url(live), default_blueprint=blueprint)
@@ -63,7 +63,7 @@ class RecordingFile:
             stream.send_recording_name(name)
 
     def at(self, frame: int, stamp_ns: int | None) -> None:
-        """What is logged from here on is of this frame."""
+        """Set the frame of everything logged from here on."""
         for stream in self._streams:
             stream.reset_time()
             stream.set_time(paths.FRAME, sequence=frame)
@@ -76,7 +76,7 @@ class RecordingFile:
             stream.log(path, *what, static=static)
 
     def columns(self, path: str, frames: Sequence[int], stamps: Sequence[int | None], columns: Any) -> None:
-        """Log a value for each of many frames at once."""
+        """Log one value for each of several frames."""
         times = [rr.TimeColumn(paths.FRAME, sequence=frames)]
         if None not in stamps:
             times.append(rr.TimeColumn(paths.SENSOR_TIME, timestamp=np.array(stamps, "datetime64[ns]")))
@@ -84,30 +84,30 @@ class RecordingFile:
             stream.send_columns(path, indexes=times, columns=columns)
 
     def properties(self, **values: Any) -> None:
-        """Set the recording's properties, those that are not empty; later ones replace earlier ones."""
+        """Set properties of the recording, skipping empty strings; later values replace earlier ones."""
         kept = {name: value for name, value in values.items() if value != ""}
         for stream in self._streams:
             stream.send_property(paths.PROPERTIES, rr.AnyValues(**kept))
 
     def flush(self) -> None:
-        """Hand all that was logged to the operating system; let go of a viewer that was closed.
+        """Write everything logged so far to the file; disconnect from a viewer that was closed.
 
         Raises:
-            DataError: where it cannot be written, as on a full disk.
+            DataError: if it cannot be written, for example on a full disk.
         """
         self._file.flush(timeout_sec=FLUSH_SECONDS)
         try:
-            self._tap.settle()
+            self._writer.settle()
         except OSError as error:
             raise self._unwritable(error) from None
         if len(self._streams) > 1 and self._port is not None and not viewer.listens(self._port):
             self._streams.pop().disconnect()
 
     def finish(self) -> None:
-        """Close the file and give it its name.
+        """Close the file and give it its final name.
 
         Raises:
-            DataError: where its end cannot be written; what was written stays where it is, for repair.
+            DataError: if the end cannot be written; the part remains, for repair.
         """
         try:
             self._close()
@@ -116,14 +116,14 @@ class RecordingFile:
             raise self._unwritable(error) from None
 
     def close(self) -> None:
-        """Close the file and leave it where it is, for repair. What cannot be written was told already, or is lost."""
+        """Close the file and leave it as ``.part``, for repair; errors were reported before or are dropped."""
         with contextlib.suppress(OSError):
             self._close()
 
     def _close(self) -> None:
         for stream in self._streams:
             stream.disconnect()
-        self._tap.close()
+        self._writer.close()
 
     def _unwritable(self, error: OSError) -> DataError:
         hint = "Free space or choose another folder with -o, and run again"
@@ -131,10 +131,10 @@ class RecordingFile:
 
 
 def _stream(layout_id: str) -> rr.RecordingStream:
-    """A fresh recording id each: the viewer would merge two recordings of one id."""
+    """A stream with a new recording id: the viewer would merge two recordings with the same id."""
     return rr.RecordingStream(_plain(layout_id), recording_id=str(uuid.uuid4()), send_properties=False)
 
 
 def _plain(name: str) -> str:
-    """An application id may hold few characters, and at most 180 of them."""
+    """A valid application id: letters, digits, ``_``, space and ``-``; at most 180."""
     return re.sub(r"[^A-Za-z0-9_ -]", "_", name)[:180]

@@ -1,4 +1,4 @@
-"""How each kind of a method's state is drawn."""
+"""Drawing a method's states, by kind."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.grid import KeySet, pack
 from dynaviz.viz import paths
 
-NEAR = 25.0  # metres around the sensor, where only a part of a state is kept
-THIN = 0.2  # metres: then, one point per voxel of this edge
+NEAR = 25.0  # metres around the sensor; in ``errors`` mode only this part of a state is drawn
+THIN = 0.2  # metres: edge of the voxels used to downsample it
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
-CORNERS = 48  # of the polygon that stands for a disc
+CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
-DARK = 0.2  # of the colour scale, left to where there is nothing: the lowest value must not look like it
+DARK = 0.2  # of the colour scale, reserved for empty pixels, so that they differ from the lowest value
 
-# Viridis at nine even steps: dark to bright for every eye.
+# Viridis at nine even steps: from dark to bright, also with colour blindness.
 VIRIDIS = np.array(
     [
         (68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140),
@@ -31,7 +31,7 @@ VIRIDIS = np.array(
 
 
 def legend(state: State) -> Any:
-    """The classes of a state, as the viewer's legend; None where it has none."""
+    """The viewer's legend of a state's classes; None if it has none."""
     colours = paths.CLASSES
     if not state.legend:
         return None
@@ -39,16 +39,16 @@ def legend(state: State) -> Any:
 
 
 def draw(value: Value, state: State, scan: Scan, most: int | None) -> Any:
-    """What to log for a state.
+    """The archetype to log for a state.
 
     Args:
-        value: as emitted; its arrays are not kept.
+        value: as emitted; no reference to its arrays is kept.
         state: its declaration.
         scan: the current scan.
-        most: keep at most this many points or voxels, those nearest the sensor; None for all.
+        most: draw at most this many points or voxels, those nearest to the sensor; None for all.
 
     Returns:
-        An archetype, or None where there is nothing to see.
+        None if there is nothing to draw.
     """
     match value:
         case Points(xyz, values):
@@ -76,7 +76,7 @@ def draw(value: Value, state: State, scan: Scan, most: int | None) -> Any:
 
 
 def from_above(values: F32) -> F32:
-    """A polar grid as a picture from above: the sensor in the middle, azimuth 0 to the right, a quarter turn up.
+    """A polar grid as an image from above: sensor in the centre, azimuth 0 to the right, 90 degrees up.
 
     Args:
         values: (rings, sectors) float32.
@@ -107,7 +107,7 @@ def _voxels(value: Voxels, state: State, scan: Scan, most: int | None) -> Any:
 
 
 def _disc(plane: Plane) -> Any:
-    """A translucent polygon in the plane, seen from both sides."""
+    """A translucent polygon in the plane, visible from both sides."""
     normal = plane.normal / np.linalg.norm(plane.normal)
     side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     side /= np.linalg.norm(side)
@@ -120,12 +120,12 @@ def _disc(plane: Plane) -> Any:
 
 
 def _picture(values: F32, state: State) -> Any:
-    """Two bytes a pixel, and dark where there is nothing."""
+    """An image with two bytes per pixel; empty pixels are dark."""
     low, high = state.value_range or _range(values)
-    nothing = low - DARK / (1 - DARK) * (high - low)
-    small = np.where(np.isnan(values), nothing, np.clip(values, low, high)).astype(np.float16)
+    empty = low - DARK / (1 - DARK) * (high - low)
+    small = np.where(np.isnan(values), empty, np.clip(values, low, high)).astype(np.float16)
     return rr.DepthImage(
-        small, meter=1.0, colormap="inferno", depth_range=[nothing, high], magnification_filter="nearest"
+        small, meter=1.0, colormap="inferno", depth_range=[empty, high], magnification_filter="nearest"
     )
 
 
@@ -144,7 +144,7 @@ def _range(values: F32) -> tuple[float, float]:
 
 
 def _near(points: F32, centre: F64, most: int | None) -> Any:
-    """Of points: one per voxel, and of those the nearest; finite ones only."""
+    """Indices of finite points within ``NEAR``: one per voxel, and at most ``most`` of the nearest."""
     if most is None:
         return slice(None)
     local = points - centre.astype(np.float32)
@@ -154,7 +154,7 @@ def _near(points: F32, centre: F64, most: int | None) -> Any:
 
 
 def _nearest(points: F32, centre: F64, most: int) -> Intp:
-    """The points within ``NEAR`` of a centre, at most so many of the nearest, in the order of the points."""
+    """Indices of the points within ``NEAR`` of a centre, at most ``most`` of the nearest, in ascending order."""
     local = points - centre.astype(np.float32)
     squared = np.einsum("ij,ij->i", local, local)
     near = np.flatnonzero(squared < NEAR**2)

@@ -22,7 +22,7 @@ def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False) -> Non
 
     Raises:
         DataError: for a file that cannot be opened.
-        UsageError: where a window is asked for and there is no screen.
+        UsageError: if a window is requested and there is no screen.
     """
     files = [Path(recording) for recording in recordings]
     for file in files:

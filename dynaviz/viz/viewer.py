@@ -1,4 +1,4 @@
-"""The viewer's program, which comes with rerun-sdk: start it on this machine only, and stop it."""
+"""The viewer program that comes with rerun-sdk: start it, only reachable from this machine, and stop it."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ SECONDS_TO_START = 30.0
 
 
 def program() -> str:
-    """The viewer itself; the ``rerun`` command is a script around it, and stopping that leaves the viewer running."""
+    """Path of the viewer binary; terminating the ``rerun`` script around it would leave the viewer running."""
     name = "rerun.exe" if sys.platform == "win32" else "rerun"
     path = Path(rerun_cli.__file__).with_name(name)
     if not path.is_file():
         raise MissingDependency(
-            f"the viewer is missing at {path}. Install it again: pip install --force-reinstall rerun-sdk"
+            f"the viewer is missing at {path}. Reinstall it with: pip install --force-reinstall rerun-sdk"
         )
     return str(path)
 
 
 def free_port() -> int:
-    """A port that nobody uses at the moment."""
+    """A port that is free at the moment."""
     with socket.socket() as probe:
         probe.bind((HOME, 0))
         port: int = probe.getsockname()[1]
@@ -42,30 +42,32 @@ def free_port() -> int:
 
 
 def url(port: int) -> str:
-    """Where a viewer on this machine listens for recordings."""
+    """The address at which a viewer on this machine receives recordings."""
     return f"rerun+http://{HOME}:{port}/proxy"
 
 
 def listens(port: int) -> bool:
-    """Whether somebody listens on a port of this machine; answers at once."""
+    """Whether a port of this machine accepts connections; returns within 0.2 s."""
     with contextlib.suppress(OSError), socket.create_connection((HOME, port), timeout=0.2):
         return True
     return False
 
 
 def has_screen() -> bool:
-    """Whether a window could be shown."""
+    """Whether a window can be shown."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def open_window(*recordings: Path) -> int:
-    """Open a viewer that outlives this process; returns the port where it listens for more.
+    """Open a viewer that outlives this process; returns the port on which it accepts more recordings.
 
     Raises:
-        UsageError: where there is no screen.
+        UsageError: if there is no screen.
     """
     if not has_screen():
-        raise UsageError("there is no screen to open a viewer on. Use dynaviz view --web, or dynaviz shot for pictures")
+        raise UsageError(
+            "there is no screen to open a viewer on. Use dynaviz view --web for a browser, or dynaviz shot for pictures"
+        )
     port = free_port()
     process = subprocess.Popen(
         [program(), *map(str, recordings), f"--bind={HOME}", f"--port={port}", "--hide-welcome-screen"],
@@ -79,42 +81,42 @@ def open_window(*recordings: Path) -> int:
 
 @contextlib.contextmanager
 def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
-    """A viewer without a window, for pictures; it ends with the block.
+    """A viewer without a window, for pictures; it stops at the end of the block.
 
     Raises:
-        MissingDependency: where there is nothing to draw with.
-        DynavizError: where it does not start for another reason.
+        MissingDependency: without a graphics adapter.
+        DynavizError: if it does not start for another reason.
     """
     port = free_port()
     command = [
         program(), "--headless", "--hide-welcome-screen", f"--window-size={size[0]}x{size[1]}",
         f"--bind={HOME}", f"--port={port}", "--server-memory-limit=4GB",
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as said:
-        quiet = {**os.environ, "RUST_LOG": "error"}  # messages would be drawn over the picture
-        process = subprocess.Popen(command, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=quiet)
+    with tempfile.TemporaryFile() as output:
+        quiet = {**os.environ, "RUST_LOG": "error"}  # or messages would be drawn over the picture
+        process = subprocess.Popen(command, stdout=output, stderr=output, stdin=subprocess.DEVNULL, env=quiet)
         try:
-            yield _answering(process, port, said)
+            yield _connected(process, port, output)
         finally:
             process.terminate()
             process.wait()
 
 
-def _answering(process: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> ViewerClient:
-    """Wait until the viewer answers, or say why it does not."""
+def _connected(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:
+    """Wait until the viewer answers; raise an error with its output if it does not."""
     end = time.monotonic() + SECONDS_TO_START
     while process.poll() is None and time.monotonic() < end:
         if listens(port):
             client = ViewerClient.connect(url(port))
-            with contextlib.suppress(Exception):  # it listens before it knows whether it can draw
+            with contextlib.suppress(Exception):  # it accepts connections before it can draw
                 client.take_screenshot()
                 return client
         time.sleep(0.05)
-    said.seek(0)
-    words = said.read().decode(errors="replace")
-    if "graphics adapter" in words or "render context" in words:
+    output.seek(0)
+    text = output.read().decode(errors="replace")
+    if "graphics adapter" in text or "render context" in text:
         raise MissingDependency(
-            "pictures need a graphics adapter, and this machine has none for Vulkan. "
-            "Install a software one: apt-get install mesa-vulkan-drivers"
+            "pictures need a Vulkan graphics adapter, and none was found. "
+            "Install a software renderer: apt-get install mesa-vulkan-drivers"
         )
-    raise DynavizError(f"the viewer did not start: {words.strip()[-500:] or 'it said nothing'}")
+    raise DynavizError(f"the viewer did not start: {text.strip()[-500:] or 'it printed nothing'}")

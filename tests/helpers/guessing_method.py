@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import rerun as rr
-from rerun.experimental import ViewerClient
 
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.method import Context, MethodInfo, Reason
+from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.metric import FrameHistograms, Labelled
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Text, Voxels
 from dynaviz.scan import Outcome, Scan, Sequence
@@ -73,13 +71,11 @@ class Guess:
     def _band(self, scan: Scan) -> np.ndarray:
         return (scan.points[:, 2] < self.params.height) & (scan.points[:, 1] > 2.2)
 
-    def label(self, scan: Scan) -> np.ndarray:
+    def label(self, scan: Scan) -> Labels:
         self.probe.emit("count", Scalar(float(self._band(scan).sum())))
         self.probe.emit("remark", Text(f"scan {scan.index}"))
-        return self._band(scan)
-
-    def explain(self, scan: Scan) -> np.ndarray:
-        return self._band(scan).astype(np.uint8)
+        dynamic = self._band(scan)
+        return Labels(dynamic, dynamic.astype(np.uint8))
 
 
 class Numbers:
@@ -120,13 +116,3 @@ def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any)
     with Recorder(path, mode) as recorder:
         execute(guess_run(sequence, **changes), [recorder], recorder)
     return path
-
-
-def settled(client: ViewerClient) -> dict[Any, Any]:
-    """What the viewer complains of, by view, once all data have arrived; at once where it complains of nothing."""
-    end = time.monotonic() + 30
-    while True:
-        shown = {view.name: view.reports for view in client.get_state().views}
-        if not any(shown.values()) or time.monotonic() > end:
-            return shown
-        time.sleep(0.2)

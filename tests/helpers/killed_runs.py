@@ -61,7 +61,7 @@ def main() -> None:
     """Load what a run needs, without any thread that a fork would lose."""
     run = guess_run(room(2, 300), threads=1)
     execute(run)
-    layout(run.method.info, Extent.of(run.sequence[0]), geometry=True)
+    layout(run.labeller.info, Extent.of(run.sequence[0]), geometry=True)
     for line in sys.stdin:
         folder, steps, seconds = line.split()
         print(json.dumps(raised(Path(folder), int(steps), float(seconds))), flush=True)

@@ -1,4 +1,4 @@
-"""Failure cases in a recording: as told, drawn, and found again where the run ended early."""
+"""Failure cases in a recording: as drawn, and computed from the drawn points if the run ended early."""
 
 from __future__ import annotations
 
@@ -43,15 +43,18 @@ def cut_short(sequence: InMemory, path: Path, mode: str) -> Path:
 
 
 @pytest.mark.parametrize("mode", ["full", "errors"])
-def test_the_cases_of_a_run_that_ended_early_are_found_again(little_room, tmp_path, mode):
-    told = failures_of(record(little_room, tmp_path / "whole.rrd", mode))
-    again = failures_of(cut_short(little_room, tmp_path / "cut.rrd", mode))
-    assert told["cases"]
+def test_the_cases_of_a_run_that_ended_early_are_computed(little_room, tmp_path, mode):
+    whole = failures_of(record(little_room, tmp_path / "whole.rrd", mode))
+    computed = failures_of(cut_short(little_room, tmp_path / "cut.rrd", mode))
+    assert whole.cases
     assert not RunRecording(tmp_path / "cut.rrd").complete
-    points = [Counter({case["kind"]: case["points"] for case in section["cases"]}) for section in (told, again)]
-    assert points[0] == points[1]
-    costs = [sum(case["cost"] for case in section["cases"]) for section in (told, again)]
-    assert costs[0] == pytest.approx(costs[1])
+    points, costs = Counter(), Counter()
+    for sign, section in ((1, whole), (-1, computed)):
+        for case in section.cases:
+            points[case.kind] += sign * case.points
+            costs[case.kind] += sign * case.cost
+    assert set(points.values()) == {0}
+    assert all(cost == pytest.approx(0, abs=1e-9) for cost in costs.values())
 
 
 def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
@@ -70,7 +73,7 @@ def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
     whole = recording.static(paths.CASES)
     assert len(whole["Boxes3D:centers"]) == len(cases)
     np.testing.assert_allclose(
-        whole["Boxes3D:centers"] + whole["Boxes3D:half_sizes"], [case["high"] for case in cases], atol=0.02
+        whole["Boxes3D:centers"] + whole["Boxes3D:half_sizes"], [case.high for case in cases], atol=0.02
     )
 
 
@@ -78,15 +81,15 @@ def test_the_list_names_the_frame_to_go_to(little_room, tmp_path):
     recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
     text = str(recording.static(paths.FAILURE_LIST)["TextDocument:text"][0])
     first = recording.result.failures[0]
-    assert f"| {first['worst_frame']} |" in text
-    assert f"{first['cost']:.2f}" in text
-    assert first["sentence"] in str(recording.static(paths.REPORT)["TextDocument:text"][0])
+    assert f"| {first.worst_frame} |" in text
+    assert f"{first.cost:.2f}" in text
+    assert first.sentence in str(recording.static(paths.REPORT)["TextDocument:text"][0])
 
 
-def test_a_recording_without_points_or_truth_says_so(little_room, tmp_path):
-    with pytest.raises(DataError, match="holds no points"):
+def test_without_points_or_ground_truth_there_is_an_error(little_room, tmp_path):
+    with pytest.raises(DataError, match="contains neither failure cases nor points"):
         failures_of(cut_short(little_room, tmp_path / "scores.rrd", "scores"))
     bare = InMemory([scan.without_truth() for scan in little_room.scans])
     with pytest.raises(DataError, match="no ground truth"):
         failures_of(record(bare, tmp_path / "bare.rrd"))
-    assert failures_of(record(little_room, tmp_path / "told.rrd", "scores"))["cases"]
+    assert failures_of(record(little_room, tmp_path / "finished.rrd", "scores")).cases

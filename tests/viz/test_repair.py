@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.viz.pipe import PipeWriter
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.repair import repair
 from dynaviz.viz.sink import of_part, part_of
@@ -57,7 +54,7 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
         codes.add(code)
         assert err == ""
         if code == 1:
-            assert "Nothing to salvage" in out
+            assert "Nothing to recover" in out
             assert [path.name for path in folder.iterdir()] == [".run.rrd.part"]
             continue
         salvaged = RunRecording(folder / "run.rrd")
@@ -117,26 +114,3 @@ def test_scores_alone_are_salvaged_too(little_room: InMemory, tmp_path: Path) ->
     whole = record(little_room, tmp_path / "run.rrd", "scores")
     found = repair(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"))
     assert (found.path, found.answered) == (tmp_path / "cut-repaired.rrd", 6)
-
-
-def test_a_tap_hands_on_every_byte(tmp_path: Path) -> None:
-    content = np.random.default_rng(0).bytes(5_000_000)
-    with PipeWriter(tmp_path / "file") as tap, open(tap.inlet, "wb", buffering=0) as inlet:
-        for start in range(0, len(content), 700_000):
-            inlet.write(content[start : start + 700_000])
-            tap.settle()
-            assert (tmp_path / "file").stat().st_size == min(start + 700_000, len(content))
-    assert (tmp_path / "file").read_bytes() == content
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_tap_tells_of_a_full_disk_and_blocks_nobody() -> None:
-    tap = PipeWriter(Path("/dev/full"))
-    with open(tap.inlet, "wb", buffering=0) as inlet:
-        for _ in range(40):  # more than the pipe holds
-            inlet.write(bytes(100_000))
-    with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
-        tap.settle()
-    with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
-        tap.close()
-    tap.close()

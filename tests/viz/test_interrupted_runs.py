@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,19 +14,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rerun as rr
 from helpers.guessing_method import guess_run, record
 from helpers.killed_runs import FRAMES
 from helpers.resource_limits import files_end_at
 from helpers.worlds import InMemory, room
+from rerun.chunk import RrdReader
 
 from dynaviz.api import _run_into
 from dynaviz.engine.loop import execute
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import sha256
 from dynaviz.results.result import Result
-from dynaviz.scan import outcomes
-from dynaviz.viz import paths
+from dynaviz.scan import Scan, outcomes
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.repair import repair
@@ -85,6 +83,60 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
         salvaged.append(found.answered if found else 0)
     assert len(said.stdout.splitlines()) == 20
     assert len(set(salvaged)) >= 5, salvaged  # killed at many different frames
+
+
+def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_path: Path) -> None:
+    class Torn(InMemory):
+        reads = 0
+
+        def __getitem__(self, position: int) -> Scan:
+            self.reads += 1
+            if self.reads == 4 + 2 * len(self):
+                raise RuntimeError("torn")
+            return super().__getitem__(position)
+
+    with pytest.raises(RuntimeError, match="torn"):
+        record(Torn(little_room.scans), tmp_path / "run.rrd")
+    assert [p.name for p in tmp_path.iterdir()] == [".run.rrd.part"]
+    recording = RunRecording(tmp_path / ".run.rrd.part")
+    assert not recording.complete
+    assert recording.result is None
+    assert len(list(recording.answers())) == 2
+
+
+KILLED = """
+import os, signal, sys
+sys.path[:0] = {folders!r}
+from helpers.worlds import room
+from helpers.guessing_method import guess_run
+from dynaviz.engine.loop import Listener, execute
+from dynaviz.viz.recorder import Recorder
+
+class Killer(Listener):
+    def labelled(self, labelled, curves):
+        if labelled.frame == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+with Recorder({path!r}) as recorder:
+    execute(guess_run(room(6, 500)), [recorder, Killer()], recorder)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")
+def test_kill_leaves_every_frame_that_was_flushed(tmp_path: Path) -> None:
+    here = Path(__file__).parent
+    code = KILLED.format(folders=[str(here.parent), str(here)], path=str(tmp_path / "run.rrd"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    assert os.listdir(tmp_path) == [".run.rrd.part"]
+    part = tmp_path / ".run.rrd.part"
+    with pytest.raises(DataError, match=r"is incomplete.*dynaviz repair"):
+        RunRecording(part)
+    frames: set[Any] = set()
+    for chunk in RrdReader(part).stream().filter(content="/answers"):
+        frames |= set(chunk.to_record_batch()["frame"].to_pylist())
+    assert frames == {0, 1, 2, 3}
 
 
 INTERRUPTED = """
@@ -165,37 +217,3 @@ def test_places_that_cannot_be_written(tmp_path: Path, run_command: Command) -> 
             _run_into(out, None, "errors", guess_run(room(2, 100)), False, lambda *_: None)
         code, _, err = run_command("repair", whole, "-o", out)
         assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err
-
-
-def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, run_command: Command) -> None:
-    path, whole = tmp_path / "x.rrd", record(little_room, tmp_path / "run.rrd", "scores").read_bytes()
-    says = {
-        b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
-        whole[:5] + b"\xfe" + whole[6:-100]: "rerun 0.254",
-        whole[:-100]: "dynaviz repair",
-        older(tmp_path): "older dynaviz and lacks title",
-    }
-    for content, word in says.items():
-        path.write_bytes(content)
-        for verb in ("info", "view"):
-            if verb == "view" and "older" in word:
-                continue  # the viewer needs no properties
-            code, _, err = run_command(verb, path)
-            assert (code, err.count("\n"), word in err) == (2, 1, True), err
-
-
-def older(folder: Path) -> bytes:
-    """A recording with fewer properties."""
-    with rr.RecordingStream("old", send_properties=False) as stream:
-        stream.save(folder / "old.rrd")
-        stream.send_property(paths.PROPERTIES, rr.AnyValues(schema=0, method="octomap", frames=2))
-        stream.disconnect()
-    return (folder / "old.rrd").read_bytes()
-
-
-def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, run_command: Command) -> None:
-    shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
-    for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
-        code, _, err = run_command(*words)
-        assert (code, err.count("\n")) == (2, 1)
-        assert f"dynaviz repair {tmp_path / '.run.rrd.part'}" in err
