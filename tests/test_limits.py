@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dynaviz import kernels, registry
-from dynaviz.datasets.files import numbered
+from dynaviz.datasets.files import numbered_files
 from dynaviz.engine import loop
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.engine.summary import SequenceSummary
@@ -43,7 +43,7 @@ def test_the_page_states_what_the_code_has() -> None:
         f"{kernels.blocks.REACH:,} voxels",
         f"{grid.REACH:,} voxels",
         f"{loop.MOST_IN_MAP:,} points",
-        f"{records._LONGEST >> 20} MiB",
+        f"{records._MAX_RECORD >> 20} MiB",
     ):
         assert number in stated, number
 
@@ -135,8 +135,8 @@ def test_a_frame_number_beyond_64_bits_is_refused(number: str) -> None:
         def glob(self, pattern: str) -> list[Path]:
             return [Path(f"scans/{number}.pcd")]
 
-    with pytest.raises(DataError, match="no frame number"):
-        numbered(Folder(), ".pcd")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="not a frame number"):
+        numbered_files(Folder(), ".pcd")  # type: ignore[arg-type]
 
 
 def test_the_place_itself_is_told() -> None:

@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 from dynaviz import params, registry
 from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec, variant
-from dynaviz.datasets import known
+from dynaviz.datasets import is_sequence
 from dynaviz.errors import UsageError
 from dynaviz.registry import suggest
 from dynaviz.results.result import RecordMode
@@ -186,7 +186,7 @@ def _held(entry: Any, sources: list[SequenceSpec]) -> SequenceSpec:
     other = _source(entry, "holdout")
     if other in sources:
         return other
-    if other.path and not known(other.path):  # not opened: that is for the end
+    if other.path and not is_sequence(other.path):  # not opened: that is for the end
         names = ", ".join(source.name for source in sources)
         raise UsageError(f"holdout: {entry} is no sequence, nor the name of one here: {names}")
     return other

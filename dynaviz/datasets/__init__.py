@@ -1,4 +1,4 @@
-"""Opening a sequence of any known format; one format per file, found through the entry points ``dynaviz.datasets``."""
+"""Open a sequence of any supported format; formats are plug-ins (entry point group ``dynaviz.datasets``)."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from dynaviz.sensors import load_sensor
 
 
 class Dataset(Sequence, Protocol):
-    """A sequence that can tell and open its own format.
+    """A sequence class that recognises and opens its format.
 
     Attributes:
-        layout: the files that make the format, in a few words, for messages.
-        fallback: True for a format so general that it is guessed only where no other one matches; may be left out.
+        layout: the files of the format, in a few words, for messages.
+        fallback: optional; True for a general format that is tried only if no other format matches.
     """
 
     layout: ClassVar[str]
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path looks like this format. Looks at names only, never into files."""
+        """Whether a path looks like this format, judged by file names only."""
         ...
 
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open a sequence.
 
-        Where it takes the keywords ``poses``, ``points_in`` or ``deskew``, those of ``dynaviz.open`` are handed on.
+        The method may accept the keywords ``poses``, ``points_in`` and ``deskew`` of ``dynaviz.open``.
 
         Raises:
-            DataError: where the path does not hold what the format needs.
+            DataError: if files that the format needs are missing or invalid.
         """
         ...
 
@@ -47,80 +47,84 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     """Open a sequence.
 
     Args:
-        text: a path whose format is guessed, or ``format:PATH``.
-        sensor: name of the sensor, where the data do not tell it.
-        options: what the format's ``open`` takes beside the path; None stands for its default.
+        text: a path whose format is detected, or ``format:PATH``.
+        sensor: name of the sensor, if the data do not define it.
+        options: keywords of the format's ``open``; None means the default.
 
     Raises:
-        DataError: where nothing is at the path, or nothing known.
-        UsageError: for a format or sensor that is not known, or an option that the format does not take.
+        DataError: if the path does not exist or is not a recognised sequence.
+        UsageError: for an unknown format or sensor, or an option that the format does not accept.
     """
-    given = {name: value for name, value in options.items() if value is not None}
-    kind, path = _asked(text)
-    sequence: Sequence = (kind or _guess(path, given)).open(path, **(_fitting(kind, given) if kind else given))
+    options = {name: value for name, value in options.items() if value is not None}
+    dataset, path = _parse(text)
+    if dataset is None:
+        dataset = _detect(path, options)
+    else:
+        _check_options(dataset, options)
+    sequence: Sequence = dataset.open(path, **options)
     return select_frames(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 
-def known(text: str) -> bool:
-    """Whether ``open_sequence`` finds something at a path, by names alone: no file is read.
+def is_sequence(text: str) -> bool:
+    """Whether ``open_sequence`` recognises a path, judged by file names only; no file is read.
 
     Raises:
-        UsageError: for a format that is not known.
+        UsageError: for an unknown format.
     """
-    kind, path = _asked(text)
-    return (kind is not None and path.exists()) or any(each.matches(path) for each in _kinds())
+    dataset, path = _parse(text)
+    return (dataset is not None and path.exists()) or any(each.matches(path) for each in _datasets())
 
 
-def _asked(text: str) -> tuple[type[Dataset] | None, Path]:
-    """The format that a prefix asks for, if any, and the path."""
+def _parse(text: str) -> tuple[type[Dataset] | None, Path]:
+    """The format named by a prefix, if any, and the path."""
     prefix, colon, rest = text.partition(":")
     if not colon or not prefix.isidentifier() or Path(text).exists():
         return None, Path(os.path.abspath(text))
     return registry.load("datasets", prefix), Path(os.path.abspath(rest))
 
 
-def _takes(kind: type[Dataset], options: Mapping[str, Any]) -> bool:
-    return options.keys() <= inspect.signature(kind.open).parameters.keys()
+def _accepts(dataset: type[Dataset], options: Mapping[str, Any]) -> bool:
+    return options.keys() <= inspect.signature(dataset.open).parameters.keys()
 
 
-def _fitting(kind: type[Dataset], options: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The options, if the format takes them."""
-    if not _takes(kind, options):
+def _check_options(dataset: type[Dataset], options: Mapping[str, Any]) -> None:
+    """Raise UsageError if the format does not accept the options."""
+    if not _accepts(dataset, options):
         flags = ", ".join("--" + name.replace("_", "-") for name in options)
         raise UsageError(
-            f"{flags}: {kind.__name__} tells that itself. Leave it out, or force another format (files:PATH)"
+            f"{flags}: not supported by {dataset.__name__}. Leave it out, or force another format (files:PATH)"
         )
-    return options
 
 
-def _kinds() -> list[type[Dataset]]:
-    """All formats that can be loaded, those so general that they are asked last at the end."""
-    kinds: list[type[Dataset]] = []
+def _datasets() -> list[type[Dataset]]:
+    """All formats that can be loaded, with the fallbacks at the end."""
+    datasets: list[type[Dataset]] = []
     for handle in registry.handles("datasets"):
-        with contextlib.suppress(PluginError):  # it breaks nobody else; asking for it by name tells what is wrong
-            kinds.append(handle.load())
-    return sorted(kinds, key=lambda kind: getattr(kind, "fallback", False))
+        with contextlib.suppress(PluginError):  # a broken plug-in is reported when it is requested by name
+            datasets.append(handle.load())
+    return sorted(datasets, key=lambda dataset: getattr(dataset, "fallback", False))
 
 
-def _guess(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
-    """The first format that matches; with options, of those that take them."""
-    kinds = _kinds()
-    for kind in kinds:
-        if _takes(kind, options) and kind.matches(path):
-            return kind
-    if options and (other := next((kind for kind in kinds if kind.matches(path)), None)):
-        _fitting(other, options)
-    if not path.exists():  # asked last: KITTI tracking knows a sequence by training/0012, which is no folder
+def _detect(path: Path, options: Mapping[str, Any]) -> type[Dataset]:
+    """The first format that matches the path and accepts the options."""
+    datasets = _datasets()
+    for dataset in datasets:
+        if _accepts(dataset, options) and dataset.matches(path):
+            return dataset
+    if options and (other := next((dataset for dataset in datasets if dataset.matches(path)), None)):
+        _check_options(other, options)
+    if not path.exists():  # checked last: KITTI tracking accepts training/0012, which is not a folder
         raise DataError(path, "does not exist", hint="Give the folder of a sequence")
-    sure = [kind for kind in kinds if not getattr(kind, "fallback", False)]
-    near = next((place for place in _around(path) if any(kind.matches(place) for kind in sure)), None)
-    known = "see the known layouts with 'dynaviz list datasets', or force one as in benchmark:PATH"
-    hint = f"Did you mean {near}? Or {known}" if near else f"S{known[1:]}"
-    raise DataError(path, f"is no sequence that is known, but {_description(path)}", hint=hint)
+    specific = [dataset for dataset in datasets if not getattr(dataset, "fallback", False)]
+    near = next((place for place in _nearby(path) if any(dataset.matches(place) for dataset in specific)), None)
+    hint = "List the supported layouts with 'dynaviz list datasets', or force one: benchmark:PATH"
+    if near:
+        hint = f"Did you mean {near}? {hint}"
+    raise DataError(path, f"is not a recognised sequence; found {_description(path)}", hint=hint)
 
 
-def _around(path: Path) -> list[Path]:
-    """Where the sequence may be that somebody meant: the folders of a file, those in a folder."""
+def _nearby(path: Path) -> list[Path]:
+    """Paths that may be the intended sequence: the parents of a file, or the subfolders of a folder."""
     if path.is_file():
         return list(path.parents)[:2]
     with contextlib.suppress(OSError):
@@ -129,13 +133,13 @@ def _around(path: Path) -> list[Path]:
 
 
 def _description(path: Path) -> str:
-    """What is at a path, for somebody who expected something else there."""
+    """What is at a path, for error messages."""
     if path.is_file():
         return f"a file of {path.stat().st_size} bytes"
     try:
         entries = list(path.iterdir())
     except OSError as error:
         return f"a folder that cannot be listed ({error.strerror})"
-    kinds = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in entries)
-    inside = ", ".join(f"{kind}: {count}" for kind, count in kinds.most_common(3))
-    return f"a folder ({inside})" if inside else "an empty folder"
+    counts = Counter("folders" if entry.is_dir() else f"{entry.suffix or 'other'} files" for entry in entries)
+    content = ", ".join(f"{kind}: {count}" for kind, count in counts.most_common(3))
+    return f"a folder ({content})" if content else "an empty folder"

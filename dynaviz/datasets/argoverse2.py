@@ -1,4 +1,4 @@
-"""Argoverse 2, sensor logs (Wilson et al. 2021): two lidars in one sweep, poses of the car, boxes with track ids."""
+"""Argoverse 2 sensor logs (Wilson et al. 2021): sweeps of two lidars, ego poses, boxes with track ids."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, I64
-from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
-from dynaviz.datasets.files import holds, numbered, only
-from dynaviz.datasets.truth import Truth, fields_of
+from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
+from dynaviz.datasets.files import has_files, numbered_files, only
+from dynaviz.datasets.truth import Truth, scan_fields
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
 
-KINDS = (  # Scan.classes counts these, as the data set's own flow labels do
+CATEGORIES = (  # Scan.classes are positions in this tuple, as in the data set's flow labels
     "none", "animal", "articulated bus", "bicycle", "bicyclist", "bollard", "box truck", "bus", "construction barrel",
     "construction cone", "dog", "large vehicle", "message board trailer", "mobile pedestrian crossing sign",
     "motorcycle", "motorcyclist", "official signaler", "pedestrian", "railed vehicle", "regular vehicle", "school bus",
     "sign", "stop sign", "stroller", "traffic light trailer", "truck", "truck cab", "vehicular trailer", "wheelchair",
     "wheeled device", "wheeled rider",
 )  # fmt: skip
-CLASS_NAMES = dict(enumerate(KINDS))
+CLASS_NAMES = dict(enumerate(CATEGORIES))
 LIDARS = ("up_lidar", "down_lidar")  # lasers 0 to 31, and 32 to 63
 LASERS = 32
-STEP = 10_000_000  # nanoseconds; rays of the same step start at the same place, so that methods can bundle them
-GAP = 50_000_000  # nanoseconds; a pose farther from a sweep is none of it
-_POSE = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
-_SWEEP = ("x", "y", "z", "laser_number", "offset_ns")
-_BOX = ("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", *_POSE)
+ORIGIN_STEP = 10_000_000  # nanoseconds; rays within a step share an origin, so that methods can group them
+MAX_POSE_GAP = 50_000_000  # nanoseconds between a sweep and its pose
+_POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
+_SWEEP_COLUMNS = ("x", "y", "z", "laser_number", "offset_ns")
+_BOX_COLUMNS = ("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", *_POSE_COLUMNS)
 
 
 @dataclass(frozen=True)
 class EgoPoses:
-    """The car over time.
+    """The ego poses of a log.
 
     Attributes:
         path: the file, for errors.
@@ -51,26 +51,27 @@ class EgoPoses:
     T_world_ego: F64
 
     def at(self, stamp: int) -> F64:
-        """(4, 4) float64: the pose that is nearest in time; the data set has one at each sweep.
+        """(4, 4) float64: the pose nearest in time; the data set has one for each sweep.
 
         Raises:
-            DataError: where none is near.
+            DataError: if no pose is within ``MAX_POSE_GAP``.
         """
         nearest = int(np.argmin(np.abs(self.stamps - stamp)))
-        if (gap := abs(int(self.stamps[nearest]) - stamp)) > GAP:
-            problem = f"has no pose near {stamp} ns: the nearest is {gap / 1e9:.3f} s away"
-            raise DataError(self.path, problem, hint="Poses must cover all sweeps and boxes; copy the file again")
+        if (gap := abs(int(self.stamps[nearest]) - stamp)) > MAX_POSE_GAP:
+            problem = f"no pose near {stamp} ns: the nearest is {gap / 1e9:.3f} s away"
+            raise DataError(self.path, problem, hint="The poses must cover all sweeps and boxes. Copy the file again")
         pose: F64 = self.T_world_ego[nearest]
         return pose
 
-    def places(self, mounts: F64, stamps: I64) -> F64:
-        """Where (M, 3) places on the car were at (S,) times: (M, S, 3) float64, metres, world frame."""
-        times, known = (stamps - self.stamps[0]).astype(np.float64), (self.stamps - self.stamps[0]).astype(np.float64)
+    def positions(self, mounts: F64, stamps: I64) -> F64:
+        """Positions of (M, 3) mounts on the car at (S,) times: (M, S, 3) float64, metres, world frame."""
+        times = (stamps - self.stamps[0]).astype(np.float64)
+        pose_times = (self.stamps - self.stamps[0]).astype(np.float64)
         out = np.empty((len(mounts), len(stamps), 3))
-        for place, mount in zip(out, mounts, strict=True):
+        for position, mount in zip(out, mounts, strict=True):
             path = (self.T_world_ego[:, :3, :3] * mount).sum(-1) + self.T_world_ego[:, :3, 3]
             for axis in range(3):
-                place[:, axis] = np.interp(times, known, path[:, axis])
+                position[:, axis] = np.interp(times, pose_times, path[:, axis])
         return out
 
 
@@ -78,9 +79,9 @@ class EgoPoses:
 class Argoverse2Sequence:
     """A log of the Argoverse 2 sensor data set, or of its lidar data set, which has no boxes.
 
-    The world has the city's axes, z up, and its origin where the sensor was at the first sweep. The sensor frame is the
-    upper lidar's place with the axes of the car. Sweeps come compensated for the car's motion; each ray starts where
-    its own lidar was when it fired. A sweep without boxes in a log with boxes is unlabelled as a whole.
+    The world frame has the axes of the city frame, z up, and its origin at the sensor position of the first sweep. The
+    sensor frame has the position of the upper lidar and the axes of the car. Sweeps are already motion-compensated;
+    each ray starts at the position of its lidar when it fired. In a log with boxes, a sweep without any is unlabelled.
     """
 
     layout: ClassVar[str] = "LOG/{sensors/lidar/*.feather, city_SE3_egovehicle.feather, annotations.feather}"
@@ -95,7 +96,7 @@ class Argoverse2Sequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a log, its folder of sweeps, or a split or the whole data set."""
+        """Whether a path is a log, its folder of sweeps, a split, or the whole data set."""
         return bool(_logs(path))
 
     @classmethod
@@ -103,26 +104,26 @@ class Argoverse2Sequence:
         """Open a log.
 
         Raises:
-            DataError: where sweeps, poses or calibration are missing or damaged, or there are several logs.
+            DataError: if sweeps, poses or calibration are missing or corrupt, or there are several logs.
         """
         found = _logs(path)
         log = only(found[0].parent if found else path, "logs", {log.name: log for log in found})
-        scans = numbered(log / "sensors/lidar", ".feather")
+        scans = numbered_files(log / "sensors/lidar", ".feather")
         mounts = _mounts(log / "calibration/egovehicle_SE3_sensor.feather")
         poses = _poses(log / "city_SE3_egovehicle.feather")
         poses.T_world_ego[:, :3, 3] -= geometry.apply(poses.at(min(scans)), mounts[:1])[0]
-        file = log / "annotations.feather"
-        boxes = _boxes(file) if file.is_file() else None
+        annotations = log / "annotations.feather"
+        boxes = _boxes(annotations) if annotations.is_file() else None
         moving = moving_tracks(
             (box.track, stamp * 1e-9, geometry.compose(poses.at(stamp), box.T_frame_box)[:3, 3])
-            for stamp, drawn in (boxes or {}).items()
-            for box in drawn
+            for stamp, sweep_boxes in (boxes or {}).items()
+            for box in sweep_boxes
         )
         return cls(log.name, load_sensor("vlp32c_pair"), scans, poses, mounts, boxes, moving)
 
     @property
     def name(self) -> str:
-        """As in ``argoverse2_7fab2350``, the beginning of the log's name."""
+        """``argoverse2_`` and the first 8 characters of the log id, such as ``argoverse2_7fab2350``."""
         return f"argoverse2_{self.log[:8]}"
 
     @property
@@ -132,15 +133,19 @@ class Argoverse2Sequence:
 
     @property
     def facts(self) -> dict[str, str]:
-        """How many objects have boxes."""
-        return track_facts({box.track for drawn in (self.boxes or {}).values() for box in drawn}, self.moving)
+        """Number of objects with boxes."""
+        return track_facts({box.track for boxes in (self.boxes or {}).values() for box in boxes}, self.moving)
 
     def __len__(self) -> int:
         return len(self.scans)
 
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return list(self.scans.values())[index] if 0 <= index < len(self) else None
+
     def __getitem__(self, position: int) -> Scan:
         stamp = list(self.scans)[position]
-        sweep = read_feather(self.scans[stamp], _SWEEP)
+        sweep = read_feather(self.scans[stamp], _SWEEP_COLUMNS)
         xyz = np.column_stack([sweep[axis].astype(np.float64) for axis in "xyz"])
         T_world_ego = self.poses.at(stamp)
         T_ego_sensor = geometry.pose(self.mounts[0], (1, 0, 0, 0))
@@ -151,84 +156,86 @@ class Argoverse2Sequence:
             T_world_sensor=geometry.compose(T_world_ego, T_ego_sensor),
             stamp_ns=stamp,
             origins=self._origins(sweep, stamp),
-            **fields_of(truth, CLASS_NAMES),
+            **scan_fields(truth, CLASS_NAMES),
         )
 
     def _truth(self, xyz: F64, stamp: int) -> Truth:
-        """Truth of (N, 3) points in the car's frame."""
-        drawn = (self.boxes or {}).get(stamp)
-        known = None if drawn is not None else np.zeros(len(xyz), np.bool_)
-        return boxed_truth(xyz, drawn or [], self.moving, known)
+        """Ground truth of (N, 3) points in the ego frame."""
+        boxes = (self.boxes or {}).get(stamp)
+        annotated = None if boxes is not None else np.zeros(len(xyz), np.bool_)
+        return truth_from_boxes(xyz, boxes or [], self.moving, annotated)
 
     def _origins(self, sweep: dict[str, NDArray[Any]], stamp: int) -> F64:
-        """(N, 3) float64, metres, world frame: where the lidar of each point was when it fired."""
-        step = sweep["offset_ns"].astype(np.int64) // STEP
+        """(N, 3) float64, metres, world frame: position of each point's lidar when it fired."""
+        step = sweep["offset_ns"].astype(np.int64) // ORIGIN_STEP
         if not len(step):
             return np.empty((0, 3))
         steps = np.arange(step.min(), step.max() + 1)
-        places = self.poses.places(self.mounts, stamp + steps * STEP + STEP // 2)
+        positions = self.poses.positions(self.mounts, stamp + steps * ORIGIN_STEP + ORIGIN_STEP // 2)
         lidar = (sweep["laser_number"] >= LASERS).astype(np.intp)
-        origins: F64 = places[lidar, step - steps[0]]
+        origins: F64 = positions[lidar, step - steps[0]]
         return origins
 
 
 def _logs(path: Path) -> list[Path]:
-    """The logs that a path may mean."""
+    """The logs that a path may refer to."""
     for log in (path, path.parent.parent):
-        if holds(log / "sensors/lidar", "*.feather") and path in (log, log / "sensors/lidar"):
+        if has_files(log / "sensors/lidar", "*.feather") and path in (log, log / "sensors/lidar"):
             return [log]
     found = [*path.glob("*/sensors/lidar"), *path.glob("sensor/*/*/sensors/lidar")]
-    return sorted(lidar.parent.parent for lidar in found if holds(lidar, "*.feather"))
+    return sorted(lidar.parent.parent for lidar in found if has_files(lidar, "*.feather"))
 
 
 def _transforms(path: Path, table: dict[str, NDArray[Any]]) -> F64:
     """(rows, 4, 4) float64, metres: the transform in each row.
 
     Raises:
-        DataError: for a row that is none.
+        DataError: for a row without a valid transform.
     """
-    rows = np.column_stack([table[name].astype(np.float64) for name in _POSE])
+    rows = np.column_stack([table[name].astype(np.float64) for name in _POSE_COLUMNS])
     out = np.tile(np.eye(4), (len(rows), 1, 1))
     out[:, :3, 3] = rows[:, 4:]
     for row, quaternion in enumerate(rows[:, :4]):
         try:
             out[row, :3, :3] = geometry.matrix(quaternion)
         except ValueError:
-            raise DataError(path, "has no rotation", at=f"row {row}", hint="Copy the file again") from None
+            raise DataError(
+                path, "the quaternion is not a rotation", at=f"row {row}", hint="Copy the file again"
+            ) from None
     if not np.isfinite(out).all():
         row = int(np.flatnonzero(~np.isfinite(out).all((1, 2)))[0])
-        raise DataError(path, "has a position that is not finite", at=f"row {row}", hint="Copy the file again")
+        raise DataError(path, "the position is not finite", at=f"row {row}", hint="Copy the file again")
     return out
 
 
 def _poses(path: Path) -> EgoPoses:
-    table = read_feather(path, ("timestamp_ns", *_POSE))
+    table = read_feather(path, ("timestamp_ns", *_POSE_COLUMNS))
     if not len(table["timestamp_ns"]):
-        raise DataError(path, "has no poses", hint="Copy the file again")
+        raise DataError(path, "contains no poses", hint="Copy the file again")
     order = np.argsort(table["timestamp_ns"], kind="stable")
     return EgoPoses(path, table["timestamp_ns"][order].astype(np.int64), _transforms(path, table)[order])
 
 
 def _mounts(path: Path) -> F64:
-    """(2, 3) float64, metres, the car's frame: where the lidars are."""
-    table = read_feather(path, ("sensor_name", *_POSE))
+    """(2, 3) float64, metres, ego frame: positions of the two lidars."""
+    table = read_feather(path, ("sensor_name", *_POSE_COLUMNS))
     names = table["sensor_name"].tolist()
     for lidar in LIDARS:
         if lidar not in names:
-            raise DataError(path, f"has no {lidar}", hint="Copy the file again")
+            raise DataError(path, f"sensor {lidar} is missing", hint="Copy the file again")
     return _transforms(path, table)[[names.index(lidar) for lidar in LIDARS], :3, 3]
 
 
 def _boxes(path: Path) -> dict[int, list[OrientedBox]]:
-    """The boxes at each time stamp, in the order of time."""
-    table = read_feather(path, _BOX)
+    """The boxes of each sweep by its stamp, in order of time."""
+    table = read_feather(path, _BOX_COLUMNS)
     numbers = {track: number for number, track in enumerate(sorted(set(table["track_uuid"])), 1)}
-    kinds = {kind.replace(" ", "_").upper(): number for number, kind in enumerate(KINDS)}
+    class_ids = {category.replace(" ", "_").upper(): number for number, category in enumerate(CATEGORIES)}
     sizes = np.column_stack([table[name].astype(np.float64) for name in ("length_m", "width_m", "height_m")])
     T_ego_box = _transforms(path, table)
-    T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2  # from the middle to the bottom
+    T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2  # from the centre of the box to its bottom face
     boxes: dict[int, list[OrientedBox]] = {int(stamp): [] for stamp in np.unique(table["timestamp_ns"])}
     rows = zip(table["timestamp_ns"].tolist(), table["track_uuid"], table["category"], T_ego_box, sizes, strict=True)
     for stamp, track, category, T, size in rows:
-        boxes[stamp].append(OrientedBox(numbers[track], kinds.get(category, 0), T, tuple(size.tolist())))
+        boxes[stamp].append(OrientedBox(numbers[track], class_ids.get(category, 0), T, tuple(size.tolist())))
     return boxes

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.datasets.files import holds, numbered
+from dynaviz.datasets.files import has_files, numbered_files
 from dynaviz.datasets.truth import GroundTruth
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
@@ -20,20 +20,20 @@ from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
 
-_POSE = (
-    "The points are in the world frame, and VIEWPOINT tx ty tz qw qx qy qz is the sensor's pose in it: "
-    "its position in metres is where the rays start, its quaternion has length 1"
+_POSE_HINT = (
+    "Write points in the world frame and the sensor pose as VIEWPOINT tx ty tz qw qx qy qz, "
+    "with the position in metres and a unit quaternion"
 )
 
 
 @dataclass(frozen=True)
 class BenchmarkSequence:
-    """A folder with ``pcd/*.pcd`` and, where there is ground truth, ``gt_cloud.pcd``.
+    """A folder with ``pcd/*.pcd`` and, if there is ground truth, ``gt_cloud.pcd``.
 
-    ``sequence.toml`` may tell ``name``, ``sensor``, ``rate`` (sweeps per second, from which the stamps follow), and a
-    table ``classes`` with the name of each class number.
-    Points are passed on as they are, with duplicates and NaN. Where scans have a field ``lidar``, rays start at that
-    lidar's mount on the sensor.
+    ``sequence.toml`` is optional; it sets ``name``, ``sensor``, ``rate`` (sweeps per second, which defines the stamps)
+    and a table ``classes`` with the name of each class number.
+    Points are passed on unchanged, with duplicates and NaN. If scans have a field ``lidar``, rays start at the mount of
+    that lidar on the sensor.
     """
 
     layout: ClassVar[str] = "pcd/*.pcd in the world frame with the sensor's pose in VIEWPOINT, gt_cloud.pcd"
@@ -48,23 +48,23 @@ class BenchmarkSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path holds ``pcd/*.pcd``, or is that folder of scans itself, without a file of poses."""
-        itself = any(file.stem.isdigit() for file in path.glob("*[0-9].pcd"))
-        return holds(path / "pcd", "*.pcd") or (itself and find_poses(path) is None)
+        """Whether a path contains ``pcd/*.pcd``, or is that folder of scans and has no pose file."""
+        is_scan_folder = any(file.stem.isdigit() for file in path.glob("*[0-9].pcd"))
+        return has_files(path / "pcd", "*.pcd") or (is_scan_folder and find_poses(path) is None)
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open a sequence; the header of every scan is read.
+        """Open a sequence and read the header of every scan.
 
         Raises:
-            DataError: for a scan that is damaged or has no pose, and for ground truth that is none.
+            DataError: if a scan is corrupt or has no pose, or the ground truth is invalid.
         """
         folder = path / "pcd" if (path / "pcd").is_dir() else path
         root = folder.parent if folder.name == "pcd" else folder
-        scans = numbered(folder, ".pcd")
+        scans = numbered_files(folder, ".pcd")
         files = list(scans.values())
-        counts = [_checked(file) for file in files]
-        facts = _facts(root / "sequence.toml")
+        counts = [_validated_count(file) for file in files]
+        facts = _read_facts(root / "sequence.toml")
         sensor = load_sensor(facts["sensor"]) if "sensor" in facts else Sensor()
         gt = root / "gt_cloud.pcd"
         truth = GroundTruth(gt, counts, lambda position: read_pcd(files[position]).xyz) if gt.exists() else None
@@ -77,20 +77,24 @@ class BenchmarkSequence:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is worth telling of the ground truth; the number of unmatched points counts the frames read so far."""
+        """How the ground truth is matched. Unmatched points are counted over the frames read so far."""
         if self.truth is None:
             return {}
-        how = "rows of gt_cloud.pcd" if self.truth.by_index else "coordinates in gt_cloud.pcd"
-        return {"ground truth by": how, "points without partner": f"{sum(self.unmatched.values()):,}"}
+        source = "rows of gt_cloud.pcd" if self.truth.by_index else "coordinates in gt_cloud.pcd"
+        return {"ground truth by": source, "unmatched points": f"{sum(self.unmatched.values()):,}"}
 
     def __len__(self) -> int:
         return len(self.scans)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans.get(index)
 
     def __getitem__(self, position: int) -> Scan:
         index = list(self.scans)[position]
         pcd = read_pcd(self.scans[index])
         T_world_sensor = _pose(pcd)
-        truth = self.truth.of(position % len(self), pcd.xyz) if self.truth else None
+        truth = self.truth.for_scan(position % len(self), pcd.xyz) if self.truth else None
         if truth:
             self.unmatched[index] = truth.unmatched
         return Scan(
@@ -106,26 +110,26 @@ class BenchmarkSequence:
         )
 
     def _origins(self, pcd: Pcd, T_world_sensor: F64) -> F64:
-        """(1, 3) or (N, 3) float64, metres, world frame: where the rays start."""
+        """(1, 3) or (N, 3) float64, metres, world frame: origins of the rays."""
         if "lidar" not in pcd or not self.sensor.mounts:
             return T_world_sensor[None, :3, 3]
         lidar = pcd["lidar"].astype(np.int64)
         if len(lidar) and not 0 <= lidar.min() <= lidar.max() < len(self.sensor.mounts):
-            problem = f"has a point of lidar {lidar.max()}, but {self.sensor.title} has {len(self.sensor.mounts)}"
-            raise DataError(pcd.path, problem, hint="Count them from 0, or name another sensor in sequence.toml")
+            problem = f"a point has lidar {lidar.max()}, but {self.sensor.title} has {len(self.sensor.mounts)} lidars"
+            raise DataError(pcd.path, problem, hint="Number lidars from 0, or set another sensor in sequence.toml")
         mounts = np.array([mount[:3] for mount in self.sensor.mounts], np.float64)
         return geometry.apply(T_world_sensor, mounts)[lidar]
 
 
-def _checked(path: Path) -> int:
-    """Number of points of a scan that can be read and has a pose, by its header and size."""
+def _validated_count(path: Path) -> int:
+    """Number of points of a scan; checks its header, pose and file size."""
     header = read_header(path)
     pcd = Pcd(path, header, np.empty(0, header.row))
     _pose(pcd)
     _ = pcd.xyz
     needed = header.offset + header.points * header.row.itemsize
     if header.data == "binary" and path.stat().st_size < needed:
-        problem = f"is too short: {header.points} points need {needed} bytes, it has {path.stat().st_size}"
+        problem = f"file is too short: {header.points} points need {needed} bytes, it has {path.stat().st_size}"
         raise DataError(path, problem, at=f"byte {path.stat().st_size}", hint="Write or copy the file again")
     return header.points
 
@@ -133,31 +137,30 @@ def _checked(path: Path) -> int:
 def _pose(pcd: Pcd) -> F64:
     T_world_sensor = pcd.T_world_sensor
     if T_world_sensor is None:
-        raise DataError(pcd.path, "has no VIEWPOINT, so nobody knows where its rays start", hint=_POSE)
+        raise DataError(pcd.path, "has no VIEWPOINT, so the sensor pose is unknown", hint=_POSE_HINT)
     return T_world_sensor
 
 
-def _facts(path: Path) -> Mapping[str, Any]:
-    """What ``sequence.toml`` tells, if it is there."""
+def _read_facts(path: Path) -> Mapping[str, Any]:
+    """The content of ``sequence.toml``, if it exists."""
     if not path.exists():
         return {"classes": {}}
-    hint = 'It may hold name = "...", sensor = "..." (dynaviz list sensors) and rate = 10.0'
+    hint = 'Set name = "...", sensor = "..." (see dynaviz list sensors) and rate = 10.0'
     try:
         facts = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, f"cannot be read ({error})", hint=hint) from None
-    kinds: dict[str, Any] = {"name": str, "sensor": str, "rate": (int, float)}
-    for key, kind in kinds.items():
-        if key in facts and not isinstance(facts[key], kind):
-            raise DataError(path, f"has {key} = {facts[key]!r}", hint=hint)
+    types: dict[str, Any] = {"name": str, "sensor": str, "rate": (int, float)}
+    for key, type_ in types.items():
+        if key in facts and not isinstance(facts[key], type_):
+            raise DataError(path, f"invalid {key} = {facts[key]!r}", hint=hint)
     if not facts.get("rate", 1.0) > 0:
-        raise DataError(path, f"has rate = {facts['rate']}", hint=hint)
+        raise DataError(path, f"invalid rate = {facts['rate']}, must be positive", hint=hint)
     if "name" in facts and facts["name"] != (Path(facts["name"]).name or None):
-        raise DataError(path, f"has name = {facts['name']!r}, which no folder can have", hint=hint)
+        raise DataError(path, f"invalid name = {facts['name']!r}, must be usable as a folder name", hint=hint)
     try:
         classes = {int(number): str(name) for number, name in facts.get("classes", {}).items()}
     except (AttributeError, ValueError):
-        raise DataError(
-            path, "has classes that are no table of numbers and names", hint='[classes] 10 = "car"'
-        ) from None
+        hint = 'Write a table [classes] with entries such as 10 = "car"'
+        raise DataError(path, "invalid [classes], must map numbers to names", hint=hint) from None
     return {**facts, "classes": classes}

@@ -1,4 +1,4 @@
-"""Any readable sequence in the public benchmark's layout, frame by frame."""
+"""Convert any sequence to the layout of the public benchmark."""
 
 from __future__ import annotations
 
@@ -16,22 +16,21 @@ from dynaviz.scan import Label, Scan, Sequence, stream
 from dynaviz.sensors import Sensor, sensor_names
 from dynaviz.spatial import geometry
 
-SAME = 1e-4  # metres within which a ray starts at a lidar's mount
+MOUNT_TOLERANCE = 1e-4  # metres between the origin of a ray and the mount of its lidar
 
 
 @dataclass
 class Conversion:
-    """What came of a conversion.
+    """Summary of a conversion.
 
     Attributes:
-        folder: where it is.
-        frames, points: how many.
+        folder: the written folder.
+        frames, points: number of frames and points.
         unlabelled: points without a label in a sequence that has labels.
-        moved_rays: points whose ray started elsewhere than the layout can tell.
-        pose_error: the largest difference between an entry of a pose and of the pose that is read back; metres for
+        moved_rays: points whose ray origin the layout cannot store.
+        pose_error: largest absolute difference between an entry of a pose and of the pose read back; metres for
             positions.
-        exact: all poses, and the places where rays start, are read back bit for bit, and with them the digest of the
-            sequence.
+        exact: all poses and ray origins, and hence the digest of the sequence, are read back bit for bit.
     """
 
     folder: Path
@@ -43,23 +42,23 @@ class Conversion:
     exact: bool = True
 
     def remarks(self) -> list[str]:
-        """What a user should know before using it; a line each."""
-        said = []
+        """Warnings about information that the copy lacks, one line each."""
+        remarks = []
         if self.unlabelled:
-            said.append(
-                f"{self.unlabelled:,} of {self.points:,} points are unlabelled: 255 in gt_cloud.pcd. dynaviz "
-                "leaves them out of every count; public tools take all but 0 for dynamic"
+            remarks.append(
+                f"{self.unlabelled:,} of {self.points:,} points are unlabelled (255 in gt_cloud.pcd). dynaviz "
+                "does not count them; the benchmark's own tools treat every value except 0 as dynamic"
             )
         if self.moved_rays:
-            said.append(
-                f"the rays of {self.moved_rays:,} points started elsewhere than at the sensor's position, which the "
-                "layout cannot tell; methods that trace rays answer a little differently"
+            remarks.append(
+                f"the rays of {self.moved_rays:,} points do not start at the sensor position, which the layout cannot "
+                "store; results of methods that cast rays differ slightly"
             )
         if self.pose_error > 1e-6:
-            said.append(
-                f"poses are no pure rotations and shifts: those read back differ by up to {self.pose_error:.1g}"
+            remarks.append(
+                f"the poses are not exactly rigid: the poses read back differ by up to {self.pose_error:.1g}"
             )
-        return said
+        return remarks
 
 
 def convert(
@@ -67,16 +66,16 @@ def convert(
     out: str | os.PathLike[str],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Conversion:
-    """Write a sequence in the public benchmark's layout (``dynaviz.io.benchmark``), one frame in memory at a time.
+    """Write a sequence in the layout of the public benchmark (``dynaviz.io.benchmark``), one frame in memory at a time.
 
     Args:
-        sequence: any; its frames keep their numbers.
-        out: the folder to make; it must not exist yet, and appears whole or not at all.
-        progress: told how many of how many frames are done.
+        sequence: any sequence; frames keep their numbers.
+        out: folder to create; it must not exist yet, and is written atomically.
+        progress: called with the number of frames done and the total.
 
     Raises:
-        DataError: where ``out`` exists or cannot be written, or the sequence cannot be read.
-        UsageError: for frames whose numbers do not grow, for the layout orders them by their numbers.
+        DataError: if ``out`` exists or cannot be written, or the sequence cannot be read.
+        UsageError: if frame numbers do not increase, because the layout orders frames by number.
     """
     done = Conversion(Path(out))
     names: dict[int, str] = {}
@@ -86,7 +85,7 @@ def convert(
         for scan in stream(sequence):
             if indices and scan.index <= indices[-1]:
                 raise UsageError(
-                    f"{sequence.name}: frame {scan.index} comes after {indices[-1]}. Give --frames in order"
+                    f"{sequence.name}: frame {scan.index} comes after {indices[-1]}. Give --frames in increasing order"
                 )
             lidar = _lidar(scan, sequence.sensor)
             writer.append(scan.index, scan.points, scan.T_world_sensor, lidar=lidar)
@@ -96,7 +95,7 @@ def convert(
                     labels = np.full(len(scan), Label.UNLABELLED, np.uint8)
                 writer.append_truth(scan.points, labels, scan.classes, scan.instances)
                 done.unlabelled += int((labels == Label.UNLABELLED).sum())
-            _note(done, scan, lidar)
+            _update(done, scan, lidar)
             names.update(scan.class_names)
             indices.append(scan.index)
             stamps.append(scan.stamp_ns)
@@ -107,31 +106,31 @@ def convert(
     return done
 
 
-def _note(done: Conversion, scan: Scan, lidar: U8 | None) -> None:
-    """Count a scan, and compare what is read back with what was."""
+def _update(done: Conversion, scan: Scan, lidar: U8 | None) -> None:
+    """Add a scan to the summary, and compare its pose and origins with what will be read back."""
     done.frames += 1
     done.points += len(scan)
     T = scan.T_world_sensor
-    back = geometry.pose(T[:3, 3], geometry.quaternion(T[:3, :3]))
-    done.pose_error = max(done.pose_error, float(np.abs(back - T).max()))
-    done.exact &= back.tobytes() == T.tobytes()
+    read_back = geometry.pose(T[:3, 3], geometry.quaternion(T[:3, :3]))
+    done.pose_error = max(done.pose_error, float(np.abs(read_back - T).max()))
+    done.exact &= read_back.tobytes() == T.tobytes()
     if lidar is None:
-        away = np.abs(scan.origins - scan.position).max(1) > SAME
-        done.moved_rays += len(scan) if len(scan.origins) == 1 and away[0] else int(away.sum())
+        moved = np.abs(scan.origins - scan.position).max(1) > MOUNT_TOLERANCE
+        done.moved_rays += len(scan) if len(scan.origins) == 1 and moved[0] else int(moved.sum())
     done.exact &= lidar is None and scan.origins.tobytes() == scan.position.tobytes()
 
 
 def _lidar(scan: Scan, sensor: Sensor) -> U8 | None:
-    """(N,) uint8, from which of the sensor's mounts each ray starts; None where they do not."""
+    """(N,) uint8, the sensor mount at which each ray starts; None if any ray starts elsewhere."""
     if len(scan.origins) == 1 or not sensor.mounts:
         return None
     mounts = geometry.apply(scan.T_world_sensor, np.array([mount[:3] for mount in sensor.mounts], np.float64))
-    far: F64 = np.stack([np.abs(scan.origins - mount).max(1) for mount in mounts], axis=1)
-    return far.argmin(1).astype(np.uint8) if (far.min(1) < SAME).all() else None
+    distances: F64 = np.stack([np.abs(scan.origins - mount).max(1) for mount in mounts], axis=1)
+    return distances.argmin(1).astype(np.uint8) if (distances.min(1) < MOUNT_TOLERANCE).all() else None
 
 
 def _rate(indices: list[int], stamps: list[int | None]) -> float | None:
-    """Sweeps a second by the first and the last stamp; None without."""
+    """Sweeps per second from the first and last stamp; None without stamps."""
     if len(indices) < 2 or stamps[0] is None or stamps[-1] is None or stamps[-1] <= stamps[0]:
         return None
     return float(f"{(indices[-1] - indices[0]) / (stamps[-1] - stamps[0]) * 1e9:.9g}")

@@ -1,4 +1,4 @@
-"""Fetching one large file over HTTP from where the last attempt stopped."""
+"""Download a large file over HTTP, resuming where the last attempt stopped."""
 
 from __future__ import annotations
 
@@ -15,107 +15,109 @@ from typing import Any
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import remove
 
-TRIES, PAUSE, PATIENCE = 4, 1.0, 60.0  # attempts without a new byte; seconds before the second; seconds of silence
-HINT = "Run the same command again later, or give another place that has the file with --url"
+MAX_ATTEMPTS = 4  # without a new byte
+RETRY_DELAY = 1.0  # seconds before the second attempt, doubled for each further one
+TIMEOUT = 60.0  # seconds without data
+HINT = "Run the same command again later, or set another source with --url"
 _BLOCK, _MB = 1 << 18, 1_000_000
 
 
-def fetch(url: str, part: Path, tell: Callable[[int, int], None], mb: int = 0) -> None:
-    """Bring a file to its full length, from where it ends.
+def fetch(url: str, part: Path, progress: Callable[[int, int], None], mb: int = 0) -> None:
+    """Download a file, or the rest of it if a first part exists.
+
+    The first part is not verified; callers must compare a checksum.
 
     Args:
         url: http or https.
-        part: the file, of which a first piece may be there.
-        tell: called with megabytes done and in total.
-        mb: the total where the server does not tell.
+        part: the local file, which may contain the first part.
+        progress: called with the megabytes done and the total.
+        mb: the total, used if the server does not send it.
 
     Raises:
-        DataError: where the server does not have it, or breaks off ``TRIES`` times without a new byte.
-        OSError: where the file cannot be written.
-
-    Nobody asks of what file the first piece is: whoever calls compares a checksum.
+        DataError: if the server does not have the file, or ``MAX_ATTEMPTS`` attempts in a row bring no new byte.
+        OSError: if the file cannot be written.
     """
-    tries, best = 0, _size(part)
+    attempts, received = 0, _size(part)
     while True:
         try:
-            return _attempt(url, part, tell, mb)
+            return _attempt(url, part, progress, mb)
         except _BrokenDownload as broken:
-            tries = 1 if _size(part) > best else tries + 1
-            best = max(best, _size(part))
-            if tries == TRIES:
-                kept = f"after {best / _MB:,.1f} MB, which are kept" if _size(part) else "before its first byte"
-                raise DataError(url, f"breaks off {kept} ({broken})", hint=HINT) from None
-        time.sleep(PAUSE * 2 ** (tries - 1))
+            attempts = 1 if _size(part) > received else attempts + 1
+            received = max(received, _size(part))
+            if attempts == MAX_ATTEMPTS:
+                kept = f"after {received / _MB:,.1f} MB, which are kept" if _size(part) else "before the first byte"
+                raise DataError(url, f"download stopped {kept} ({broken})", hint=HINT) from None
+        time.sleep(RETRY_DELAY * 2 ** (attempts - 1))
 
 
 class _BrokenDownload(Exception):
-    """The connection ended before the file did; another attempt may help."""
+    """The connection ended before the file was complete; another attempt may help."""
 
 
-def _attempt(url: str, part: Path, tell: Callable[[int, int], None], mb: int) -> None:
-    """One request for what is missing."""
+def _attempt(url: str, part: Path, progress: Callable[[int, int], None], mb: int) -> None:
+    """Request and write the missing part once."""
     have = _size(part)
-    reply = _ask(url, part, have)
+    reply = _request(url, part, have)
     if reply is None:
         return
     with reply:
-        if reply.headers.get_content_type() == "text/html":  # a gateway's or an archive's way to say no
-            raise DataError(url, "is a web page, not a file", hint="Look there with a browser")
-        start, total = _span(reply, have)
+        if reply.headers.get_content_type() == "text/html":  # how gateways and archives report errors
+            raise DataError(url, "the server sent a web page, not the file", hint="Open the address in a browser")
+        start, total = _content_range(reply, have)
         with open(part, "r+b" if have else "wb") as file:
             file.seek(start)
-            file.truncate()  # the server may have begun anew
-            done = said = start
-            for block in _blocks(reply):
+            file.truncate()  # the server may have restarted from the beginning
+            done = reported = start
+            for block in _read_blocks(reply):
                 file.write(block)
                 done += len(block)
-                if done // _MB > said // _MB:
-                    said = done
-                    tell(done // _MB, max(done // _MB, mb if total is None else total // _MB))
+                if done // _MB > reported // _MB:
+                    reported = done
+                    progress(done // _MB, max(done // _MB, mb if total is None else total // _MB))
     if total is not None and done < total:
-        raise _BrokenDownload(f"{done:,} of {total:,} bytes came")
+        raise _BrokenDownload(f"received {done:,} of {total:,} bytes")
     if not done:
-        raise _BrokenDownload("nothing came")
+        raise _BrokenDownload("received nothing")
 
 
-def _ask(url: str, part: Path, have: int) -> Any:
-    """The reply to a request from byte ``have`` on; None where nothing is missing."""
+def _request(url: str, part: Path, have: int) -> Any:
+    """The reply to a request from byte ``have`` on; None if the file is complete."""
     headers = {"User-Agent": "dynaviz", "Accept-Encoding": "identity"} | ({"Range": f"bytes={have}-"} if have else {})
     try:
-        return urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=PATIENCE)
+        return urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=TIMEOUT)
     except urllib.error.HTTPError as error:
         with error:
             code, reason, span = error.code, error.reason, error.headers.get("Content-Range", "")
         if code == 416 and span.endswith(f"/{have}"):
             return None
-        if code == 416:  # what is there is longer than the file
+        if code == 416:  # the local part is longer than the file
             remove(part)
         if code in (408, 416, 429) or code >= 500:
             raise _BrokenDownload(f"{code} {reason}") from None
-        hint = "Look there with a browser, or give another place that has the file with --url"
-        raise DataError(url, f"cannot be fetched ({code} {reason})", hint=hint) from None
+        hint = "Open the address in a browser, or set another source with --url"
+        raise DataError(url, f"download failed ({code} {reason})", hint=hint) from None
     except (OSError, http.client.HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
-        why = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
+        reason = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
         if isinstance(cause, socket.gaierror | ValueError):
-            hint = "Look at your connection and the address; --url gives another place that has the file"
-            raise DataError(url, f"cannot be reached ({why})", hint=hint) from None
-        raise _BrokenDownload(why) from None
+            hint = "Check your connection and the address, or set another source with --url"
+            raise DataError(url, f"cannot connect ({reason})", hint=hint) from None
+        raise _BrokenDownload(reason) from None
 
 
-def _span(reply: Any, have: int) -> tuple[int, int | None]:
-    """At which byte a reply begins, and how long the file is, if the server tells."""
+def _content_range(reply: Any, have: int) -> tuple[int, int | None]:
+    """First byte of a reply, and size of the file if the server sends it."""
     if reply.status == 206:
         span = re.match(r"bytes (\d+)-\d+/(\d+)", reply.headers.get("Content-Range", ""))
         if span is None or int(span[1]) > have:
-            raise _BrokenDownload("the server sent another piece than the one asked for")
+            raise _BrokenDownload("the server sent a different range than requested")
         return int(span[1]), int(span[2])
     length = reply.headers.get("Content-Length", "")
     return 0, int(length) if length.isdigit() else None
 
 
-def _blocks(reply: Any) -> Iterator[bytes]:
-    """What comes, until it ends or breaks."""
+def _read_blocks(reply: Any) -> Iterator[bytes]:
+    """The blocks of a reply, until it ends or the connection breaks."""
     while True:
         try:
             block = reply.read(_BLOCK)

@@ -1,4 +1,4 @@
-"""What the formats share: numbered files, and one thing among several."""
+"""Helpers shared by the formats: numbered files, and choosing the only candidate."""
 
 from __future__ import annotations
 
@@ -11,50 +11,55 @@ from dynaviz.errors import DataError
 T = TypeVar("T")
 
 
-def holds(folder: Path, pattern: str) -> bool:
-    """Whether a folder is there and holds a file of a pattern."""
+def has_files(folder: Path, pattern: str) -> bool:
+    """Whether a folder exists and contains a file that matches a pattern."""
     return next(folder.glob(pattern), None) is not None
 
 
-def numbered(folder: Path, suffix: str) -> dict[int, Path]:
-    """The files of a folder by the number that is their name, in the order of the numbers.
+def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
+    """The files of a folder by their number, in increasing order.
 
     Raises:
-        DataError: where there is none, a name is no number, or two are the same number.
+        DataError: if there are no files, a name is not a number, or two files have the same number.
     """
     files: dict[int, Path] = {}
     for path in folder.glob(f"*{suffix}"):
         if not (path.stem.isascii() and path.stem.isdigit() and len(path.stem) < 20 and int(path.stem) < 1 << 63):
-            hint = f"Name the scans 000000{suffix} and so on, and keep other {suffix} files elsewhere"
-            raise DataError(path, "has a name that is no frame number", hint=hint)
+            hint = f"Name the scans 000000{suffix}, 000001{suffix} ..., and keep other {suffix} files elsewhere"
+            raise DataError(path, "file name is not a frame number", hint=hint)
         if int(path.stem) in files:
             raise DataError(path, f"has the same number as {files[int(path.stem)].name}", hint="Remove one of them")
         files[int(path.stem)] = path
     if not files:
-        problem = f"has no *{suffix} files" if folder.is_dir() else "is missing"
+        problem = f"has no *{suffix} files" if folder.is_dir() else "does not exist"
         raise DataError(folder, problem, hint="Give the folder of a sequence")
     return dict(sorted(files.items()))
 
 
 def only_folder(folder: Path, what: str) -> Path:
-    """The only folder in a folder.
+    """The only subfolder of a folder.
 
     Raises:
-        DataError: where there is none, or a choice.
+        DataError: if there is none, or more than one.
     """
-    inside = [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
-    return only(folder, what, {path.name: path for path in sorted(inside)})
+    subfolders = [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
+    return only(folder, what, {path.name: path for path in sorted(subfolders)})
 
 
 def only(folder: Path, what: str, choices: Mapping[str, T]) -> T:
-    """The only one of the things in a folder, by name.
+    """The only candidate in a folder.
+
+    Args:
+        folder: the folder, for the error message.
+        what: plural noun for the candidates, for the error message.
+        choices: the candidates by name.
 
     Raises:
-        DataError: where there is none, or a choice.
+        DataError: if there is none, or more than one.
     """
     if len(choices) == 1:
         return next(iter(choices.values()))
-    names = ", ".join(list(choices)[:30])
-    problem = f"holds several {what}: {names}" if choices else f"holds no {what}"
-    one = f"Give one of the {what}, as in {folder.name}/{next(iter(choices), '')}"
-    raise DataError(folder, problem, hint=one if choices else f"Give a folder with {what}")
+    if not choices:
+        raise DataError(folder, f"contains no {what}", hint=f"Give a folder with {what}")
+    hint = f"Choose one, for example {folder.name}/{next(iter(choices))}"
+    raise DataError(folder, f"contains several {what}: {', '.join(list(choices)[:30])}", hint=hint)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from dynaviz.arrays import F32, F64
-from dynaviz.datasets.files import holds, numbered, only
+from dynaviz.datasets.files import has_files, numbered_files, only
 from dynaviz.errors import DataError
 from dynaviz.io.calib import calib_transform, read_calib
 from dynaviz.io.poses import read_kitti_poses
@@ -22,9 +22,9 @@ from dynaviz.spatial import geometry
 class KittiOdometrySequence:
     """A sequence of KITTI odometry, which has no ground truth.
 
-    The world is the sensor's frame at the start: x forward, y left, z up. Poses of the camera become poses of the
-    sensor by the calibration ``Tr``. They are read from ``poses/NN.txt`` beside ``sequences``, or from ``poses.txt`` in
-    the sequence.
+    The world frame is the sensor frame at the first pose: x forward, y left, z up. Camera poses are converted to sensor
+    poses with the calibration ``Tr``. They are read from ``poses/NN.txt`` next to ``sequences``, or from ``poses.txt``
+    in the sequence.
     """
 
     layout: ClassVar[str] = "sequences/NN/{velodyne/*.bin, calib.txt}, poses/NN.txt"
@@ -37,19 +37,19 @@ class KittiOdometrySequence:
     times: F64 | None
 
     @staticmethod
-    def trajectory(folder: Path) -> Path:
-        """The file of poses of the sequence in a folder."""
-        beside = folder.parent.parent / "poses" / f"{folder.name}.txt"
-        return beside if beside.is_file() else folder / "poses.txt"
+    def pose_file(folder: Path) -> Path:
+        """The pose file of the sequence in a folder."""
+        shared = folder.parent.parent / "poses" / f"{folder.name}.txt"
+        return shared if shared.is_file() else folder / "poses.txt"
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a sequence with ``poses/NN.txt``, its ``velodyne`` folder, or what holds ``sequences/``.
+        """Whether a path is a sequence with ``poses/NN.txt``, its ``velodyne`` folder, or the parent of ``sequences/``.
 
-        Not where a sequence has a ``poses.txt`` of its own, as in SemanticKITTI.
+        Sequences with their own ``poses.txt`` are SemanticKITTI and do not match.
         """
         return any(
-            cls.trajectory(folder).is_file() and not (folder / "poses.txt").is_file() for folder in sequences_of(path)
+            cls.pose_file(folder).is_file() and not (folder / "poses.txt").is_file() for folder in find_sequences(path)
         )
 
     @classmethod
@@ -57,40 +57,44 @@ class KittiOdometrySequence:
         """Open a sequence.
 
         Raises:
-            DataError: where sweeps, poses or calibration are missing or do not fit together.
+            DataError: if sweeps, poses or calibration are missing or inconsistent.
         """
-        found = sequences_of(path)
+        found = find_sequences(path)
         folder = only(found[0].parent, "sequences", {folder.name: folder for folder in found}) if found else path
-        scans = cls.chosen(folder, numbered(folder / "velodyne", ".bin"))
-        calib, file = folder / "calib.txt", cls.trajectory(folder)
+        scans = cls.select_sweeps(folder, numbered_files(folder / "velodyne", ".bin"))
+        calib, pose_file = folder / "calib.txt", cls.pose_file(folder)
         T_camera_sensor = calib_transform(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")
-        T_world_camera = geometry.compose(geometry.inverse(T_camera_sensor), read_kitti_poses(file))
+        T_world_camera = geometry.compose(geometry.inverse(T_camera_sensor), read_kitti_poses(pose_file))
         poses = geometry.compose(T_world_camera, T_camera_sensor)
-        clock = folder / "times.txt"
-        times = read_table(clock, 1, "A line is a time in seconds")[:, 0] if clock.is_file() else None
-        for source, rows in ((file, poses), (clock, times)):
+        time_file = folder / "times.txt"
+        times = read_table(time_file, 1, "Each line is a time in seconds")[:, 0] if time_file.is_file() else None
+        for source, rows in ((pose_file, poses), (time_file, times)):
             if rows is not None and len(rows) <= max(scans):
-                problem = f"has {len(rows)} lines, but there is a sweep {max(scans):06d}.bin"
-                raise DataError(source, problem, hint="Each sweep needs a line; copy the file again")
+                problem = f"has only {len(rows)} lines, but there is a sweep {max(scans):06d}.bin"
+                raise DataError(source, problem, hint="Each sweep needs a line. Copy the file again")
         return cls(folder, load_sensor("hdl64e"), scans, poses, times)
 
     @classmethod
-    def chosen(cls, folder: Path, scans: dict[int, Path]) -> dict[int, Path]:
-        """The sweeps that make the sequence: all."""
+    def select_sweeps(cls, folder: Path, scans: dict[int, Path]) -> dict[int, Path]:
+        """The sweeps of the sequence; here, all of them."""
         return scans
 
     @property
     def name(self) -> str:
-        """As in ``kitti_odometry_08``."""
+        """Format and sequence number, such as ``kitti_odometry_08``."""
         return f"{self.title}_{self.folder.name}"
 
     @property
     def has_labels(self) -> bool:
-        """There are none."""
+        """False: the data set has no labels."""
         return False
 
     def __len__(self) -> int:
         return len(self.scans)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans.get(index)
 
     def __getitem__(self, position: int) -> Scan:
         index = list(self.scans)[position]
@@ -105,18 +109,18 @@ class KittiOdometrySequence:
         )
 
     def sweep(self, index: int) -> F32:
-        """(N, 3) float32, metres, sensor frame: the points of a frame."""
+        """Points of a frame: (N, 3) float32, metres, sensor frame."""
         return read_velodyne(self.scans[index])[:, :3]
 
     def truth(self, index: int, xyz: F32) -> dict[str, Any]:
-        """What is known of the points of a frame, as fields of a ``Scan``: nothing."""
+        """Ground truth of a frame as keyword arguments of ``Scan``; here, none."""
         return {}
 
 
-def sequences_of(path: Path) -> list[Path]:
-    """The folders of sequences that a path may mean."""
+def find_sequences(path: Path) -> list[Path]:
+    """The sequence folders that a path may refer to."""
     for folder in (path, path.parent if path.name == "velodyne" else path):
-        if holds(folder / "velodyne", "*.bin"):
+        if has_files(folder / "velodyne", "*.bin"):
             return [folder]
     root = path if path.name == "sequences" else path / "sequences"
-    return sorted(folder for folder in root.glob("*") if holds(folder / "velodyne", "*.bin"))
+    return sorted(folder for folder in root.glob("*") if has_files(folder / "velodyne", "*.bin"))

@@ -1,4 +1,4 @@
-"""KITTI tracking (Geiger et al. 2012): HDL-64E sweeps, GPS poses, and boxes of what camera 2 sees."""
+"""KITTI tracking (Geiger et al. 2012): HDL-64E sweeps, GPS poses, and boxes in the view of camera 2."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.datasets.box_labels import OrientedBox, boxed_truth, moving_tracks, track_facts
+from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.datasets.camera import Camera
-from dynaviz.datasets.files import holds, numbered, only_folder
-from dynaviz.datasets.truth import Truth, fields_of
+from dynaviz.datasets.files import has_files, numbered_files, only_folder
+from dynaviz.datasets.truth import Truth, scan_fields
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import REGION, TrackBox, read_boxes
 from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
@@ -24,17 +24,18 @@ from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
 
-KINDS = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")  # Scan.classes counts these
-CLASS_NAMES = {number: kind.lower() for number, kind in enumerate(KINDS)}
-SWEEP = 0.1036  # seconds between two sweeps
+# Scan.classes are positions in this tuple.
+CATEGORIES = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")
+CLASS_NAMES = {number: category.lower() for number, category in enumerate(CATEGORIES)}
+SWEEP_PERIOD = 0.1036  # seconds between two sweeps
 
 
 @dataclass(frozen=True)
 class KittiTrackingSequence:
-    """A sequence of KITTI tracking. The world is the sensor's frame at frame 0: x forward, y left, z up.
+    """A sequence of KITTI tracking. The world frame is the sensor frame at frame 0: x forward, y left, z up.
 
-    Ground truth comes from the boxes: points in the box of a track that moves are dynamic, other points in the image of
-    camera 2 are static, and all else is unlabelled. The released data lack a few sweeps; frames keep their numbers.
+    Ground truth comes from boxes: points in the box of a moving track are dynamic, other points in the image of camera
+    2 are static, and all others are unlabelled. The released data lack a few sweeps; frames keep their numbers.
     """
 
     layout: ClassVar[str] = "training/{velodyne/0012/*.bin, calib/0012.txt, oxts/0012.txt, label_02/0012.txt}"
@@ -49,7 +50,7 @@ class KittiTrackingSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a sequence's ``velodyne/0012``, or the split's folder, or ``training/0012``."""
+        """Whether a path is ``velodyne/0012`` of a sequence, the folder of the split, or ``training/0012``."""
         return _split(path) is not None
 
     @classmethod
@@ -57,11 +58,11 @@ class KittiTrackingSequence:
         """Open a sequence.
 
         Raises:
-            DataError: where sweeps, poses or calibration are missing, or there are several sequences to choose from.
+            DataError: if sweeps, poses or calibration are missing, or there are several sequences.
         """
         split, number = _split(path) or (path, None)
         number = number or only_folder(split / "velodyne", "sequences").name
-        scans = numbered(split / "velodyne" / number, ".bin")
+        scans = numbered_files(split / "velodyne" / number, ".bin")
         calib, oxts, labels = (split / kind / f"{number}.txt" for kind in ("calib", "oxts", "label_02"))
         rows = read_calib(calib)
         T_camera_sensor = calib_transform(calib, rows, "Tr_velo_to_cam", "Tr_velo_cam")
@@ -69,8 +70,8 @@ class KittiTrackingSequence:
         T_sensor_imu = calib_transform(calib, rows, "Tr_imu_to_velo", "Tr_imu_velo")
         poses = geometry.compose(read_oxts(oxts), geometry.inverse(T_sensor_imu))
         if len(poses) <= max(scans):
-            problem = f"has {len(poses)} lines, but there is a sweep {max(scans):06d}.bin"
-            raise DataError(oxts, problem, hint="Each sweep needs a line; copy the file again")
+            problem = f"has only {len(poses)} lines, but there is a sweep {max(scans):06d}.bin"
+            raise DataError(oxts, problem, hint="Each sweep needs a line. Copy the file again")
         poses = geometry.compose(geometry.inverse(poses[0]), poses)
         camera = Camera(geometry.compose(T_rectified, T_camera_sensor), calib_matrix(calib, rows, "P2"))
         boxes = read_boxes(labels) if labels.is_file() else None
@@ -80,7 +81,7 @@ class KittiTrackingSequence:
 
     @property
     def name(self) -> str:
-        """As in ``kitti_tracking_0012``."""
+        """Format and sequence number, such as ``kitti_tracking_0012``."""
         return f"kitti_tracking_{self.number}"
 
     @property
@@ -90,11 +91,15 @@ class KittiTrackingSequence:
 
     @property
     def facts(self) -> dict[str, str]:
-        """How many objects have boxes."""
+        """Number of objects with boxes."""
         return track_facts({box.track for boxes in (self.boxes or {}).values() for box in boxes} - {-1}, self.moving)
 
     def __len__(self) -> int:
         return len(self.scans)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans.get(index)
 
     def __getitem__(self, position: int) -> Scan:
         index = list(self.scans)[position]
@@ -104,20 +109,22 @@ class KittiTrackingSequence:
         truth = None
         if self.boxes is not None:
             truth = self._truth(geometry.apply(self.camera.T_camera_sensor, xyz), self.boxes.get(index, []))
-        return Scan(index, points, T_world_sensor, **fields_of(truth, CLASS_NAMES))
+        return Scan(index, points, T_world_sensor, **scan_fields(truth, CLASS_NAMES))
 
     def _truth(self, points: F64, boxes: Iterable[TrackBox]) -> Truth:
-        """The truth of (N, 3) points in the camera frame."""
-        seen, column, row = self.camera.sees(points)
+        """Ground truth of (N, 3) points in the camera frame."""
+        annotated, column, row = self.camera.project(points)
         for left, top, right, bottom in (box.rectangle for box in boxes if box.kind == REGION):
-            seen &= ~((column >= left) & (column <= right) & (row >= top) & (row <= bottom))
-        return boxed_truth(points, [_box(box) for box in boxes if box.kind != REGION], self.moving, seen)
+            annotated &= ~((column >= left) & (column <= right) & (row >= top) & (row <= bottom))
+        return truth_from_boxes(
+            points, [_oriented_box(box) for box in boxes if box.kind != REGION], self.moving, annotated
+        )
 
 
 def _split(path: Path) -> tuple[Path, str | None] | None:
-    """The folder ``training`` that a path means, and the sequence where it says which."""
+    """The folder ``training`` that a path refers to, and the sequence number if the path names one."""
     candidates: list[tuple[Path, str | None]]
-    if holds(path, "*.bin"):
+    if has_files(path, "*.bin"):
         candidates = [(path.parent.parent, path.name)]
     else:
         number = None if path.name == "velodyne" else path.name
@@ -136,20 +143,19 @@ def _by_frame(boxes: Iterable[TrackBox]) -> dict[int, list[TrackBox]]:
 
 
 def _moving(boxes: Iterable[TrackBox], T_world_camera: F64) -> frozenset[int]:
-    """Tracks that move, as numbered in ``Scan.instances``."""
+    """Moving tracks, with the numbers of ``Scan.instances``."""
     return moving_tracks(
-        (box.track + 1, box.frame * SWEEP, geometry.apply(T_world_camera[box.frame], np.array([box.bottom]))[0])
+        (box.track + 1, box.frame * SWEEP_PERIOD, geometry.apply(T_world_camera[box.frame], np.array([box.bottom]))[0])
         for box in boxes
         if box.kind != REGION and 0 <= box.frame < len(T_world_camera)
     )
 
 
-def _box(box: TrackBox) -> OrientedBox:
+def _oriented_box(box: TrackBox) -> OrientedBox:
     """A box in the camera frame, whose y axis points down."""
     height, width, length = box.size
     c, s = np.cos(box.yaw), np.sin(box.yaw)
     T_camera_box = np.eye(4)
     T_camera_box[:3] = np.column_stack([(c, 0, -s), (s, 0, c), (0, -1, 0), box.bottom])
-    return OrientedBox(
-        box.track + 1, KINDS.index(box.kind) if box.kind in KINDS else 0, T_camera_box, (length, width, height)
-    )
+    class_id = CATEGORIES.index(box.kind) if box.kind in CATEGORIES else 0
+    return OrientedBox(box.track + 1, class_id, T_camera_box, (length, width, height))

@@ -1,4 +1,4 @@
-"""Any folder of scans with a file of poses."""
+"""Any folder of scans with a pose file."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F32, I32, I64, U8, U16
-from dynaviz.datasets.pose_matching import MatchedPoses, frame_of, match
-from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING, UNSURE
+from dynaviz.datasets.pose_matching import MatchedPoses, match_poses, parse_points_in
+from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
 from dynaviz.errors import DataError
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
@@ -29,20 +29,21 @@ from dynaviz.sensors import Sensor
 from dynaviz.spatial import geometry
 
 SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
-_PLAIN = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")  # names that say nothing more
+# Folder names that do not identify a sequence.
+_GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
 _NO_POSES = (
-    "Give them with --poses FILE: 12 numbers a line (KITTI), time x y z qx qy qz qw (TUM), or CSV with a header; "
-    "any odometry, for example KISS-ICP, writes such a file"
+    "Give a pose file with --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy qz qw) or CSV with a "
+    "header, written by any LiDAR odometry such as KISS-ICP"
 )
 
 
 @dataclass(frozen=True)
 class ScanFolderSequence:
-    """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a file of poses.
+    """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a pose file.
 
-    The poses come from ``--poses FILE``, or ``poses.txt``, ``trajectory.txt``, ``*.tum``, ``poses.csv`` ... beside the
-    scans or their folder, or from the VIEWPOINT of PCD files. Labels, where there are any: ``labels/NAME.label``
-    (SemanticKITTI; its classes 0 and 1 are unlabelled) or ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
+    The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``, ``poses.csv`` ... next to
+    the scans or their folder, or from the VIEWPOINT of PCD files. Labels are optional: ``labels/NAME.label``
+    (SemanticKITTI; classes 0 and 1 are unlabelled) or ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
     """
 
     layout: ClassVar[str] = "scans 000000.bin, .pcd, .ply, .npy, .npz, .las or .laz with poses.txt, *.tum or poses.csv"
@@ -57,7 +58,7 @@ class ScanFolderSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a folder, or its only folder with such files, holds scans by their names."""
+        """Whether a folder, or its only subfolder with scans, contains scans, judged by file names only."""
         return path.is_dir() and _scans_in(path) is not None
 
     @classmethod
@@ -65,47 +66,48 @@ class ScanFolderSequence:
         """Open a folder.
 
         Args:
-            path: of the scans, or of the one folder with scans.
-            poses: file of poses; None looks for one beside the scans.
+            path: folder of the scans, or the parent of the only folder with scans.
+            poses: pose file; None searches next to the scans.
             points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
 
         Raises:
-            DataError: where there are no scans, no poses, or they do not fit together.
-            UsageError: for another ``points_in``.
+            DataError: if there are no scans or no poses, or they do not match.
+            UsageError: for any other ``points_in``.
         """
-        frame = frame_of(points_in)
+        frame = parse_points_in(points_in)
         folder = _scans_in(path) if path.is_dir() else None
         if folder is None:
-            kinds = ", ".join(sorted({f.suffix or f.name for f in path.iterdir()})[:6]) if path.is_dir() else ""
-            problem = f"holds no scans but {kinds}" if kinds else "holds no scans" if path.is_dir() else "is no folder"
-            raise DataError(
-                path, problem, hint=f"Scans end in {', '.join(SUFFIXES)} and have a number or stamp as name"
-            )
-        scans, numbers, stamps = _sorted(folder)
-        beside = folder.parent if folder != path or folder.name.lower() in _PLAIN else folder
-        file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(beside)
-        matched = match(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+            hint = f"Scans end in {', '.join(SUFFIXES)} and are named by number or stamp"
+            raise DataError(path, _describe_missing_scans(path), hint=hint)
+        scans, numbers, stamps = _sorted_scans(folder)
+        sequence_folder = folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
+        file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
+        matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
         return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame)
 
     @property
     def name(self) -> str:
-        """That of the folder, or of the one around it where it only says what the files are."""
-        return (self.folder.parent if self.folder.name.lower() in _PLAIN else self.folder).name or "scans"
+        """Name of the folder, or of its parent if the folder has a generic name such as ``scans``."""
+        return (self.folder.parent if self.folder.name.lower() in _GENERIC_NAMES else self.folder).name or "scans"
 
     @cached_property
     def has_labels(self) -> bool:
-        """Whether any scan has labels; looked for once, for it asks for the files of every scan."""
+        """Whether any scan has labels; cached, because it checks the files of every scan."""
         return any(self._label_file(scan) is not None for scan in self.scans)
 
     @property
     def facts(self) -> dict[str, str]:
-        """Where the poses come from, and how they were matched."""
-        return {"poses": self.matched.how, "points in": f"{self.points_in} frame"}
+        """Source and matching of the poses, and frame of the points."""
+        return {"poses": self.matched.description, "points in": f"{self.points_in} frame"}
 
     def __len__(self) -> int:
         return len(self.scans)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans[self.indices.index(index)] if index in self.indices else None
 
     def __getitem__(self, position: int) -> Scan:
         path, T_world_sensor = self.scans[position], self.matched.poses[position]
@@ -131,52 +133,61 @@ class ScanFolderSequence:
         return None
 
     def _labels(self, scan: Path, points: int) -> tuple[U8 | None, U16 | None, I32 | None]:
-        """Labels, classes and instances of a scan; all unlabelled where only others have labels."""
+        """Labels, classes and instances of a scan; all unlabelled if only other scans have labels."""
         file = self._label_file(scan)
         if file is None:
             return (np.full(points, Label.UNLABELLED, np.uint8) if self.has_labels else None), None, None
         if file.suffix == ".npy":
             return _label_array(file, points), None, None
         classes, instances = read_semantic_labels(file, points)
-        labels = np.where((classes >= MOVING.start) & (classes < MOVING.stop), Label.DYNAMIC, Label.STATIC).astype(
-            np.uint8
-        )
-        labels[np.isin(classes, UNSURE)] = Label.UNLABELLED
+        moving = (classes >= MOVING_CLASSES.start) & (classes < MOVING_CLASSES.stop)
+        labels = np.where(moving, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        labels[np.isin(classes, UNLABELLED_CLASSES)] = Label.UNLABELLED
         return labels, classes, instances.astype(np.int32)
 
 
+def _describe_missing_scans(path: Path) -> str:
+    """What a path contains instead of scans, for error messages."""
+    if not path.is_dir():
+        return "not a folder"
+    suffixes = ", ".join(sorted({entry.suffix or entry.name for entry in path.iterdir()})[:6])
+    return f"contains no scans, only {suffixes}" if suffixes else "contains no scans"
+
+
 def _entries(folder: Path) -> list[Path]:
-    """What is in a folder; nothing in one that cannot be read, such as a disk's lost+found."""
+    """The content of a folder; empty if it cannot be read, such as lost+found of a disk."""
     with contextlib.suppress(OSError):
         return list(folder.iterdir())
     return []
 
 
-def _numbered(folder: Path) -> list[Path]:
-    """Files that look like scans: a known suffix, and a number at the end of their name."""
+def _scan_files(folder: Path) -> list[Path]:
+    """Files that look like scans: a supported suffix, and a digit at the end of the name."""
     return [path for path in _entries(folder) if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
 
 
 def _scans_in(path: Path) -> Path | None:
-    """The folder with the scans: the given one, or the only one in it that holds any."""
-    if _numbered(path):
+    """The folder with the scans: the path itself, or its only subfolder with scans."""
+    if _scan_files(path):
         return path
-    inside = [folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _numbered(folder)]
-    return inside[0] if len(inside) == 1 else None
+    candidates = [
+        folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _scan_files(folder)
+    ]
+    return candidates[0] if len(candidates) == 1 else None
 
 
-def _sorted(folder: Path) -> tuple[list[Path], I64, I64 | None]:
-    """The scans in their order, their numbers, and their stamps where the names are stamps: ten digits or a point.
+def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
+    """The scans in order, their numbers, and their stamps if the names are stamps: ten digits or a decimal point.
 
     Raises:
-        DataError: for files of several kinds, or two with the same number.
+        DataError: for files of several formats, or two files with the same number.
     """
-    files = _numbered(folder)
-    kinds = Counter(path.suffix.lower() for path in files)
-    if len(kinds) > 1:
-        counts = ", ".join(f"{suffix} ({count})" for suffix, count in kinds.most_common())
-        raise DataError(folder, f"holds scans of several kinds: {counts}", hint="Keep those of one kind in a folder")
-    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # it ends in a digit
+    files = _scan_files(folder)
+    suffixes = Counter(path.suffix.lower() for path in files)
+    if len(suffixes) > 1:
+        counts = ", ".join(f"{suffix} ({count})" for suffix, count in suffixes.most_common())
+        raise DataError(folder, f"contains scans in several formats: {counts}", hint="Keep one format per folder")
+    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # the name ends in a digit
     stamped = all("." in text or len(text) >= 10 for text in texts)
     keys = [nanoseconds(text) if stamped else int(text.replace(".", "")) for text in texts]
     order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
@@ -187,7 +198,7 @@ def _sorted(folder: Path) -> tuple[list[Path], I64, I64 | None]:
         numbers = np.array([keys[k] for k in order], np.int64)
     except OverflowError:
         raise DataError(
-            files[order[-1]], "has a number beyond any time", hint="Name scans by number or stamp"
+            files[order[-1]], "the number in the name is too large", hint="Name scans by number or stamp"
         ) from None
     return [files[k] for k in order], numbers, numbers if stamped else None
 
@@ -196,7 +207,7 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
     """Poses from the VIEWPOINT of PCD files.
 
     Raises:
-        DataError: where there are none, or all say the same nothing.
+        DataError: if a scan has none, or all are the identity.
     """
     poses = []
     for path in scans:
@@ -219,15 +230,17 @@ def _points(path: Path) -> F32:
 
 
 def _npz(path: Path) -> F32:
-    """The array ``points`` or ``xyz`` of an NPZ file, or its only one with a row a point."""
+    """The array ``points`` or ``xyz`` of an NPZ file, or its only array with a row per point."""
     hint = "Save points = (N, 3) float32, metres, with numpy.savez"
     with open_npy(path, "NPZ file", hint) as arrays:
-        fitting = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
-    named = [fitting[name] for name in ("points", "xyz") if name in fitting] or list(fitting.values())
-    if not named or (len(named) > 1 and not {"points", "xyz"} & set(fitting)) or named[0].dtype.kind not in "fiu":
-        raise DataError(path, f"holds {len(named) or 'no'} arrays (N, 3 or more) and none called points", hint=hint)
-    with np.errstate(over="ignore"):  # beyond float32 is infinite
-        xyz: F32 = named[0][:, :3].astype(np.float32)
+        clouds = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
+    candidates = [clouds[name] for name in ("points", "xyz") if name in clouds] or list(clouds.values())
+    ambiguous = len(candidates) > 1 and not {"points", "xyz"} & set(clouds)
+    if not candidates or ambiguous or candidates[0].dtype.kind not in "fiu":
+        problem = f"contains {len(candidates) or 'no'} arrays (N, 3 or more) and none named points"
+        raise DataError(path, problem, hint=hint)
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite
+        xyz: F32 = candidates[0][:, :3].astype(np.float32)
     return xyz
 
 
@@ -237,7 +250,7 @@ def _label_array(path: Path, points: int) -> U8:
     with open_npy(path, "NPY file", hint) as labels:
         pass
     if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
-        raise DataError(path, f"holds {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
+        raise DataError(path, f"contains {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
     if not np.isin(labels, [*Label]).all():
-        raise DataError(path, f"holds {labels[~np.isin(labels, [*Label])][0]}, which is no label", hint=hint)
+        raise DataError(path, f"{labels[~np.isin(labels, [*Label])][0]} is not a label", hint=hint)
     return labels.astype(np.uint8)

@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz.arrays import F32, F64, U8
-from dynaviz.datasets.files import holds
-from dynaviz.datasets.kitti_odometry import KittiOdometrySequence, sequences_of
+from dynaviz.datasets.files import has_files
+from dynaviz.datasets.kitti_odometry import KittiOdometrySequence, find_sequences
 from dynaviz.errors import DataError
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.scan import Label, Scan
 from dynaviz.spatial import geometry
 
-MOVING = range(251, 260)  # anything, car, bicyclist, person, motorcyclist, on rails, bus, truck, other vehicle
-UNSURE = (0, 1)  # unlabelled, outlier: static as in the public benchmark
+MOVING_CLASSES = range(251, 260)  # any, car, bicyclist, person, motorcyclist, on rails, bus, truck, other vehicle
+UNLABELLED_CLASSES = (0, 1)  # unlabelled, outlier; static, as in the public benchmark
 CLASS_NAMES = {
     0: "unlabelled", 1: "outlier", 9: "static", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on rails",
     18: "truck", 20: "other vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road", 44: "parking",
@@ -27,21 +27,20 @@ CLASS_NAMES = {
     252: "moving car", 253: "moving bicyclist", 254: "moving person", 255: "moving motorcyclist",
     256: "moving on rails", 257: "moving bus", 258: "moving truck", 259: "moving other vehicle",
 }  # fmt: skip
-EGO = 3.0  # metres; what is nearer and unsure is the recording car itself, dynamic as in the public benchmark
+EGO_RADIUS = 3.0  # metres; unlabelled points within it are the recording car: dynamic, as in the public benchmark
 
-
-PAPER = {  # first and last frame of the sequences in the papers on the public benchmark
+PAPER_FRAMES = {  # first and last frame of each sequence in the papers on the public benchmark
     "00": (4390, 4530), "01": (150, 250), "02": (860, 950), "05": (2350, 2670), "07": (630, 820), "19": (150, 512),
 }  # fmt: skip
-CROP = 50.0  # metres; beyond, labels are thin, and the benchmark's present extractor drops points
+CROP_RADIUS = 50.0  # metres; labels are sparse beyond, and the benchmark's current extractor drops the points
 
 
 @dataclass(frozen=True)
 class SemanticKittiSequence(KittiOdometrySequence):
-    """A sequence of SemanticKITTI. The world is the sensor's frame at the start: x forward, y left, z up.
+    """A sequence of SemanticKITTI. The world frame is the sensor frame at the first pose: x forward, y left, z up.
 
-    Frames without a label file are unlabelled as a whole. Unsure points nearer than 3 m are the recording car itself
-    and count as dynamic, as in the public benchmark. ``semantickitti_paper:PATH/00`` takes the frames of the papers,
+    Frames without a label file are unlabelled. Unlabelled and outlier points within 3 m belong to the recording car and
+    count as dynamic, as in the public benchmark. ``semantickitti_paper:PATH/00`` selects the frames of the papers,
     ``semantickitti_50m:PATH/00`` drops points beyond 50 m.
     """
 
@@ -49,61 +48,61 @@ class SemanticKittiSequence(KittiOdometrySequence):
     title: ClassVar[str] = "semantickitti"
 
     @staticmethod
-    def trajectory(folder: Path) -> Path:
-        """The file of poses of the sequence in a folder."""
+    def pose_file(folder: Path) -> Path:
+        """The pose file of the sequence in a folder."""
         return folder / "poses.txt"
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a sequence, its ``velodyne`` folder, or what holds ``sequences/``."""
-        return any(cls.trajectory(folder).is_file() for folder in sequences_of(path))
+        """Whether a path is a sequence, its ``velodyne`` folder, or the parent of ``sequences/``."""
+        return any(cls.pose_file(folder).is_file() for folder in find_sequences(path))
 
     @cached_property
     def has_labels(self) -> bool:
         """Whether any frame has a label file."""
-        return holds(self.folder / "labels", "*.label")
+        return has_files(self.folder / "labels", "*.label")
 
     def truth(self, index: int, xyz: F32) -> dict[str, Any]:
-        """Labels, classes and instances of the points of a frame, as fields of a ``Scan``."""
+        """Labels, classes and instances of a frame as keyword arguments of ``Scan``."""
         file = self.folder / "labels" / f"{self.scans[index].stem}.label"
         if file.is_file():
             classes, instances = read_semantic_labels(file, len(xyz))
             labels = _labels(classes, xyz)
-            known = {"labels": labels, "classes": classes, "instances": instances.astype(np.int32)}
+            fields = {"labels": labels, "classes": classes, "instances": instances.astype(np.int32)}
         else:
-            known = {"labels": np.full(len(xyz), Label.UNLABELLED, np.uint8)} if self.has_labels else {}
-        return {**known, "class_names": CLASS_NAMES}
+            fields = {"labels": np.full(len(xyz), Label.UNLABELLED, np.uint8)} if self.has_labels else {}
+        return {**fields, "class_names": CLASS_NAMES}
 
 
 @dataclass(frozen=True)
 class SemanticKittiPaperSequence(SemanticKittiSequence):
-    """The frames of SemanticKITTI 00, 01, 02, 05, 07 and 19 that the benchmark's papers use.
+    """The frames of SemanticKITTI 00, 01, 02, 05, 07 and 19 that the papers on the benchmark use.
 
-    Sweeps are whole, as where the published scores were computed. Opened by name only: ``semantickitti_paper:PATH/00``.
+    Sweeps are not cropped, as for the published scores. Opened by name only: ``semantickitti_paper:PATH/00``.
     """
 
-    layout: ClassVar[str] = "by that name only: the papers' frames of semantickitti"
+    layout: ClassVar[str] = "selected by name only: the frames of semantickitti used in the papers"
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Never: a sequence is whole where nobody asks for a part."""
+        """False: this format is selected by name only."""
         return False
 
     @classmethod
-    def chosen(cls, folder: Path, scans: dict[int, Path]) -> dict[int, Path]:
-        """The sweeps of the papers, which must all be there.
+    def select_sweeps(cls, folder: Path, scans: dict[int, Path]) -> dict[int, Path]:
+        """The sweeps used in the papers.
 
         Raises:
-            DataError: for a sequence that is in no paper, or a sweep that is missing.
+            DataError: if no paper uses the sequence, or a sweep is missing.
         """
-        if folder.name not in PAPER:
-            problem = f"has no frames in the papers, only sequences {', '.join(PAPER)}"
-            raise DataError(folder, problem, hint="Give one of those, or all frames with semantickitti:PATH")
-        first, last = PAPER[folder.name]
+        if folder.name not in PAPER_FRAMES:
+            problem = f"not used in the papers, which use the sequences {', '.join(PAPER_FRAMES)}"
+            raise DataError(folder, problem, hint="Give one of these, or use all frames with semantickitti:PATH")
+        first, last = PAPER_FRAMES[folder.name]
         for frame in range(first, last + 1):
             if frame not in scans:
-                problem = f"has no sweep {frame:06d}.bin, but the papers use {first} to {last}"
-                raise DataError(folder / "velodyne", problem, hint="Copy it there, or drop _paper")
+                problem = f"sweep {frame:06d}.bin is missing; the papers use frames {first} to {last}"
+                raise DataError(folder / "velodyne", problem, hint="Copy it there, or open semantickitti:PATH")
         return {frame: scans[frame] for frame in range(first, last + 1)}
 
 
@@ -111,38 +110,38 @@ class SemanticKittiPaperSequence(SemanticKittiSequence):
 class SemanticKitti50mSequence(SemanticKittiSequence):
     """SemanticKITTI without points farther than 50 m from the sensor, as the benchmark's extractor writes since 2024.
 
-    Scores do not compare with those published, which are of whole sweeps. Opened by name only:
+    Scores are not comparable to the published ones, which use full sweeps. Opened by name only:
     ``semantickitti_50m:PATH/00``.
     """
 
-    layout: ClassVar[str] = "by that name only: semantickitti within 50 m"
+    layout: ClassVar[str] = "selected by name only: semantickitti within 50 m"
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Never: sweeps are whole where nobody asks for less."""
+        """False: this format is selected by name only."""
         return False
 
     @property
     def name(self) -> str:
-        """As in ``semantickitti_08_50m``."""
+        """Format, sequence number and range, such as ``semantickitti_08_50m``."""
         return f"{super().name}_50m"
 
     def __getitem__(self, position: int) -> Scan:
         scan = super().__getitem__(position)
-        near = _squares(geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points)) < CROP**2
+        near = _squared_norms(geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points)) < CROP_RADIUS**2
         fields = {field: getattr(scan, field) for field in ("points", "labels", "classes", "instances")}
         return replace(scan, **{field: array[near] for field, array in fields.items() if array is not None})
 
 
 def _labels(classes: np.ndarray[tuple[int], np.dtype[np.uint16]], xyz: F32) -> U8:
-    """Labels of classes and points in the sensor frame."""
-    near = _squares(xyz.astype(np.float64)) < EGO**2
-    moving = (classes >= MOVING.start) & (classes < MOVING.stop)
-    ego = near & np.isin(classes, UNSURE)
+    """Labels of points in the sensor frame, from their classes."""
+    near = _squared_norms(xyz.astype(np.float64)) < EGO_RADIUS**2
+    moving = (classes >= MOVING_CLASSES.start) & (classes < MOVING_CLASSES.stop)
+    ego = near & np.isin(classes, UNLABELLED_CLASSES)
     return np.where(moving | ego, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
 
 
-def _squares(xyz: F64) -> F64:
-    """(N,) squared lengths."""
+def _squared_norms(xyz: F64) -> F64:
+    """(N,) squared lengths of the vectors."""
     squares: F64 = xyz[:, 0] ** 2 + xyz[:, 1] ** 2 + xyz[:, 2] ** 2
     return squares

@@ -1,4 +1,4 @@
-"""Ground truth of the public benchmark: one labelled cloud of all scans, matched back to each scan's points."""
+"""Ground truth of the public benchmark: one labelled cloud of all scans, matched to the points of each scan."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from dynaviz.scan import Label
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-NEAR = 0.01  # metres within which a point of the cloud is taken for a scan's point
-_HINT = "Its intensity is 0 for static, 1 for dynamic and 255 for unlabelled points"
+MATCH_RADIUS = 0.01  # metres between a point of a scan and its point in the labelled cloud
+_HINT = "Set intensity to 0 for static, 1 for dynamic and 255 for unlabelled points"
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is known of a scan's points; classes and instances where the cloud has them.
+    """Ground truth of a scan; classes and instances if available.
 
     Attributes:
         labels: (N,) uint8.
         classes: (N,) uint16 or None.
         instances: (N,) int32 or None.
-        unmatched: how many points of the scan have no partner in the cloud; they are unlabelled.
+        unmatched: number of points without a match in the labelled cloud; they are unlabelled.
     """
 
     labels: U8
@@ -40,8 +40,8 @@ class Truth:
     unmatched: int = 0
 
 
-def fields_of(truth: Truth | None, class_names: Mapping[int, str]) -> dict[str, Any]:
-    """What is known of a scan's points, as fields of a ``Scan``; nothing without truth."""
+def scan_fields(truth: Truth | None, class_names: Mapping[int, str]) -> dict[str, Any]:
+    """Ground truth as keyword arguments of ``Scan``; empty for None."""
     if truth is None:
         return {}
     fields = {"labels": truth.labels, "classes": truth.classes, "instances": truth.instances}
@@ -51,87 +51,88 @@ def fields_of(truth: Truth | None, class_names: Mapping[int, str]) -> dict[str, 
 class GroundTruth:
     """The labelled cloud ``gt_cloud.pcd``.
 
-    Usually it is all scans one after the other, and a scan's truth is read from its rows alone. Where counts or
-    coordinates disagree, each point takes the label of the cloud's nearest point within ``NEAR``, and the whole cloud
-    is held in memory.
+    Usually it is the concatenation of all scans, and only the rows of a scan are read. If counts or coordinates differ,
+    each point takes the label of the nearest point of the cloud within ``MATCH_RADIUS``, and the whole
+    cloud is kept in memory.
 
     Args:
         path: the cloud.
-        counts: number of points of each scan, in their order.
-        points_of: gives (N, 3) float32 points of a scan by its position.
+        counts: number of points of each scan, in order.
+        points_of: returns the (N, 3) float32 points of a scan, given its position.
 
     Raises:
-        DataError: where the cloud cannot be read.
+        DataError: if the cloud cannot be read.
     """
 
     def __init__(self, path: Path, counts: Sequence[int], points_of: Callable[[int], F32]) -> None:
         self.path, header = path, read_header(path)
         if "intensity" not in (header.row.names or ()):
-            raise DataError(path, f"has no field 'intensity', only: {' '.join(header.row.names or ())}", hint=_HINT)
+            fields = " ".join(header.row.names or ())
+            raise DataError(path, f"field 'intensity' is missing (found: {fields})", hint=_HINT)
         starts = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         if not header.points:
-            raise DataError(path, "has no points", hint="Remove it where there is no ground truth")
-        self._rows = list(pairwise(starts.tolist()))
-        self._sliced = header.data == "binary"  # other encodings have to be read as a whole
-        adds_up = header.points == starts[-1]
-        some = sorted({0, len(counts) // 2, len(counts) - 1})
-        self.by_index = adds_up and all(_same(self._part(k).xyz, points_of(k)) for k in some)
+            raise DataError(path, "contains no points", hint="Remove it if there is no ground truth")
+        self._row_ranges = list(pairwise(starts.tolist()))
+        self._sliceable = header.data == "binary"  # other encodings are read completely
+        same_count = header.points == starts[-1]
+        samples = sorted({0, len(counts) // 2, len(counts) - 1})
+        self.by_index = same_count and all(_identical(self._scan_rows(k).xyz, points_of(k)) for k in samples)
 
-    def of(self, position: int, points: F32) -> Truth:
-        """The truth of a scan's points, (N, 3) float32, world frame.
+    def for_scan(self, position: int, points: F32) -> Truth:
+        """Ground truth of the points of a scan, (N, 3) float32, world frame.
 
         Raises:
-            DataError: where the cloud's intensity is no label.
+            DataError: if an intensity in the cloud is not a label.
         """
         if self.by_index:
-            part = self._part(position)
-            if _same(part.xyz, points):
-                return _truth(part, np.ones(len(points), np.bool_))
-        return self._nearest(points)
+            rows = self._scan_rows(position)
+            if _identical(rows.xyz, points):
+                return _truth(rows, np.ones(len(points), np.bool_))
+        return self._match_nearest(points)
 
-    def _part(self, position: int) -> Pcd:
-        """The rows of a scan."""
-        first, last = self._rows[position]
-        if self._sliced:
+    def _scan_rows(self, position: int) -> Pcd:
+        """The rows of a scan in the cloud."""
+        first, last = self._row_ranges[position]
+        if self._sliceable:
             return read_pcd(self.path, (first, last))
-        return Pcd(self.path, self._whole.header, self._whole.rows[first:last])
+        return Pcd(self.path, self._cloud.header, self._cloud.rows[first:last])
 
-    def _nearest(self, points: F32) -> Truth:
+    def _match_nearest(self, points: F32) -> Truth:
         row = np.zeros(len(points), np.intp)
         distance = np.full(len(points), np.inf)
         finite = np.isfinite(points).all(1)
-        distance[finite], row[finite] = self._tree.query(points[finite], distance_upper_bound=NEAR)
+        distance[finite], row[finite] = self._tree.query(points[finite], distance_upper_bound=MATCH_RADIUS)
         matched = np.isfinite(distance)
-        return _truth(Pcd(self.path, self._whole.header, self._whole.rows[np.where(matched, row, 0)]), matched)
+        return _truth(Pcd(self.path, self._cloud.header, self._cloud.rows[np.where(matched, row, 0)]), matched)
 
     @cached_property
-    def _whole(self) -> Pcd:
+    def _cloud(self) -> Pcd:
         return read_pcd(self.path)
 
     @cached_property
     def _tree(self) -> cKDTree:
         from scipy.spatial import cKDTree
 
-        xyz = self._whole.xyz
-        reachable = np.where(np.isfinite(xyz).all(1, keepdims=True), xyz, np.float32(1e9))
-        return cKDTree(reachable, compact_nodes=False, balanced_tree=False)  # three times faster to build
+        xyz = self._cloud.xyz
+        finite = np.where(np.isfinite(xyz).all(1, keepdims=True), xyz, np.float32(1e9))
+        return cKDTree(finite, compact_nodes=False, balanced_tree=False)  # builds three times faster
 
 
-def _same(a: F32, b: F32) -> bool:
-    """Whether two clouds agree bit for bit."""
+def _identical(a: F32, b: F32) -> bool:
+    """Whether two clouds are bitwise identical."""
     return a.shape == b.shape and bool(np.array_equal(a.view(np.uint32), b.view(np.uint32)))
 
 
-def _truth(partners: Pcd, matched: Bool) -> Truth:
-    """The truth of points from their partners in the cloud, where they are matched."""
-    intensity = partners["intensity"]
-    labels = np.full(len(partners), Label.UNLABELLED, np.uint8)
+def _truth(rows: Pcd, matched: Bool) -> Truth:
+    """Ground truth of points from their rows in the cloud; unmatched points are unlabelled."""
+    intensity = rows["intensity"]
+    labels = np.full(len(rows), Label.UNLABELLED, np.uint8)
     known = matched & (intensity != Label.UNLABELLED)
     labels[known & (intensity == Label.STATIC)] = Label.STATIC
     labels[known & (intensity == Label.DYNAMIC)] = Label.DYNAMIC
-    odd = known & (labels == Label.UNLABELLED)
-    if odd.any():
-        raise DataError(partners.path, f"has intensity {intensity[odd][0]:g}, which is no label", hint=_HINT)
-    classes = partners["class"].astype(np.uint16) * matched if "class" in partners else None
-    instances = partners["instance"].astype(np.int32) * matched if "instance" in partners else None
+    invalid = known & (labels == Label.UNLABELLED)
+    if invalid.any():
+        raise DataError(rows.path, f"intensity {intensity[invalid][0]:g} is not a label", hint=_HINT)
+    classes = rows["class"].astype(np.uint16) * matched if "class" in rows else None
+    instances = rows["instance"].astype(np.int32) * matched if "instance" in rows else None
     return Truth(labels, classes, instances, int(len(matched) - matched.sum()))

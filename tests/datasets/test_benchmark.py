@@ -1,4 +1,4 @@
-"""The public benchmark's layout: poses, ground truth by row and by place, and what users get wrong."""
+"""The layout of the public benchmark: poses, ground truth by row and by position, and invalid files."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def assert_same(sequence: Sequence, scans: list[Scan]) -> None:
 
 
 @pytest.mark.parametrize("inner", ["", "pcd"])
-def test_scans_come_back_with_pose_and_labels(folder: Path, scans: list[Scan], inner: str) -> None:
+def test_scans_have_pose_and_labels(folder: Path, scans: list[Scan], inner: str) -> None:
     sequence = open_sequence(str(folder / inner))
     assert isinstance(sequence, BenchmarkSequence)
     assert (sequence.name, sequence.sensor.name, sequence.has_labels) == ("drive", "unknown", True)
@@ -70,7 +70,7 @@ def test_beyond_the_end_is_an_index_error(folder: Path) -> None:
         open_sequence(str(folder))[4]
 
 
-def test_without_a_cloud_there_is_no_truth(folder: Path) -> None:
+def test_without_a_labelled_cloud_there_are_no_labels(folder: Path) -> None:
     (folder / "gt_cloud.pcd").unlink()
     sequence = open_sequence(str(folder))
     assert not sequence.has_labels
@@ -78,31 +78,31 @@ def test_without_a_cloud_there_is_no_truth(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("data", ["ascii", "binary_compressed"])
-def test_a_cloud_of_any_encoding_is_read(folder: Path, scans: list[Scan], data: str) -> None:
+def test_a_labelled_cloud_in_any_encoding_is_read(folder: Path, scans: list[Scan], data: str) -> None:
     cloud = read_pcd(folder / "gt_cloud.pcd")
     write_pcd(folder / "gt_cloud.pcd", {name: cloud[name] for name in ("x", "y", "z", "intensity")}, data=data)
     assert_same(open_sequence(str(folder)), scans)
 
 
-def test_a_cloud_in_another_order_is_matched_by_place(tmp_path: Path, scans: list[Scan]) -> None:
+def test_a_labelled_cloud_in_another_order_is_matched_by_position(tmp_path: Path, scans: list[Scan]) -> None:
     sequence = open_sequence(str(write(tmp_path, scans, slice(None, None, -1))))
     assert isinstance(sequence, BenchmarkSequence)
     assert_same(sequence, scans)
-    assert sequence.facts == {"ground truth by": "coordinates in gt_cloud.pcd", "points without partner": "0"}
+    assert sequence.facts == {"ground truth by": "coordinates in gt_cloud.pcd", "unmatched points": "0"}
 
 
-def test_points_without_partner_are_unlabelled_and_counted(tmp_path: Path, scans: list[Scan]) -> None:
+def test_unmatched_points_are_unlabelled_and_counted(tmp_path: Path, scans: list[Scan]) -> None:
     sequence = open_sequence(str(write(tmp_path, scans, slice(10, None))))
     assert isinstance(sequence, BenchmarkSequence)
     labels = sequence[0].labels
     assert labels is not None
     assert (labels[:10] == 255).all()
     np.testing.assert_array_equal(labels[10:], scans[0].labels[10:])  # type: ignore[index]
-    _ = sequence[0]  # reading again counts nothing twice
-    assert sequence.facts["points without partner"] == "10"
+    _ = sequence[0]  # reading again does not count points twice
+    assert sequence.facts["unmatched points"] == "10"
 
 
-def test_points_within_a_centimetre_are_partners(tmp_path: Path) -> None:
+def test_points_within_a_centimetre_match(tmp_path: Path) -> None:
     points = np.array([[0, 0, 0], [5, 0, 0], [10, 0, 0], [np.nan, 0, 0]], np.float32)
     write(tmp_path, [Scan(0, points, np.eye(4), labels=np.array([1, 0, 1, 0], np.uint8))])
     moved = points + np.array([[0.009, 0, 0], [0, 0, 0], [0.011, 0, 0], [0, 0, 0]], np.float32)
@@ -119,7 +119,7 @@ def test_a_scan_that_differs_in_the_middle_is_still_matched(tmp_path: Path) -> N
     np.testing.assert_array_equal(sequence[3].labels, scans[3].labels)  # type: ignore[arg-type]
 
 
-def test_nan_and_double_points_pass_by_rows(tmp_path: Path) -> None:
+def test_nan_and_duplicate_points_are_matched_by_row(tmp_path: Path) -> None:
     points = np.array([[np.nan, 1, 2], [3, 4, 5], [3, 4, 5]], np.float32)
     write(tmp_path, [Scan(0, points, np.eye(4), labels=np.array([0, 1, 0], np.uint8))])
     scan = open_sequence(str(tmp_path))[0]
@@ -137,19 +137,19 @@ def test_unlabelled_points_classes_and_instances(tmp_path: Path, scans: list[Sca
     np.testing.assert_array_equal(scan.instances, np.arange(n)[::-1][500:1000])  # type: ignore[arg-type]
 
 
-def test_intensity_that_is_no_label_is_told(tmp_path: Path, scans: list[Scan]) -> None:
+def test_an_invalid_intensity_is_reported(tmp_path: Path, scans: list[Scan]) -> None:
     write(tmp_path, scans, intensity=np.full(2000, 0.27, np.float32))
-    with pytest.raises(DataError, match=r"gt_cloud\.pcd: has intensity 0\.27, which is no label"):
+    with pytest.raises(DataError, match=r"gt_cloud\.pcd: intensity 0\.27 is not a label"):
         open_sequence(str(tmp_path))[0]
 
 
-def test_a_cloud_without_intensity_is_told(folder: Path) -> None:
+def test_a_labelled_cloud_without_intensity_is_reported(folder: Path) -> None:
     write_pcd(folder / "gt_cloud.pcd", xyz(np.zeros((3, 3))))
-    with pytest.raises(DataError, match=r"gt_cloud\.pcd: has no field 'intensity'"):
+    with pytest.raises(DataError, match=r"gt_cloud\.pcd: field 'intensity' is missing"):
         open_sequence(str(folder))
 
 
-def test_the_sequence_file_tells_name_sensor_and_rate(folder: Path) -> None:
+def test_sequence_toml_sets_name_sensor_and_rate(folder: Path) -> None:
     (folder / "sequence.toml").write_text('name = "street"\nsensor = "hdl64e"\nrate = 20\nmore = 1\n')
     sequence = open_sequence(str(folder))
     assert (sequence.name, sequence.sensor) == ("street", load_sensor("hdl64e"))
@@ -160,19 +160,19 @@ def test_the_sequence_file_tells_name_sensor_and_rate(folder: Path) -> None:
     "content",
     ["name = ", "name = 7", 'name = "../up"', 'name = ""', 'rate = "fast"', "rate = 0.0", "sensor = []"],
 )
-def test_a_bad_sequence_file_is_told(folder: Path, content: str) -> None:
+def test_an_invalid_sequence_toml_is_reported(folder: Path, content: str) -> None:
     (folder / "sequence.toml").write_text(content)
-    with pytest.raises(DataError, match=r"sequence\.toml: .* It may hold name"):
+    with pytest.raises(DataError, match=r"sequence\.toml: .* Set name"):
         open_sequence(str(folder))
 
 
-def test_an_unknown_sensor_is_told(folder: Path) -> None:
+def test_an_unknown_sensor_is_reported(folder: Path) -> None:
     (folder / "sequence.toml").write_text('sensor = "hdl65"')
     with pytest.raises(UsageError, match="hdl64e"):
         open_sequence(str(folder))
 
 
-def test_rays_start_at_the_lidars_mount(tmp_path: Path) -> None:
+def test_rays_start_at_the_mount_of_their_lidar(tmp_path: Path) -> None:
     T_world_sensor = geometry.pose((10, 20, 30), (1, 0, 0, 1))  # a quarter turn to the left
     fields = {**xyz(np.ones((3, 3), np.float32)), "lidar": np.array([0, 1, 0], np.uint8)}
     write_pcd(tmp_path / "pcd/000005.pcd", fields, T_world_sensor)
@@ -182,17 +182,17 @@ def test_rays_start_at_the_lidars_mount(tmp_path: Path) -> None:
     expected = [[10, 20, 30], [10 - y, 20 + x, 30 + z], [10, 20, 30]]
     np.testing.assert_allclose(open_sequence(str(tmp_path))[0].origins, expected, atol=1e-12)
     write_pcd(tmp_path / "pcd/000005.pcd", {**fields, "lidar": np.array([0, 1, 2], np.uint8)}, T_world_sensor)
-    with pytest.raises(DataError, match=r"000005\.pcd: has a point of lidar 2"):
+    with pytest.raises(DataError, match=r"000005\.pcd: a point has lidar 2"):
         open_sequence(str(tmp_path))[0]
 
 
-def test_a_scan_without_viewpoint_is_told_what_to_hold(folder: Path) -> None:
+def test_a_scan_without_viewpoint_is_reported_with_a_hint(folder: Path) -> None:
     write_pcd(folder / "pcd/000012.pcd", xyz(np.zeros((3, 3))))
     with pytest.raises(DataError, match=r"000012\.pcd: has no VIEWPOINT.*world frame.*tx ty tz qw qx qy qz"):
         open_sequence(str(folder))
 
 
-def test_a_viewpoint_of_zeros_is_no_pose(folder: Path) -> None:
+def test_a_viewpoint_of_zeros_is_refused(folder: Path) -> None:
     path = folder / "pcd/000012.pcd"
     content = path.read_bytes()
     start = content.index(b"VIEWPOINT")
@@ -201,15 +201,15 @@ def test_a_viewpoint_of_zeros_is_no_pose(folder: Path) -> None:
         open_sequence(str(folder))
 
 
-def test_a_cut_scan_is_told_when_opened(folder: Path) -> None:
+def test_a_truncated_scan_is_reported_on_opening(folder: Path) -> None:
     path = folder / "pcd/000012.pcd"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(DataError, match=r"000012\.pcd, byte \d+: is too short"):
+    with pytest.raises(DataError, match=r"000012\.pcd, byte \d+: file is too short"):
         open_sequence(str(folder))
 
 
 def test_names_must_be_frame_numbers(folder: Path) -> None:
-    for name, problem in (("map.pcd", "no frame number"), ("10.pcd", "same number as")):
+    for name, problem in (("map.pcd", "not a frame number"), ("10.pcd", "same number as")):
         (folder / "pcd" / name).write_bytes((folder / "pcd/000010.pcd").read_bytes())
         with pytest.raises(DataError, match=problem):
             open_sequence(str(folder))

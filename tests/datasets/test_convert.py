@@ -1,4 +1,4 @@
-"""Any sequence in the public benchmark's layout: the same points, poses and labels, for dynaviz and for others."""
+"""Converted sequences have the same points, poses and labels, for dynaviz and for other programs."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from dynaviz.simulate import simulate
 from dynaviz.testing import InMemory
 
 
-def by_hand(path: Path) -> tuple[dict[str, list[str]], list[tuple[float, ...]]]:
-    """A PCD file of four floats a point, read with nothing of dynaviz."""
+def read_plain_pcd(path: Path) -> tuple[dict[str, list[str]], list[tuple[float, ...]]]:
+    """Read a PCD file of four floats per point, without dynaviz."""
     head, _, body = path.read_bytes().partition(b"DATA binary\n")
     words = {line.split()[0]: line.split()[1:] for line in head.decode().splitlines() if line[0] != "#"}
     return words, list(struct.iter_unpack("<4f", body))
 
 
-def turned(seed: int) -> np.ndarray:
+def random_pose(seed: int) -> np.ndarray:
     T = np.eye(4)
     T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     T[:3, 3] = np.random.default_rng(seed).normal(size=3) * 100
     return T
 
 
-def sequence_of(*scans: Scan, sensor: Sensor | None = None) -> InMemory:
+def in_memory(*scans: Scan, sensor: Sensor | None = None) -> InMemory:
     return InMemory(scans, "some", sensor or Sensor())
 
 
-def test_a_sequence_survives_with_its_digest(tmp_path: Path) -> None:
+def test_a_copy_has_the_same_digest(tmp_path: Path) -> None:
     world = room(frames=4)
     done = convert(world, tmp_path / "copy")
     copy = dv.open(tmp_path / "copy")
@@ -51,11 +51,11 @@ def test_a_sequence_survives_with_its_digest(tmp_path: Path) -> None:
     assert (copy.name, [scan.index for scan in copy]) == ("room", [10, 11, 12, 13])
     for scan, original in zip(copy, world.scans, strict=True):
         np.testing.assert_array_equal(scan.instances, original.instances)
-    # Frame 10 is a second in, by a rate of ten.
+    # At 10 Hz, frame 10 is at 1 s.
     assert [scan.stamp_ns - 1_000_000_000 for scan in copy] == [scan.stamp_ns for scan in world.scans]
 
 
-def test_the_same_labels_on_the_copy(tmp_path: Path) -> None:
+def test_methods_give_the_same_labels_on_the_copy(tmp_path: Path) -> None:
     world = room(frames=5)
     convert(world, tmp_path / "copy")
     for method, settings in (("octomap", ()), ("removert", ("elevation=[-60,60]",))):
@@ -64,7 +64,7 @@ def test_the_same_labels_on_the_copy(tmp_path: Path) -> None:
         assert first.counts == second.counts
 
 
-def test_a_simulated_folder_survives_with_classes_and_lidars(tmp_path: Path) -> None:
+def test_a_copy_of_a_simulation_keeps_classes_and_lidars(tmp_path: Path) -> None:
     for name in ("demo", "square_vlp32c"):
         original = dv.open(simulate(name, tmp_path / name, frames=2))
         done = convert(original, tmp_path / f"{name}_copy")
@@ -80,15 +80,15 @@ def test_a_simulated_folder_survives_with_classes_and_lidars(tmp_path: Path) -> 
         assert (copy.sensor, copy.name) == (original.sensor, original.name)
 
 
-def test_other_programs_read_the_same(tmp_path: Path) -> None:
+def test_other_programs_read_the_copy(tmp_path: Path) -> None:
     import open3d as o3d
 
-    scan = dataclasses.replace(room(frames=1).scans[0], T_world_sensor=turned(3), origins=None)
-    convert(sequence_of(scan), tmp_path / "copy")
+    scan = dataclasses.replace(room(frames=1).scans[0], T_world_sensor=random_pose(3), origins=None)
+    convert(in_memory(scan), tmp_path / "copy")
     path = tmp_path / "copy/pcd/000010.pcd"
     cloud = o3d.io.read_point_cloud(str(path))
     np.testing.assert_array_equal(np.asarray(cloud.points), scan.points.astype(np.float64))
-    words, points = by_hand(path)
+    words, points = read_plain_pcd(path)
     assert words["VERSION"] == ["0.7"]
     assert words["FIELDS"] == ["x", "y", "z", "intensity"]
     assert (words["SIZE"], words["TYPE"], words["COUNT"]) == (["4"] * 4, ["F"] * 4, ["1"] * 4)
@@ -107,12 +107,12 @@ def test_other_programs_read_the_same(tmp_path: Path) -> None:
 
 @tried(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_poses_come_back_to_some_units_in_the_last_place(seed: int) -> None:
+def test_poses_are_read_back_to_a_few_units_in_the_last_place(seed: int) -> None:
     from dynaviz.spatial import geometry
 
-    T = turned(seed)
+    T = random_pose(seed)
     back = geometry.pose(T[:3, 3], geometry.quaternion(T[:3, :3]))
-    assert np.abs(back - T).max() < 2e-15  # and 17 digits hold every float64
+    assert np.abs(back - T).max() < 2e-15  # and 17 digits represent every float64
     again = geometry.pose(back[:3, 3], geometry.quaternion(back[:3, :3]))
     assert np.abs(again - back).max() < 2e-15
 
@@ -127,7 +127,7 @@ def test_frames_without_points_labels_or_numbers(tmp_path: Path) -> None:
         Scan(7, full.points[:9], np.eye(4)),
         dataclasses.replace(full, index=8, labels=np.full(len(full), 255, np.uint8)),
     ]
-    done = convert(sequence_of(*scans), tmp_path / "copy")
+    done = convert(in_memory(*scans), tmp_path / "copy")
     copy = dv.open(tmp_path / "copy")
     assert [len(scan) for scan in copy] == [3000, 0, 9, 3000]
     np.testing.assert_array_equal(copy[0].points, points)
@@ -138,30 +138,30 @@ def test_frames_without_points_labels_or_numbers(tmp_path: Path) -> None:
     assert "rate" not in (tmp_path / "copy/sequence.toml").read_text()
 
 
-def test_no_ground_truth_is_made_up(tmp_path: Path) -> None:
+def test_without_labels_there_is_no_ground_truth(tmp_path: Path) -> None:
     convert(room(frames=2, labelled=False), tmp_path / "copy")
     assert not (tmp_path / "copy/gt_cloud.pcd").exists()
     assert not dv.open(tmp_path / "copy").has_labels
 
 
-def test_rays_of_their_own_are_told(tmp_path: Path) -> None:
+def test_other_ray_origins_are_reported(tmp_path: Path) -> None:
     full = room(frames=1).scans[0]
     origins = np.tile(full.position, (len(full), 1))
     origins[:40] += 0.3
-    done = convert(sequence_of(dataclasses.replace(full, origins=origins)), tmp_path / "copy")
+    done = convert(in_memory(dataclasses.replace(full, origins=origins)), tmp_path / "copy")
     assert (done.moved_rays, done.exact) == (40, False)
     assert "rays of 40 points" in done.remarks()[0]
     pair = load_sensor("vlp32c_pair")
     origins = full.position + np.array([mount[:3] for mount in pair.mounts])[np.arange(len(full)) % 2]
-    done = convert(sequence_of(dataclasses.replace(full, origins=origins), sensor=pair), tmp_path / "pair")
+    done = convert(in_memory(dataclasses.replace(full, origins=origins), sensor=pair), tmp_path / "pair")
     assert done.moved_rays == 0
     np.testing.assert_allclose(dv.open(tmp_path / "pair")[0].origins, origins, atol=1e-12)
 
 
-def test_nothing_is_overwritten_and_nothing_half_done_stays(tmp_path: Path) -> None:
+def test_nothing_is_overwritten_and_no_partial_copy_is_left(tmp_path: Path) -> None:
     world = room(frames=2)
     (tmp_path / "there").mkdir()
-    with pytest.raises(DataError, match="there: exists already"):
+    with pytest.raises(DataError, match="there: already exists"):
         convert(world, tmp_path / "there")
 
     class Broken(InMemory):
@@ -174,7 +174,7 @@ def test_nothing_is_overwritten_and_nothing_half_done_stays(tmp_path: Path) -> N
     with pytest.raises(DataError, match=r"b\.bin: ends"):
         convert(broken, tmp_path / "new")
     with pytest.raises(UsageError, match="frame 10 comes after 11"):
-        convert(sequence_of(*reversed(world.scans)), tmp_path / "new")
+        convert(in_memory(*reversed(world.scans)), tmp_path / "new")
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match="cannot be written"):
         convert(world, tmp_path / "file/new")

@@ -1,4 +1,4 @@
-"""A run's answers as SemanticKITTI's label files."""
+"""Labels of a run as SemanticKITTI label files."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from dynaviz.errors import DataError
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of frames that do not fill whole bytes of the packed answers, and its data."""
+    """A sequence and its run; the frames do not fill sequence bytes of the packed labels."""
     path = tmp_path_factory.mktemp("run")
     convert(room(frames=4, rays=1003), path / "room")
     dv.run("octomap", path / "room", out=path / "run", record="none", threads=1)
     return path
 
 
-def test_each_frame_has_a_file_with_a_number_for_each_point(folder: Path, tmp_path: Path) -> None:
+def test_each_frame_has_a_file_with_a_label_per_point(folder: Path, tmp_path: Path) -> None:
     removed = export_labels(folder / "run", dv.open(folder / "room"), tmp_path / "labels")
-    with np.load(folder / "run/labels.npz") as z:  # the answers, unpacked in one go
-        answers = np.unpackbits(z["dynamic"])[: z["points"].sum()]
+    with np.load(folder / "run/labels.npz") as z:  # all frames unpacked at once
+        removed_points = np.unpackbits(z["dynamic"])[: z["points"].sum()]
     files = sorted((tmp_path / "labels").iterdir())
     assert [file.name for file in files] == [f"{index:06d}.label" for index in (10, 11, 12, 13)]
-    words = np.concatenate([np.fromfile(file, "<u4") for file in files])
-    np.testing.assert_array_equal(words, np.where(answers, 251, 9))
-    assert 0 < removed == answers.sum() < len(answers)
+    labels = np.concatenate([np.fromfile(file, "<u4") for file in files])
+    np.testing.assert_array_equal(labels, np.where(removed_points, 251, 9))
+    assert 0 < removed == removed_points.sum() < len(removed_points)
     assert all(file.stat().st_size == 4 * 1003 for file in files)
 
 
-def test_the_files_are_labels_of_the_sweeps(folder: Path, tmp_path: Path) -> None:
-    """Beside the sweeps of SemanticKITTI, they are read as its ground truth."""
+def test_the_files_are_read_as_labels_of_the_sweeps(folder: Path, tmp_path: Path) -> None:
+    """In the folder of a SemanticKITTI sequence, they are read as its ground truth."""
     run, data = folder / "run", tmp_path / "sequences/08"
-    whole = dv.open(folder / "room")
+    sequence = dv.open(folder / "room")
     (data / "velodyne").mkdir(parents=True)
-    for scan in whole:
+    for scan in sequence:
         local = np.column_stack([scan.points - scan.position.astype(np.float32), np.zeros(len(scan), np.float32)])
         local.astype("<f4").tofile(data / f"velodyne/{scan.index:06d}.bin")
     pose = "1 0 0 0 0 1 0 0 0 0 1 0"
     (data / "calib.txt").write_text(f"Tr: {pose}\n")
     (data / "poses.txt").write_text(f"{pose}\n" * 14)
-    export_labels(run, whole, data / "labels")
+    export_labels(run, sequence, data / "labels")
     with np.load(run / "labels.npz") as z:
-        answers = np.unpackbits(z["dynamic"])[: z["points"].sum()]
-    np.testing.assert_array_equal(np.concatenate([scan.labels for scan in dv.open(data)]), answers)
+        removed_points = np.unpackbits(z["dynamic"])[: z["points"].sum()]
+    np.testing.assert_array_equal(np.concatenate([scan.labels for scan in dv.open(data)]), removed_points)
 
 
-def test_labels_and_data_must_belong_together(folder: Path, tmp_path: Path) -> None:
-    whole, part = dv.open(folder / "room"), dv.open(folder / "room", frames="0:2")
-    with pytest.raises(DataError, match="belongs to other data"):
+def test_labels_of_a_different_sequence_are_refused(folder: Path, tmp_path: Path) -> None:
+    sequence, part = dv.open(folder / "room"), dv.open(folder / "room", frames="0:2")
+    with pytest.raises(DataError, match="is from a different sequence"):
         export_labels(folder / "run/labels.npz", part, tmp_path / "out")
     with pytest.raises(DataError, match=r"room: has no labels\.npz"):
-        export_labels(folder / "room", whole, tmp_path / "out")
+        export_labels(folder / "room", sequence, tmp_path / "out")
     with pytest.raises(DataError, match=r"absent: cannot be read"):
-        export_labels(tmp_path / "absent", whole, tmp_path / "out")
-    with pytest.raises(DataError, match="exists already"):
-        export_labels(folder / "run", whole, folder / "run")
+        export_labels(tmp_path / "absent", sequence, tmp_path / "out")
+    with pytest.raises(DataError, match="already exists"):
+        export_labels(folder / "run", sequence, folder / "run")
     assert not list(tmp_path.iterdir())

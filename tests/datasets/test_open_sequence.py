@@ -1,4 +1,4 @@
-"""Guessing a format, forcing one, and what is said where there is none."""
+"""Detecting a format, forcing one, and the errors for unknown formats."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ def drive(folder: Path) -> Path:
     return folder
 
 
-def test_a_missing_path_is_told(tmp_path: Path) -> None:
+def test_a_missing_path_is_reported(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="none: does not exist"):
         open_sequence(str(tmp_path / "none"))
 
 
-def test_an_empty_folder_is_told_with_where_layouts_are(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"but an empty folder\. See the known layouts with 'dynaviz list datasets'"):
+def test_an_empty_folder_is_reported_with_a_hint(tmp_path: Path) -> None:
+    with pytest.raises(
+        DataError, match=r"found an empty folder\. List the supported layouts with 'dynaviz list datasets'"
+    ):
         open_sequence(str(tmp_path))
 
 
@@ -32,16 +34,16 @@ def test_an_empty_folder_is_told_with_where_layouts_are(tmp_path: Path) -> None:
 def test_a_sequence_nearby_is_suggested(tmp_path: Path, typed: str) -> None:
     street = drive(tmp_path / "street")
     (street / "gt_cloud.pcd").write_text("")
-    with pytest.raises(DataError, match=rf"\. Did you mean {street}\? Or see"):
+    with pytest.raises(DataError, match=rf"\. Did you mean {street}\? List"):
         open_sequence(str(tmp_path / typed))
 
 
-def test_what_is_there_instead_is_told(tmp_path: Path) -> None:
+def test_the_content_of_the_path_is_described(tmp_path: Path) -> None:
     for name in ("a.txt", "b.txt", "c.md"):
         (tmp_path / name).write_text("")
-    with pytest.raises(DataError, match=r"but a folder \(\.txt files: 2, \.md files: 1\)"):
+    with pytest.raises(DataError, match=r"found a folder \(\.txt files: 2, \.md files: 1\)"):
         open_sequence(str(tmp_path))
-    with pytest.raises(DataError, match="but a file of 0 bytes"):
+    with pytest.raises(DataError, match="found a file of 0 bytes"):
         open_sequence(str(tmp_path / "a.txt"))
 
 
@@ -53,17 +55,17 @@ def test_a_prefix_forces_the_format(tmp_path: Path) -> None:
         open_sequence(f"benchmrk:{tmp_path}")
 
 
-def test_a_path_may_hold_a_colon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_may_contain_a_colon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drive(tmp_path / "benchmark:1")
     monkeypatch.chdir(tmp_path)
     assert open_sequence("benchmark:1").name == "benchmark:1"
 
 
-def test_another_sensor(tmp_path: Path) -> None:
+def test_the_sensor_can_be_set(tmp_path: Path) -> None:
     assert open_sequence(str(drive(tmp_path)), sensor="vlp16").sensor.rings == 16
 
 
-def test_a_broken_plug_in_breaks_nobody_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_broken_plug_in_does_not_affect_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     broken = registry.PluginHandle("datasets", "a_broken_one", "no_such_module:Nothing", "somebody's", "1.0")
     handles = registry.handles
 

@@ -1,4 +1,4 @@
-"""Bags of every kind as rosbags writes them: clouds of any layout, poses of every source."""
+"""Bags of every kind, written with rosbags: clouds of any layout, poses from every source."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from dynaviz.datasets.rosbag import RosBagSequence
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Sequence
 
-MOUNT = at(0.5, 0.0, 1.2, np.pi / 2)  # of the lidar on the base
+MOUNT = at(0.5, 0.0, 1.2, np.pi / 2)  # T_base_lidar
 
 
 def placed(xyz: np.ndarray, T: np.ndarray) -> np.ndarray:
     return xyz.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
 
 
-def agrees(sequence: Sequence, poses: np.ndarray = POSES, clouds: np.ndarray = XYZ, first: int = 0) -> None:
+def assert_equal(sequence: Sequence, poses: np.ndarray = POSES, clouds: np.ndarray = XYZ, first: int = 0) -> None:
     assert len(sequence) == len(poses)
     for k, T in enumerate(poses):
         scan = sequence[k]
@@ -40,12 +40,12 @@ def test_every_kind_of_bag(tmp_path: Path, kind: str) -> None:
     sequence = dv.open(path)
     assert isinstance(sequence, RosBagSequence)
     assert (sequence.name, sequence.has_labels) == ("drive", False)
-    agrees(sequence)
+    assert_equal(sequence)
     assert sequence[2].stamp_ns == START + 200_000_000
     assert sequence.facts["poses"] == "/odom"
-    assert sequence.facts["de-skewed"] == "no"
-    for file in path.glob("*.[dm][bc]*"):  # the storage alone
-        agrees(dv.open(file))
+    assert sequence.facts["deskewed"] == "no"
+    for file in path.glob("*.[dm][bc]*"):  # the storage file alone
+        assert_equal(dv.open(file))
 
 
 def test_frames_in_any_order_and_from_other_threads(tmp_path: Path) -> None:
@@ -68,8 +68,8 @@ def test_frames_in_any_order_and_from_other_threads(tmp_path: Path) -> None:
     assert not wrong
 
 
-def test_only_asked_clouds_are_in_memory(tmp_path: Path) -> None:
-    """Ten clouds of 2 MB each, read one after the other: never two hands full of them at a time."""
+def test_only_requested_clouds_are_in_memory(tmp_path: Path) -> None:
+    """Ten clouds of 2 MB each are read one after another, and never all of them are in memory."""
     import tracemalloc
 
     xyz = np.ones((150_000, 3), np.float32)
@@ -84,7 +84,7 @@ def test_only_asked_clouds_are_in_memory(tmp_path: Path) -> None:
         assert len(sequence[k]) == len(xyz)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert opening[0] < 2e6  # an index, no clouds
+    assert opening[0] < 2e6  # the index, no clouds
     assert opening[1] < 4 * xyz.nbytes
     assert peak < 12 * xyz.nbytes  # one cloud in float32 and float64
 
@@ -109,10 +109,10 @@ def test_any_layout_of_points(tmp_path: Path, kind: str, layout: dict[str, Any])
             xyz = columns(clouds[k], kind)
             bag.cloud(k / 10, {"ring": ring, "z": xyz["z"], "x": xyz["x"], "y": xyz["y"]}, **layout)
             bag.odometry(k / 10, POSES[k])
-    agrees(dv.open(bag.path), clouds=clouds)
+    assert_equal(dv.open(bag.path), clouds=clouds)
 
 
-def test_returns_that_are_none(tmp_path: Path) -> None:
+def test_missing_returns_become_nan(tmp_path: Path) -> None:
     xyz = XYZ[0].copy()
     xyz[3], xyz[4] = np.nan, 0
     with BagWriter(tmp_path / "drive") as bag:
@@ -126,26 +126,26 @@ def test_returns_that_are_none(tmp_path: Path) -> None:
     assert len(sequence[1]) == 0
 
 
-def test_odometry_at_another_rate_is_interpolated(tmp_path: Path) -> None:
+def test_odometry_at_a_different_rate_is_interpolated(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
         for k in range(-1, 15):
             seconds = 0.04 * k
             bag.odometry(seconds, at(20 * seconds, 0, 0, 2 * seconds))
-    agrees(dv.open(bag.path), np.array([at(2.0 * k, 0, 0, 0.2 * k) for k in range(N)]))
+    assert_equal(dv.open(bag.path), np.array([at(2.0 * k, 0, 0, 0.2 * k) for k in range(N)]))
 
 
-def test_poses_of_a_pose_topic_are_the_lidars(tmp_path: Path) -> None:
+def test_poses_of_a_pose_topic_are_lidar_poses(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive", "sqlite3") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
             bag.pose(k / 10, POSES[k])
-    agrees(dv.open(bag.path))
+    assert_equal(dv.open(bag.path))
 
 
 def robot(path: Path, *, static: bool = True, odometry: bool = True, tf: bool = True, world: bool = False) -> Path:
-    """odom -> base moves, base -> tower -> lidar is mounted; map -> odom jumps where asked for."""
+    """odom -> base_link moves, base_link -> tower -> lidar is static, and map -> odom jumps if ``world`` is set."""
     with BagWriter(path) as bag:
         if static:
             bag.transform(0, "base_link", "tower", at(0.5), static=True)
@@ -162,26 +162,28 @@ def robot(path: Path, *, static: bool = True, odometry: bool = True, tf: bool = 
 
 
 @pytest.mark.parametrize(("odometry", "tf"), [(True, False), (False, True), (True, True)])
-def test_the_mount_on_the_base_counts(tmp_path: Path, odometry: bool, tf: bool) -> None:
+def test_the_mount_of_the_lidar_is_applied(tmp_path: Path, odometry: bool, tf: bool) -> None:
     sequence = dv.open(robot(tmp_path / "drive", odometry=odometry, tf=tf))
-    agrees(sequence, np.array([T @ MOUNT for T in POSES]))
+    assert_equal(sequence, np.array([T @ MOUNT for T in POSES]))
     assert sequence.facts["poses"] == ("TF from lidar to odom" if tf else "/odom")  # type: ignore[attr-defined]
 
 
-def test_a_choice_of_worlds_is_the_users(tmp_path: Path) -> None:
+def test_several_world_frames_are_reported(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", world=True)
     with pytest.raises(DataError, match=r"several sources of poses: odom, map\. Choose one: --poses odom"):
         dv.open(path)
-    agrees(dv.open(path, poses="odom"), np.array([T @ MOUNT for T in POSES]))
-    agrees(dv.open(path, poses="/odom"), np.array([T @ MOUNT for T in POSES]))
-    agrees(dv.open(path, poses="map"), np.array([at(100, k, 0, 0.1 * k) @ T @ MOUNT for k, T in enumerate(POSES)]))
+    assert_equal(dv.open(path, poses="odom"), np.array([T @ MOUNT for T in POSES]))
+    assert_equal(dv.open(path, poses="/odom"), np.array([T @ MOUNT for T in POSES]))
+    assert_equal(
+        dv.open(path, poses="map"), np.array([at(100, k, 0, 0.1 * k) @ T @ MOUNT for k, T in enumerate(POSES)])
+    )
     with pytest.raises(
-        UsageError, match=r"--poses mop: neither a file nor .* There are: /odom, tower, base_link, odom, map"
+        UsageError, match=r"--poses mop: not a file, and not .* Available: /odom, tower, base_link, odom, map"
     ):
         dv.open(path, poses="mop")
 
 
-def test_a_base_beside_the_lidar_is_reached_through_what_both_hang_on(tmp_path: Path) -> None:
+def test_frames_are_connected_through_their_common_parent(tmp_path: Path) -> None:
     imu = at(-0.3, 0.1, 0.2, 0.7)
     with BagWriter(tmp_path / "drive") as bag:
         bag.transform(0, "base_link", "imu", imu, static=True)
@@ -189,129 +191,139 @@ def test_a_base_beside_the_lidar_is_reached_through_what_both_hang_on(tmp_path: 
         for k in range(N):
             bag.odometry(k / 10, POSES[k], child="imu")
             bag.cloud(k / 10, columns(XYZ[k]))
-    agrees(dv.open(bag.path), np.array([T @ np.linalg.inv(imu) @ MOUNT for T in POSES]))
+    assert_equal(dv.open(bag.path), np.array([T @ np.linalg.inv(imu) @ MOUNT for T in POSES]))
 
 
-def test_a_missing_transform_is_told_with_the_way_out(tmp_path: Path) -> None:
+def test_a_missing_transform_is_reported_with_a_hint(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", static=False, tf=False)
-    with pytest.raises(DataError, match=r"no TF from lidar to base_link, whose poses /odom gives.*add --poses /odom"):
+    with pytest.raises(
+        DataError, match=r"/odom has poses of base_link, but there is no TF from lidar to it.*add --poses /odom"
+    ):
         dv.open(path)
-    with pytest.warns(UserWarning, match="no TF from lidar to base_link; the poses of /odom are taken"):
-        agrees(dv.open(path, poses="/odom"))
-    with pytest.raises(DataError, match=r"has no poses: .* no TF from lidar to a world.*--poses FILE"):
+    with pytest.warns(
+        UserWarning, match="no TF from lidar to base_link; using the poses of /odom as those of the lidar"
+    ):
+        assert_equal(dv.open(path, poses="/odom"))
+    with pytest.raises(DataError, match=r"has no poses: .* no TF from lidar to a world frame.*--poses FILE"):
         dv.open(robot(tmp_path / "other", static=False, odometry=False))
 
 
-def test_a_lidar_that_stands_still(tmp_path: Path) -> None:
+def test_a_static_lidar(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         bag.transform(0, "map", "lidar", POSES[3], static=True)
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
-    agrees(dv.open(bag.path), np.repeat(POSES[3:4], N, 0))
+    assert_equal(dv.open(bag.path), np.repeat(POSES[3:4], N, 0))
 
 
-def test_several_clouds_are_a_choice(tmp_path: Path) -> None:
+def test_several_cloud_topics_are_reported(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive", "mcap") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
             bag.cloud(k / 10, columns(XYZ[k] + 1), topic="/rear/points")
             bag.odometry(k / 10, POSES[k])
-    with pytest.raises(DataError, match=r"topics of clouds: /points, /rear/points\. Choose one: .*drive#/points"):
+    with pytest.raises(
+        DataError, match=r"several PointCloud2 topics: /points, /rear/points\. Choose one: .*drive#/points"
+    ):
         dv.open(bag.path)
     for prefix in ("", "rosbag:"):
-        agrees(dv.open(f"{prefix}{bag.path}#/rear/points"), clouds=XYZ + 1)
-    with pytest.raises(UsageError, match=r"#/points2: no such topic of clouds\. There are: /points, /rear/points"):
+        assert_equal(dv.open(f"{prefix}{bag.path}#/rear/points"), clouds=XYZ + 1)
+    with pytest.raises(UsageError, match=r"#/points2: no such PointCloud2 topic\. Available: /points, /rear/points"):
         dv.open(f"{bag.path}#/points2")
 
 
-def test_no_clouds_are_told(tmp_path: Path) -> None:
+def test_a_bag_without_clouds_is_reported(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         bag.odometry(0, POSES[0])
-    with pytest.raises(DataError, match="no topic of clouds, but nav_msgs/msg/Odometry"):
+    with pytest.raises(DataError, match="has no PointCloud2 topic, only nav_msgs/msg/Odometry"):
         dv.open(bag.path)
 
 
-def test_clouds_before_the_first_pose_are_left_out(tmp_path: Path) -> None:
+def test_clouds_outside_the_poses_are_skipped(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
             if k in (2, 3, 4):
                 bag.odometry(k / 10, POSES[k])
-    with pytest.warns(UserWarning, match="3 of 6 scans lie outside the poses of /odom and are left out"):
+    with pytest.warns(
+        UserWarning, match="3 of 6 scans are outside the time span of the poses from /odom and are skipped"
+    ):
         sequence = dv.open(bag.path)
-    agrees(sequence, POSES[2:5], first=2)
+    assert_equal(sequence, POSES[2:5], first=2)
 
 
-def test_clouds_without_stamp_have_the_time_of_recording(tmp_path: Path) -> None:
+def test_clouds_without_stamp_use_the_recording_time(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(None, columns(XYZ[k]), recorded=k / 10)
             bag.odometry(k / 10, POSES[k])
-    with pytest.warns(UserWarning, match="6 messages of /points have no stamp; the time of recording"):
-        agrees(dv.open(bag.path))
+    with pytest.warns(UserWarning, match="6 messages of /points have no stamp; using their recording time"):
+        assert_equal(dv.open(bag.path))
 
 
-def test_odometry_without_stamp_has_the_time_of_recording(tmp_path: Path) -> None:
+def test_odometry_without_stamp_uses_the_recording_time(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
             bag.odometry(None, POSES[k], recorded=k / 10)
-    with pytest.warns(UserWarning, match="6 messages of /odom have no stamp; the time of recording"):
-        agrees(dv.open(bag.path))
+    with pytest.warns(UserWarning, match="6 messages of /odom have no stamp; using their recording time"):
+        assert_equal(dv.open(bag.path))
 
 
-def test_a_goal_is_no_trajectory(tmp_path: Path) -> None:
+def test_a_goal_is_not_a_trajectory(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
         bag.pose(0.2, POSES[4], topic="/goal")
     with pytest.raises(DataError, match="has no poses"):
         dv.open(bag.path)
-    agrees(dv.open(bag.path, poses="/goal"), np.repeat(POSES[4:5], N, 0))  # of a lidar that stands still
+    assert_equal(dv.open(bag.path, poses="/goal"), np.repeat(POSES[4:5], N, 0))  # of a static lidar
 
 
-def test_stamps_that_go_backwards_are_told(tmp_path: Path) -> None:
+def test_decreasing_stamps_are_reported(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k, seconds in enumerate((0.0, 0.1, 0.2, 0.1, 0.3, 0.5)):
             bag.cloud(seconds, columns(XYZ[k]), recorded=k / 10)
             bag.odometry(k / 10, POSES[k])
-    with pytest.warns(UserWarning, match="the stamps of /points go backwards at cloud 3"):
+    with pytest.warns(UserWarning, match="the stamps of /points decrease at cloud 3"):
         sequence = dv.open(bag.path)
     np.testing.assert_allclose(sequence[3].T_world_sensor, POSES[1], atol=1e-9)
 
 
-def test_clouds_recorded_in_the_same_moment_are_told_apart(tmp_path: Path) -> None:
+def test_clouds_with_the_same_recording_time_are_distinguished(tmp_path: Path) -> None:
     for kind in KINDS:
         with BagWriter(tmp_path / kind, kind) as bag:
             for k in range(N):
                 bag.cloud(k / 10, columns(XYZ[k]), recorded=(k // 3) / 10)
                 bag.odometry(k / 10, POSES[k])
-        agrees(dv.open(bag.path))
+        assert_equal(dv.open(bag.path))
 
 
-def test_a_file_of_poses(tmp_path: Path) -> None:
+def test_a_pose_file(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]))
     poses = tmp_path / "poses.txt"
     np.savetxt(poses, POSES[:, :3].reshape(N, 12))
-    agrees(dv.open(bag.path, poses=poses))
+    assert_equal(dv.open(bag.path, poses=poses))
     np.savetxt(poses, POSES[1:, :3].reshape(N - 1, 12))
     with pytest.raises(DataError, match="has 5 poses, but there are 6 scans in"):
         dv.open(bag.path, poses=poses)
     poses.write_text("".join(f"{START / 1e9 + k / 10:.6f} {2 * k} 0 0 0 0 0 1\n" for k in (0, 4)))
     with pytest.warns(UserWarning, match="1 of 6 scans"):
-        agrees(dv.open(bag.path, poses=poses), np.array([at(2 * k) for k in range(5)]))
+        assert_equal(dv.open(bag.path, poses=poses), np.array([at(2 * k) for k in range(5)]))
 
 
-def test_clouds_that_are_in_the_world_already(tmp_path: Path) -> None:
+def test_clouds_in_the_world_frame(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(placed(XYZ[k], POSES[k])), frame="odom")
             bag.odometry(k / 10, POSES[k], child="body")
-    with pytest.raises(DataError, match=r"clouds in the frame odom.*Add --points-in world --poses /odom"):
+    with pytest.raises(
+        DataError, match=r"clouds are already in the world frame odom of /odom.*Add --points-in world --poses /odom"
+    ):
         dv.open(bag.path)
-    agrees(dv.open(bag.path, points_in="world", poses="/odom"))
+    assert_equal(dv.open(bag.path, points_in="world", poses="/odom"))
 
 
 SWEEP = np.linspace(0, 0.0999, 60)
@@ -326,8 +338,8 @@ SWEEP = np.linspace(0, 0.0999, 60)
         ("offset_time", np.round(SWEEP * 1e9).astype("u4")),
     ],
 )
-def test_points_are_placed_by_the_pose_of_their_own_time(tmp_path: Path, field: str, times: np.ndarray) -> None:
-    """At 15 m/s each point is moved by its own share of 1.5 m; the ray starts where the sensor was."""
+def test_sweeps_are_deskewed(tmp_path: Path, field: str, times: np.ndarray) -> None:
+    """At 15 m/s points move by up to 1.5 m during a sweep; each ray starts at the sensor position of its time."""
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             more = {field: times + k / 10 if field == "timestamp" else times}
@@ -335,19 +347,19 @@ def test_points_are_placed_by_the_pose_of_their_own_time(tmp_path: Path, field: 
         for k in range(70):
             bag.odometry(k / 100, at(15 * k / 100, 0, 0, k / 100))
     sequence = dv.open(bag.path)
-    assert sequence.facts["de-skewed"] == f"by the points' {field}"  # type: ignore[attr-defined]
+    assert sequence.facts["deskewed"] == f"with the field {field}"  # type: ignore[attr-defined]
     scan = sequence[3]
-    own = np.array([at(15 * (0.3 + s), 0, 0, 0.3 + s) for s in SWEEP])
-    expected = np.array([placed(p[None], T)[0] for p, T in zip(XYZ[3], own, strict=True)])
+    poses = np.array([at(15 * (0.3 + s), 0, 0, 0.3 + s) for s in SWEEP])
+    expected = np.array([placed(p[None], T)[0] for p, T in zip(XYZ[3], poses, strict=True)])
     np.testing.assert_allclose(scan.points, expected, atol=1e-3)
-    np.testing.assert_allclose(scan.origins, own[:, :3, 3], atol=1e-3)
+    np.testing.assert_allclose(scan.origins, poses[:, :3, 3], atol=1e-3)
     plain = dv.open(bag.path, deskew=False)
     np.testing.assert_allclose(plain[3].points, placed(XYZ[3], at(4.5, 0, 0, 0.3)), atol=1e-4)
     assert plain[3].origins.shape == (1, 3)
     assert np.linalg.norm(plain[3].points - scan.points, axis=1).max() > 1.0
 
 
-def test_a_cut_sweep_does_not_change_the_unit_of_times(tmp_path: Path) -> None:
+def test_an_incomplete_sweep_does_not_change_the_unit_of_times(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "drive") as bag:
         for k in range(N):
             n = 60 if k else 2  # the first has two points, 1.7 ms apart
@@ -360,7 +372,7 @@ def test_a_cut_sweep_does_not_change_the_unit_of_times(tmp_path: Path) -> None:
 
 @pytest.fixture
 def real_tracking(shared: Path, tmp_path: Path) -> Path:
-    """The first frames of a real drive in KITTI's layout."""
+    """The first frames of a real drive in the layout of KITTI tracking."""
     code = (
         f"import pathlib, runpy; script = runpy.run_path({str(shared / 'data/unpack.py')!r})\n"
         "script['tracking'].__globals__['range'] = lambda frames: range(min(frames, 3))  # all would take long\n"
@@ -370,7 +382,7 @@ def real_tracking(shared: Path, tmp_path: Path) -> Path:
     return tmp_path / "kitti_tracking/training"
 
 
-def test_a_bag_of_real_sweeps_gives_the_labels_of_the_folder(real_tracking: Path, tmp_path: Path) -> None:
+def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(real_tracking: Path, tmp_path: Path) -> None:
     from dynaviz.datasets.kitti_tracking import KittiTrackingSequence
     from dynaviz.io.velodyne import read_velodyne
 
@@ -381,6 +393,6 @@ def test_a_bag_of_real_sweeps_gives_the_labels_of_the_folder(real_tracking: Path
             xyzi = read_velodyne(folder.scans[folder[k].index])
             bag.cloud(k / 10, columns(xyzi, intensity=xyzi[:, 3]), frame="velodyne")
             bag.odometry(k / 10, folder[k].T_world_sensor, child="velodyne")
-    of_bag, of_folder = (api.run("dufomap", sequence) for sequence in (dv.open(bag.path), folder))
-    assert of_bag.labels_sha256 == of_folder.labels_sha256
-    assert of_bag.sequence["points"] > 300_000
+    from_bag, from_folder = (api.run("dufomap", sequence) for sequence in (dv.open(bag.path), folder))
+    assert from_bag.labels_sha256 == from_folder.labels_sha256
+    assert from_bag.sequence.points > 300_000

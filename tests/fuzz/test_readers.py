@@ -1,7 +1,7 @@
-"""Whatever a file holds, its reader gives something whole or refuses it in one line; it never fails otherwise or hangs.
+"""Readers of damaged files return complete data or refuse the file in one line; they never crash or hang.
 
-``FUZZ=2000 pytest tests/fuzz -k poses`` tries more than the few accidents of every day. What a reader fails on stays in
-the test's folder.
+By default each reader sees a few damaged files; ``FUZZ=2000 pytest tests/fuzz -k poses`` tries more. A file that makes
+a reader fail is kept in the folder of the test.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from hypothesis import strategies as st
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError
 
-FEW = 5  # accidents a reader every day
-EXAMPLES = int(os.environ.get("FUZZ", FEW))
-PATIENCE = 30  # seconds
+DEFAULT_EXAMPLES = 5  # damaged files per reader
+EXAMPLES = int(os.environ.get("FUZZ", DEFAULT_EXAMPLES))
+TIMEOUT = 30  # seconds per file
 
 
-class Hang(BaseException):
-    """Not an error that a reader may take for its own."""
+class Timeout(BaseException):
+    """A reader took too long; not an Exception, so that readers do not catch it."""
 
 
 @contextmanager
-def patience(seconds: int) -> Iterator[None]:
+def time_limit(seconds: int) -> Iterator[None]:
     def ring(number: int, frame: FrameType | None) -> None:
-        raise Hang(f"it read for {seconds} s")
+        raise Timeout(f"reading took more than {seconds} s")
 
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(seconds)
@@ -49,21 +49,21 @@ def patience(seconds: int) -> Iterator[None]:
 
 
 def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> bool:
-    """Whether it was read; fails for anything but a refusal that a user understands."""
+    """Whether the file was read; fails unless the reader succeeds or raises a readable error."""
     refusal = None
-    with warnings.catch_warnings(record=True) as said, patience(PATIENCE):
+    with warnings.catch_warnings(record=True) as caught, time_limit(TIMEOUT):
         warnings.simplefilter("always")
         try:
             read(path)
         except DynavizError as error:
             refusal = error
-        except Exception as error:  # some cannot be shown: their texts are long, their lines of code are no code
+        except Exception as error:  # shown in short form, because the text may be very long
             places = [f"{Path(at.filename).name}:{at.lineno}" for at in traceback.extract_tb(error.__traceback__)]
             raise AssertionError(f"{type(error).__name__}: {str(error)[:200]} at {' '.join(places)}") from None
-    odd = [str(warning.message) for warning in said if warning.category is not UserWarning]
-    assert not odd, f"warned: {odd}"
+    unexpected = [str(warning.message) for warning in caught if warning.category is not UserWarning]
+    assert not unexpected, f"warned: {unexpected}"
     if refusal:
-        assert str(refusal).isprintable(), f"not one plain line: {str(refusal)!r}"
+        assert str(refusal).isprintable(), f"not one printable line: {str(refusal)!r}"
         assert len(str(refusal)) < 2500, f"{len(str(refusal))} characters: {str(refusal)[:200]}"
         assert not isinstance(refusal, DataError) or Path(refusal.path).is_relative_to(folder), refusal
     return refusal is None
@@ -72,43 +72,42 @@ def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> b
 @pytest.fixture
 def example(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A valid example in ``tmp_path``."""
-    make = SUBJECTS[request.param].make
-    return request.getfixturevalue(make) if isinstance(make, str) else make(tmp_path)
+    return SUBJECTS[request.param].make(tmp_path)
 
 
 @pytest.mark.parametrize(("name", "example"), [(name, name) for name in SUBJECTS], indirect=["example"], ids=SUBJECTS)
 def test_damaged_files_are_read_or_refused(name: str, example: Path, tmp_path: Path) -> None:
     subject = SUBJECTS[name]
     assert reads_or_refuses(subject.read, example, tmp_path), "the example itself is refused"
-    whole = {file: file.read_bytes() for file in parts(tmp_path, subject.target)}
-    # As often the one table as one of many sweeps.
-    choices = [*{(file.parent, file.suffix): file for file in whole}.values(), *whole]
-    hurt: list[Path] = []
+    contents = {file: file.read_bytes() for file in parts(tmp_path, subject.target)}
+    # One file of each kind first, so that a single table is damaged as often as one of many sweeps.
+    choices = [*{(file.parent, file.suffix): file for file in contents}.values(), *contents]
+    damaged_files: list[Path] = []
 
     @settings(
         max_examples=EXAMPLES,
-        derandomize=EXAMPLES == FEW,
+        derandomize=EXAMPLES == DEFAULT_EXAMPLES,
         database=None,
-        phases=[Phase.generate] if EXAMPLES == FEW else [Phase.generate, Phase.shrink],
+        phases=[Phase.generate] if EXAMPLES == DEFAULT_EXAMPLES else [Phase.generate, Phase.shrink],
         suppress_health_check=list(HealthCheck),
     )
-    @given(st.sampled_from(choices), st.sampled_from(["damaged"] * 20 + ["absent", "empty", "a folder"]), st.data())
-    def try_one(file: Path, fate: str, data: st.DataObject) -> None:
-        while hurt:  # mended here, so that what a reader failed on stays
-            remove(hurt[-1])
-            hurt[-1].write_bytes(whole[hurt.pop()])
-        content = data.draw(damaged(whole[file])) if fate == "damaged" else b""
-        hurt.append(file)
+    @given(st.sampled_from(choices), st.sampled_from(["damaged"] * 20 + ["missing", "empty", "a folder"]), st.data())
+    def try_one(file: Path, state: str, data: st.DataObject) -> None:
+        while damaged_files:  # restored here, so that a file that makes the reader fail is kept
+            remove(damaged_files[-1])
+            damaged_files[-1].write_bytes(contents[damaged_files.pop()])
+        content = data.draw(damaged(contents[file])) if state == "damaged" else b""
+        damaged_files.append(file)
         remove(file)
-        if fate == "a folder":
+        if state == "a folder":
             file.mkdir()
-        elif fate != "absent":
+        elif state != "missing":
             file.write_bytes(content)
         reads_or_refuses(subject.read, example, tmp_path)
 
     try_one()
 
 
-def test_every_data_set_is_tried() -> None:
-    ours = {handle.name for handle in registry.handles("datasets") if handle.distribution == "dynaviz"}
-    assert set(DATASETS) == ours
+def test_every_data_set_has_an_example() -> None:
+    names = {handle.name for handle in registry.handles("datasets") if handle.distribution == "dynaviz"}
+    assert set(DATASETS) == names

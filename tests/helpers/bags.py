@@ -1,4 +1,4 @@
-"""Bags as rosbags writes them: clouds of any layout, odometry, poses, transforms."""
+"""Write bags with rosbags: clouds of any layout, odometry, poses, transforms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8"
 
 
 class BagWriter:
-    """Writes a bag; times are seconds since ``START``."""
+    """Writes a bag. Times are in seconds since ``START``; None writes a stamp of zero."""
 
     def __init__(self, path: Path, kind: str = "ros1") -> None:
         self.ros1 = kind == "ros1"
@@ -71,13 +71,25 @@ class BagWriter:
         row_gap: int = 0,
         cut: int = 0,
     ) -> None:
-        """A cloud: bytes of padding before the first field, after each, after each row; bytes cut off its end."""
+        """Write a cloud.
+
+        Args:
+            seconds: stamp.
+            columns: fields by name, (N,) each.
+            topic, frame: names.
+            recorded: recording time; default: the stamp.
+            order: byte order, ``<`` or ``>``.
+            before, gap: bytes of padding before the first field and after each field.
+            height: number of rows of an organised cloud.
+            row_gap: bytes of padding after each row.
+            cut: bytes missing at the end of the data.
+        """
         offset, offsets = before, []
         for column in columns.values():
             offsets.append(offset)
             offset += column.dtype.itemsize + gap
-        form = [column.dtype.newbyteorder(order) for column in columns.values()]
-        layout = {"names": list(columns), "formats": form, "offsets": offsets, "itemsize": offset}
+        formats = [column.dtype.newbyteorder(order) for column in columns.values()]
+        layout = {"names": list(columns), "formats": formats, "offsets": offsets, "itemsize": offset}
         rows = np.zeros(len(next(iter(columns.values()))), np.dtype(layout))  # type: ignore[call-overload]
         for name, column in columns.items():
             rows[name] = column
@@ -108,9 +120,9 @@ class BagWriter:
         )
 
     def _pose(self, T: np.ndarray) -> Any:
-        xyz, turn = self._parts(T)
+        xyz, rotation = self._parts(T)
         return self.make(
-            "geometry_msgs/msg/Pose", position=self.make("geometry_msgs/msg/Point", **xyz), orientation=turn
+            "geometry_msgs/msg/Pose", position=self.make("geometry_msgs/msg/Point", **xyz), orientation=rotation
         )
 
     def odometry(
@@ -139,7 +151,7 @@ class BagWriter:
         self.write(topic, seconds, self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self._pose(T)))
 
     def transform(self, seconds: float, parent: str, child: str, T: np.ndarray, *, static: bool = False) -> None:
-        xyz, turn = self._parts(T)
+        xyz, rotation = self._parts(T)
         link = self.make(
             "geometry_msgs/msg/TransformStamped",
             header=self.header(seconds, parent),
@@ -147,7 +159,7 @@ class BagWriter:
             transform=self.make(
                 "geometry_msgs/msg/Transform",
                 translation=self.make("geometry_msgs/msg/Vector3", **xyz),
-                rotation=turn,
+                rotation=rotation,
             ),
         )
         self.write("/tf_static" if static else "/tf", seconds, self.make("tf2_msgs/msg/TFMessage", transforms=[link]))
@@ -170,7 +182,7 @@ POSES = np.array([at(2.0 * k, -0.5 * k, 1.5, 0.2 * k) for k in range(N)])
 
 
 def drive(path: Path, kind: str = "ros1", **cloud: Any) -> Path:
-    """A cloud and its odometry every 0.1 s."""
+    """A bag with a cloud and odometry every 0.1 s; ``cloud`` is passed to ``BagWriter.cloud``."""
     with BagWriter(path, kind) as bag:
         for k in range(N):
             bag.cloud(k / 10, columns(XYZ[k]), **cloud)

@@ -1,4 +1,4 @@
-"""What may befall a file: bytes flipped, cut, doubled or replaced, numbers and words become others, or all is new."""
+"""Random damage to files: bytes cut, flipped or moved, numbers, words and lines changed, or new content."""
 
 from __future__ import annotations
 
@@ -27,66 +27,66 @@ _NUMBERS = [
 
 
 @st.composite
-def damaged(draw: st.DrawFn, whole: bytes) -> bytes:
-    """The content of a file after a few accidents; sometimes bytes that have nothing to do with it."""
+def damaged(draw: st.DrawFn, content: bytes) -> bytes:
+    """The content of a file after up to three changes; sometimes unrelated bytes."""
     if draw(st.integers(0, 15)) == 15:
         return draw(st.binary(max_size=300))
-    for accident in draw(st.lists(st.sampled_from(_ACCIDENTS), min_size=1, max_size=3)):
-        whole = accident(draw, whole)
-    return whole
+    for change in draw(st.lists(st.sampled_from(_CHANGES), min_size=1, max_size=3)):
+        content = change(draw, content)
+    return content
 
 
-def _place(draw: st.DrawFn, whole: bytes) -> int:
-    """Anywhere, but more often near the beginning or the end, where headers and indices are."""
-    last = max(len(whole) - 1, 0)
+def _position(draw: st.DrawFn, content: bytes) -> int:
+    """A position, more often near the beginning or the end, where headers and indices are."""
+    last = max(len(content) - 1, 0)
     near = min(last, 200)
     return draw(st.integers(0, last) | st.integers(0, near) | st.integers(0, near).map(lambda back: last - back))
 
 
-def _cut(draw: st.DrawFn, whole: bytes) -> bytes:
-    return whole[: _place(draw, whole)]
+def _cut(draw: st.DrawFn, content: bytes) -> bytes:
+    return content[: _position(draw, content)]
 
 
-def _flip(draw: st.DrawFn, whole: bytes) -> bytes:
-    content = bytearray(whole or b"\0")
+def _flip(draw: st.DrawFn, content: bytes) -> bytes:
+    flipped = bytearray(content or b"\0")
     for _ in range(draw(st.integers(1, 8))):
-        content[_place(draw, bytes(content))] ^= draw(st.integers(1, 255))
-    return bytes(content)
+        flipped[_position(draw, bytes(flipped))] ^= draw(st.integers(1, 255))
+    return bytes(flipped)
 
 
-def _number(draw: st.DrawFn, whole: bytes) -> bytes:
-    at, new = _place(draw, whole), draw(st.sampled_from(_NUMBERS))
-    return whole[:at] + new + whole[at + len(new) :]
+def _number(draw: st.DrawFn, content: bytes) -> bytes:
+    at, new = _position(draw, content), draw(st.sampled_from(_NUMBERS))
+    return content[:at] + new + content[at + len(new) :]
 
 
-def _splice(draw: st.DrawFn, whole: bytes) -> bytes:
-    """A piece is lost, or there twice, or moved."""
-    at, size, to = _place(draw, whole), draw(st.integers(1, 64)), _place(draw, whole)
-    kept = draw(st.sampled_from([whole, whole[:at] + whole[at + size :]]))
-    return kept[:to] + draw(st.sampled_from([b"", whole[at : at + size]])) + kept[to:]
+def _splice(draw: st.DrawFn, content: bytes) -> bytes:
+    """Remove, duplicate or move a piece."""
+    at, size, to = _position(draw, content), draw(st.integers(1, 64)), _position(draw, content)
+    kept = draw(st.sampled_from([content, content[:at] + content[at + size :]]))
+    return kept[:to] + draw(st.sampled_from([b"", content[at : at + size]])) + kept[to:]
 
 
-def _word(draw: st.DrawFn, whole: bytes) -> bytes:
-    words = [found.span() for found in _TOKEN.finditer(whole[:100_000])]
+def _word(draw: st.DrawFn, content: bytes) -> bytes:
+    words = [found.span() for found in _TOKEN.finditer(content[:100_000])]
     if not words:
-        return whole
+        return content
     first, last = draw(st.sampled_from(words))
     other = draw(st.sampled_from(words))
-    return whole[:first] + draw(st.sampled_from([*_WORDS, whole[slice(*other)]])) + whole[last:]
+    return content[:first] + draw(st.sampled_from([*_WORDS, content[slice(*other)]])) + content[last:]
 
 
-def _line(draw: st.DrawFn, whole: bytes) -> bytes:
-    """A line is lost, or there twice."""
-    lines = whole.splitlines(keepends=True) or [b""]
+def _line(draw: st.DrawFn, content: bytes) -> bytes:
+    """Remove or duplicate a line."""
+    lines = content.splitlines(keepends=True) or [b""]
     k = draw(st.integers(0, len(lines) - 1))
     return b"".join(lines[:k] + draw(st.sampled_from([[], [lines[k]] * 2])) + lines[k + 1 :])
 
 
-_ACCIDENTS: list[Callable[[st.DrawFn, bytes], bytes]] = [_cut, _flip, _number, _splice, _word, _word, _line]
+_CHANGES: list[Callable[[st.DrawFn, bytes], bytes]] = [_cut, _flip, _number, _splice, _word, _word, _line]
 
 
 def remove(path: Path) -> None:
-    """Take away whatever is at a path."""
+    """Remove a file or folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path)
     else:

@@ -1,4 +1,4 @@
-"""Everything that reads files: how to make a small valid example, and how to read all of it."""
+"""Everything that reads files: how to make a small valid example, and how to read it completely."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from test_kitti import sweep
-from test_kitti_raw import odometry as kitti_odometry
-from test_scan_folder import POSES, STAMPS, kitti, scans, tum
 
 from dynaviz.api import _run_into, run
 from dynaviz.benchmarking.plan_file import plan_of, read
@@ -32,28 +29,32 @@ from dynaviz.results.regression import read_baseline, write_baseline
 from dynaviz.results.result import Result
 from dynaviz.scan import Scan
 from dynaviz.simulate.recording import simulate
+from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
 from helpers.guessing_method import guess_run, record
+from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_sweep, write_tracking
+from helpers.nuscenes_files import write_nuscenes
+from helpers.scan_folders import POSES, STAMPS, write_kitti_poses, write_scans, write_tum_poses
 from helpers.worlds import room
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Something that reads.
+    """A reader and an example of its input.
 
     Attributes:
-        make: writes a valid example into an empty folder; or the name of a fixture that does.
-        read: reads all of it, given what ``make`` returned.
-        target: which files are to be damaged, as a glob below the folder.
+        make: writes a valid example into an empty folder.
+        read: reads the example completely, given the return value of ``make``.
+        target: files to damage, as a glob below the folder.
     """
 
-    make: Callable[[Path], Path] | str
+    make: Callable[[Path], Path]
     read: Callable[[Path], Any]
     target: str = "*"
 
 
 def every_scan(name: str) -> Callable[[Path], None]:
-    """Open a sequence by a format's name and read all its scans."""
+    """Open a sequence in a given format and read all its scans."""
 
     def read(path: Path) -> None:
         sequence = open_sequence(f"{name}:{path}")
@@ -63,7 +64,7 @@ def every_scan(name: str) -> Callable[[Path], None]:
             assert isinstance(scan, Scan)
             R = scan.T_world_sensor[:3, :3]
             assert np.isfinite(scan.T_world_sensor).all(), "a pose is not finite"
-            assert np.abs(R @ R.T - np.eye(3)).max() < 0.1, "a pose is no rotation"
+            assert np.abs(R @ R.T - np.eye(3)).max() < 0.1, "a pose is not rigid"
             assert scan.stamp_ns is None or abs(scan.stamp_ns) < 1 << 63
         _ = sequence.name, sequence.has_labels, getattr(sequence, "facts", {})
 
@@ -71,10 +72,10 @@ def every_scan(name: str) -> Callable[[Path], None]:
 
 
 def clouds(suffix: str, **more: Any) -> Subject:
-    """Scans of one format in a folder with poses."""
+    """A scan in one file format."""
 
     def make(folder: Path) -> Path:
-        scans(folder, suffix)
+        write_scans(folder, suffix)
         for path in sorted(folder.iterdir())[2:]:
             path.unlink()
         return next(iter(sorted(folder.iterdir())))
@@ -97,19 +98,19 @@ def pcd(encoding: str) -> Subject:
     return Subject(make, read)
 
 
-def posed(suffix: str, poses: str) -> Subject:
-    """A folder of scans with poses, whatever the data set."""
+def scans_with_poses(suffix: str, poses: str) -> Subject:
+    """A folder of scans with a pose file."""
 
     def make(folder: Path) -> Path:
         names = None if poses == "poses.txt" else [str(stamp) for stamp in STAMPS]
-        scans(folder, suffix, names)
+        write_scans(folder, suffix, names)
         if poses == "poses.txt":
-            kitti(folder / poses)
+            write_kitti_poses(folder / poses)
             (folder / "labels").mkdir()
             np.save(folder / "labels/000001.npy", np.zeros(40, np.uint8))
             np.zeros(40, "<u4").tofile(folder / "labels/000002.label")
         elif poses == "poses.tum":
-            tum(folder / poses, STAMPS, POSES)
+            write_tum_poses(folder / poses, STAMPS, POSES)
         else:
             rows = [
                 f"{t},{k},{x},{y},{z},0,0,0,1"
@@ -136,10 +137,10 @@ def bag(kind: str) -> Subject:
 
 
 def paper_frames(folder: Path) -> Path:
-    """Sequence 02 of SemanticKITTI with the frames of the papers, a few points each."""
+    """Sequence 02 of SemanticKITTI with the frames used in the papers, two points each."""
     root = folder / "sequences/02"
     for frame in range(860, 951):
-        sweep(root / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (2, 2, 0)])
+        write_sweep(root / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (2, 2, 0)])
     (root / "calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
     (root / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 951)
     (root / "labels").mkdir()
@@ -166,7 +167,7 @@ def finished(folder: Path) -> Path:
 
 
 def command(*words: object) -> Callable[[Path], None]:
-    """Run a command on what ``make`` returned, in this process: it ends with 0, 1 or 2, and says one line at 2."""
+    """Run a command on the example in this process; it must exit with 0 to 3, and print one line if the code is 2."""
 
     def read(path: Path) -> None:
         before, out, err = sys.argv, io.StringIO(), io.StringIO()
@@ -185,17 +186,17 @@ def command(*words: object) -> Callable[[Path], None]:
 
 
 def each(*reads: Callable[[Path], Any]) -> Callable[[Path], None]:
-    """Several reads of the same; each is made, though one before it refused."""
+    """Run several readers, even if an earlier one refuses the example."""
 
     def read(path: Path) -> None:
-        refused = None
-        for one in reads:
+        refusal = None
+        for read_one in reads:
             try:
-                one(path)
+                read_one(path)
             except DynavizError as error:
-                refused = error
-        if refused:
-            raise refused
+                refusal = error
+        if refusal:
+            raise refusal
 
     return read
 
@@ -207,10 +208,11 @@ def scored(folder: Path) -> Path:
 
 
 def answers(path: Path) -> None:
-    """What the labels of a run say of its sequence."""
+    """Read the labels of a run for each scan of its sequence."""
     labels = PrecomputedLabels(path, "labels")
     for scan in room(3, 300).scans:
-        assert len(labels.label(scan)) == len(labels.explain(scan)) == len(scan)
+        answer = labels.label(scan)
+        assert len(answer.dynamic) == len(answer.reasons) == len(scan)
 
 
 def baseline(folder: Path) -> Path:
@@ -268,25 +270,25 @@ def two_runs(folder: Path) -> Path:
     return folder
 
 
-DATASETS = {
-    "argoverse2": "log",
+DATASETS: dict[str, Callable[[Path], Path]] = {
+    "argoverse2": write_log,
     "benchmark": tiny_demo,
-    "files": posed(".bin", "poses.txt").make,
-    "kitti_odometry": kitti_odometry,
-    "kitti_raw": "drive",
-    "kitti_tracking": "training",
-    "nuscenes": "root",
+    "files": scans_with_poses(".bin", "poses.txt").make,
+    "kitti_odometry": write_odometry,
+    "kitti_raw": write_raw_drive,
+    "kitti_tracking": write_tracking,
+    "nuscenes": write_nuscenes,
     "rosbag": bag("ros1").make,
-    "semantickitti": "odometry",
-    "semantickitti_50m": "odometry",
+    "semantickitti": write_semantickitti,
+    "semantickitti_50m": write_semantickitti,
     "semantickitti_paper": paper_frames,
 }
 """By name in the registry."""
 
 SUBJECTS: dict[str, Subject] = {
     **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
-    **{f"files{suffix}": posed(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
-    "files-csv": posed(".bin", "poses.csv"),
+    **{f"files{suffix}": scans_with_poses(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
+    "files-csv": scans_with_poses(".bin", "poses.csv"),
     **{f"rosbag-{kind}": bag(kind) for kind in ("sqlite3", "mcap")},
     **{f"pcd-{encoding}": pcd(encoding) for encoding in ENCODINGS},
     **{f"points{suffix}": clouds(suffix) for suffix in (".npy", ".ply", ".las", ".laz")},
@@ -321,7 +323,7 @@ SUBJECTS: dict[str, Subject] = {
             command("info", "@/run.rrd"),
             command("failures", "@/run.rrd"),
             command("compare", "@/run.rrd", "@/other.rrd"),
-            command("repair", "@/run.rrd", "-o", "@/mended.rrd"),
+            command("repair", "@/run.rrd", "-o", "@/repaired.rrd"),
         ),
         "run.rrd",
     ),
@@ -329,5 +331,5 @@ SUBJECTS: dict[str, Subject] = {
 
 
 def parts(folder: Path, target: str) -> Iterator[Path]:
-    """The files of an example that may be damaged."""
+    """The files of an example to damage."""
     yield from sorted(path for path in folder.glob(target) if path.is_file())

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
-from dynaviz.datasets.files import holds, numbered
+from dynaviz.datasets.files import has_files, numbered_files
 from dynaviz.errors import DataError
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
@@ -34,7 +34,7 @@ class TextScans:
     @classmethod
     def matches(cls, path: Path) -> bool:
         """Look at file names only: dynaviz calls this for every data set and every path."""
-        return (path / "origins.txt").is_file() and holds(path, "*.xyzl")
+        return (path / "origins.txt").is_file() and has_files(path, "*.xyzl")
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -43,7 +43,7 @@ class TextScans:
         Raises:
             DataError: a file is invalid; the message states the file, the position in it and what to do.
         """
-        scans, origins = numbered(path, ".xyzl"), _rows(path / "origins.txt", np.float64, 3)
+        scans, origins = numbered_files(path, ".xyzl"), _rows(path / "origins.txt", np.float64, 3)
         if len(origins) != len(scans):
             raise DataError(
                 path / "origins.txt", f"has {len(origins)} rows for {len(scans)} scans", hint="Give one row per scan"

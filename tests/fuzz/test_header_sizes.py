@@ -1,4 +1,4 @@
-"""Headers that promise more than their file holds are refused in little memory, by a process of its own."""
+"""Headers that state more data than the file contains are refused without allocating that much memory."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from helpers.argoverse2_files import write_table
 from helpers.readable_files import bag, every_scan
 from helpers.resource_limits import memory_ends_after
-from test_argoverse2 import table
-from test_scan_folder import WRITERS, XYZ
+from helpers.scan_folders import WRITERS, XYZ
 
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
 from dynaviz.io.points import read_points
 from dynaviz.io.tracklets import read_tracklets
 
-MORE = 200 << 20  # bytes; every promise here is of more, every file much smaller
+LIMIT = 200 << 20  # bytes of memory; every header here states more, and every file is much smaller
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "points": read_points,
@@ -55,29 +55,29 @@ def las(version: int, counts: bytes, at: int) -> bytes:
     return bytes(content)
 
 
-LAUGHS = (
+ENTITY_EXPANSION = (
     '<?xml version="1.0"?><!DOCTYPE x [<!ENTITY a0 "ha">'
     + "".join(f'<!ENTITY a{k + 1} "{f"&a{k};" * 10}">' for k in range(12))
     + "]><x><tracklets><item>&a12;</item></tracklets></x>"
 ).encode()
 
-# By what promises: the suffix, the file's content, and what reads it.
-WRITTEN: dict[str, tuple[str, bytes, str]] = {
+# By name: suffix, content and reader of a file whose header states too much.
+FILES: dict[str, tuple[str, bytes, str]] = {
     "pcd, ascii": (".pcd", pcd("ascii"), "points"),
     "pcd, binary": (".pcd", pcd("binary"), "points"),
-    "pcd, packed": (".pcd", pcd("binary_compressed", struct.pack("<II", 20, 2**32 - 1) + bytes(20)), "points"),
+    "pcd, compressed": (".pcd", pcd("binary_compressed", struct.pack("<II", 20, 2**32 - 1) + bytes(20)), "points"),
     "ply, ascii": (".ply", ply("ascii"), "points"),
     "ply, binary": (".ply", ply("binary_little_endian"), "points"),
     "npy": (".npy", npy(), "points"),
     "las 1.2, points": (".las", las(2, struct.pack("<I", 2**32 - 1), 107), "points"),
     "las 1.4, points": (".las", las(4, struct.pack("<Q", 2**60), 247), "points"),
     "las, records": (".las", las(2, struct.pack("<I", 2**32 - 1), 100), "points"),
-    "xml": (".xml", LAUGHS, "xml"),
+    "xml": (".xml", ENTITY_EXPANSION, "xml"),
 }
 
 
-def announced(content: bytes, kind: str) -> Iterator[tuple[str, int, bytes]]:
-    """Where a good file announces a size, and a size that it cannot have."""
+def false_sizes(content: bytes, kind: str) -> Iterator[tuple[str, int, bytes]]:
+    """Positions of sizes in a valid file, with a size that the file cannot have."""
     if kind == "laz":
         (points_at,) = struct.unpack_from("<I", content, 96)
         (chunks,) = struct.unpack_from("<q", content, points_at)
@@ -91,56 +91,56 @@ def announced(content: bytes, kind: str) -> Iterator[tuple[str, int, bytes]]:
 
 
 def jobs(folder: Path) -> Iterator[tuple[str, str, Path]]:
-    """Good files first, so that all that reads them is loaded: what to read, by what, and where it is."""
-    table(folder / "a.feather", {"x": XYZ[0, :, 0]})
-    good = {"feather": ("feather", folder / "a.feather")}
+    """Name, reader and path of each file; valid files come first, so that all libraries are loaded."""
+    write_table(folder / "a.feather", {"x": XYZ[0, :, 0]})
+    valid = {"feather": ("feather", folder / "a.feather")}
     for suffix in (".las", ".laz", ".npy", ".pcd", ".ply"):
         WRITERS[suffix](folder / f"a{suffix}", XYZ[0])
-        good[suffix[1:]] = "points", folder / f"a{suffix}"
+        valid[suffix[1:]] = "points", folder / f"a{suffix}"
     for kind in ("ros1", "mcap"):
         (folder / kind).mkdir()
-        good[kind] = "bag", bag(kind).make(folder / kind)
-    for kind, (reader, path) in good.items():
-        yield f"good {kind}", reader, path
-    for name, (suffix, content, reader) in WRITTEN.items():
+        valid[kind] = "bag", bag(kind).make(folder / kind)
+    for kind, (reader, path) in valid.items():
+        yield f"valid {kind}", reader, path
+    for name, (suffix, content, reader) in FILES.items():
         path = folder / f"{name}{suffix}"
         path.write_bytes(content)
         yield name, reader, path
-    for kind, (reader, path) in good.items():
+    for kind, (reader, path) in valid.items():
         file = path if path.is_file() else next(path.glob("*.mcap"))
-        for what, at, size in announced(content := file.read_bytes(), kind):
-            spoilt = folder / f"{kind} {what}{file.suffix}"
-            spoilt.write_bytes(content[:at] + size + content[at + len(size) :])
-            yield f"{kind}, {what}", reader, spoilt
+        for what, at, size in false_sizes(content := file.read_bytes(), kind):
+            damaged = folder / f"{kind} {what}{file.suffix}"
+            damaged.write_bytes(content[:at] + size + content[at + len(size) :])
+            yield f"{kind}, {what}", reader, damaged
 
 
-def in_little_memory(work: list[tuple[str, str, str]]) -> None:
-    """What the child does: read one after the other, and say what came of each."""
-    for name, reader, path in work:
-        with memory_ends_after(MORE if not name.startswith("good") else 8 << 30):
+def read_with_little_memory(jobs: list[tuple[str, str, str]]) -> None:
+    """Run in a child process: read each file and print the outcome."""
+    for name, reader, path in jobs:
+        with memory_ends_after(8 << 30 if name.startswith("valid") else LIMIT):
             try:
                 READERS[reader](Path(path))
-                said = "read"
+                outcome = "read"
             except DataError as error:
-                said = f"refused: {error}"
+                outcome = f"refused: {error}"
             except Exception as error:
-                said = f"{type(error).__name__}: {error}"
-        print(json.dumps([name, said]), flush=True)
+                outcome = f"{type(error).__name__}: {error}"
+        print(json.dumps([name, outcome]), flush=True)
 
 
-def test_what_cannot_be_is_refused_in_little_memory(tmp_path: Path) -> None:
+def test_false_sizes_are_refused_with_little_memory(tmp_path: Path) -> None:
     work = [(name, reader, str(path)) for name, reader, path in jobs(tmp_path)]
     tests = Path(__file__).parents[1]
-    folders = [str(folder) for folder in (tests, *(tests / name for name in ("datasets", "fuzz")))]
+    folders = [str(tests), str(tests / "fuzz")]
     script = (
         f"import json, sys; sys.path[:0] = {folders!r}\n"
-        "from test_promises import in_little_memory\nin_little_memory(json.load(sys.stdin))"
+        "from test_header_sizes import read_with_little_memory\nread_with_little_memory(json.load(sys.stdin))"
     )
     child = subprocess.run(
         [sys.executable, "-c", script], input=json.dumps(work), capture_output=True, text=True, check=False, timeout=300
     )
-    told = dict(json.loads(line) for line in child.stdout.splitlines())
-    assert list(told) == [name for name, _, _ in work], f"the reader ended with {child.returncode}: {child.stderr}"
-    for name, said in told.items():
-        assert said.startswith("read" if name.startswith("good") else "refused"), f"{name}: {said}"
-        assert "llocate" not in said, f"{name} was asked of the memory: {said}"
+    outcomes = dict(json.loads(line) for line in child.stdout.splitlines())
+    assert list(outcomes) == [name for name, _, _ in work], f"the reader exited with {child.returncode}: {child.stderr}"
+    for name, outcome in outcomes.items():
+        assert outcome.startswith("read" if name.startswith("valid") else "refused"), f"{name}: {outcome}"
+        assert "llocate" not in outcome, f"{name}: the stated size was allocated: {outcome}"
