@@ -1,4 +1,4 @@
-"""Facts of LiDAR sensors, one TOML file each; nothing here depends on a method."""
+"""Specifications of LiDAR sensors, one TOML file each."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from dynaviz.errors import UsageError
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is known of a sensor. Every number may be missing (None): a folder of scans need not say where it came from.
+    """Specification of a sensor. Every number is optional (None), because a folder of scans may come from any sensor.
 
     Attributes:
-        name: the file's name without ``.toml``; ``unknown`` where nothing is known.
-        title: as a reader would write it.
+        name: name of the file without ``.toml``; ``unknown`` for an unknown sensor.
+        title: display name.
         rings: number of beams of a spinning sensor.
         elevation: (lowest, highest) beam in degrees above the horizon.
-        elevations: all beams in degrees, where they are not evenly spaced; else empty.
-        azimuth: (from, to) field of view in degrees, 0 forward, counter-clockwise.
+        elevations: all beams in degrees if they are not evenly spaced; otherwise empty.
+        azimuth: (start, end) of the field of view in degrees, 0 forward, counter-clockwise.
         azimuth_step: degrees between two firings.
-        height: of the sensor above the ground as mounted, metres.
+        height: mounting height above the ground, metres.
         min_range, max_range: metres.
-        range_noise: standard deviation of a range, metres.
+        range_noise: standard deviation of the range, metres.
         rate: sweeps per second.
-        points_per_sweep: for patterns that are not rings.
+        points_per_sweep: for sensors without rings.
         mounts: (x, y, z, roll, pitch, yaw) in metres and degrees of each lidar in the sensor frame (T_sensor_lidar),
-            where several were merged into one scan.
+            if several were merged into one scan.
     """
 
     name: str = "unknown"
@@ -48,20 +48,20 @@ class Sensor:
 
 
 def sensor_names() -> list[str]:
-    """Names of the sensors that are known, sorted."""
+    """Names of all sensors, sorted."""
     files = resources.files(__package__).iterdir()
     return sorted(f.name.removesuffix(".toml") for f in files if f.name.endswith(".toml"))
 
 
 @cache
 def load_sensor(name: str) -> Sensor:
-    """A sensor by its name.
+    """Load a sensor by its name.
 
     Raises:
-        UsageError: for a name that is not known; the message lists those that are.
+        UsageError: for an unknown name; the message lists the available names.
     """
     if name not in sensor_names():
-        raise UsageError(f"no sensor '{name}'. Known: {', '.join(sensor_names())}")
+        raise UsageError(f"unknown sensor '{name}'. Available: {', '.join(sensor_names())}")
     with (resources.files(__package__) / f"{name}.toml").open("rb") as file:
         facts = tomllib.load(file)
     for key, value in facts.items():
