@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I32, U8, U16, Bool
+from dynaviz.arrays import F32, F64, I32, U8, U16, Bool, Intp
 from dynaviz.errors import UsageError
 from dynaviz.sensors import Sensor
 
@@ -95,6 +95,22 @@ class Scan:
         """(3,) float64, metres, world frame: position of the sensor."""
         position: F64 = self.T_world_sensor[:3, 3]
         return position
+
+    def squared_ranges(self, chosen: Intp | None = None) -> F32:
+        """(N,) float32, square metres: squared range of each point from the origin of its ray.
+
+        Compare them with squared limits: the square root of a value just below a limit may round up to that limit.
+
+        Args:
+            chosen: (K,) indices of points, to compute only theirs; None for all.
+        """
+        points, origins = self.points, self.origins
+        if chosen is not None:
+            points = points[chosen]
+            origins = origins if len(origins) == 1 else origins[chosen]
+        x, y, z = (points[:, axis] - origins[:, axis].astype(np.float32) for axis in range(3))
+        squared: F32 = x * x + y * y + z * z
+        return squared
 
     def without_truth(self) -> Scan:
         """The scan without labels, classes and instances, as methods receive it."""

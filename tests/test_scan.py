@@ -74,6 +74,16 @@ def test_rays_start_at_the_sensor_unless_said_otherwise() -> None:
     np.testing.assert_array_equal(per_point.origins, np.ones((2, 3)))
 
 
+def test_squared_ranges_are_from_the_origin_of_each_ray() -> None:
+    points = np.array([[13, 4, 0], [10, 0, 2], [np.nan, 0, 0]])
+    pose = np.eye(4)
+    pose[0, 3] = 10
+    np.testing.assert_array_equal(Scan(0, points, pose).squared_ranges(), np.array([25, 4, np.nan], np.float32))
+    scan = Scan(0, points, pose, origins=np.array([[13, 0, 0], [10, 0, 0], [0, 0, 0]]))
+    assert scan.squared_ranges(np.array([1, 0])).tolist() == [4, 16]
+    assert scan.squared_ranges().dtype == np.float32
+
+
 def test_a_method_sees_no_truth() -> None:
     n = np.zeros(1, np.uint8)
     bare = Scan(0, np.zeros((1, 3)), np.eye(4), labels=n, classes=n, instances=n).without_truth()

@@ -13,6 +13,7 @@ import numpy as np
 from dynaviz.arrays import F64
 
 SCORES = ("SA", "DA", "AA", "HA")
+RANGE_EDGES = (10.0, 20.0, 30.0, 50.0)  # metres from the sensor: scores and counts by range use the bins between these
 
 
 def percent(part: Any, whole: Any) -> F64:

@@ -12,10 +12,11 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import Label, Outcome, Scan
+from dynaviz.results.scores import RANGE_EDGES
+from dynaviz.scan import Label, Outcome
 from dynaviz_eval.confusion import Counts
 
-RANGES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)
+RANGES = (0.0, *RANGE_EDGES, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
 GROUND_CELL = 1.0  # metres
 
@@ -36,7 +37,7 @@ class Breakdown:
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
         scan, outcome = labelled.scan, labelled.outcome
-        self._range += _count_by_bin(_ranges(scan), RANGES, outcome)
+        self._range += _count_by_bin(np.sqrt(scan.squared_ranges()), RANGES, outcome)
         self._height += _count_by_bin(heights_above_ground(scan.points), HEIGHTS, outcome)
         self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
         self._objects.add(labelled)
@@ -109,13 +110,6 @@ def heights_above_ground(points: F32) -> F32:
     """
     heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
     return heights
-
-
-def _ranges(scan: Scan) -> F32:
-    """(N,) float32, metres: range of each point from the origin of its ray."""
-    x, y, z = (scan.points[:, axis] - scan.origins[:, axis].astype(np.float32) for axis in range(3))
-    ranges: F32 = np.sqrt(x * x + y * y + z * z)
-    return ranges
 
 
 def _count_by_bin(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:

@@ -70,7 +70,7 @@ class Failures:
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
             wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # drop non-finite and very distant points
             points, groups = scan.points[wrong], _groups(scan, wrong, kind)
-            ranges = np.sqrt(((points - _origins(scan, wrong)) ** 2).sum(1))
+            ranges = np.sqrt(scan.squared_ranges(wrong))
             near = _near_dynamic(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
             cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near)
 
@@ -162,11 +162,6 @@ def _groups(scan: Scan, chosen: Intp, kind: str) -> I64:
     if scan.instances is not None and kind == "false_negative":
         groups += scan.instances[chosen]
     return groups
-
-
-def _origins(scan: Scan, chosen: Intp) -> F32:
-    origins = scan.origins if len(scan.origins) == 1 else scan.origins[chosen]
-    return origins.astype(np.float32)
 
 
 def _near_dynamic(points: F32, scan: Scan) -> Bool:
