@@ -1,4 +1,4 @@
-"""Parameters of a method: defaults < preset < file < ``--set``; every value knows which layer set it."""
+"""Parameters of a method, in layers: defaults < preset < file < ``--set``. Each value keeps the layer that set it."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from dynaviz.registry import preset_files, suggest
 
 @dataclass(frozen=True)
 class Resolved:
-    """Parameters, and where each value came from.
+    """Parameters, and the layer that set each value.
 
     Attributes:
         params: an instance of the method's ``Params``.
-        source: by field: ``default``, ``preset NAME``, a file's path, or ``--set``.
-        online, seed: the run's own settings where a layer holds them under ``[run]``.
+        source: by parameter: ``default``, ``preset NAME``, a file's path, or ``--set``.
+        online, seed: settings of the run from ``[run]`` in the file, or None.
     """
 
     params: Any
@@ -36,16 +36,16 @@ def resolve(
     config: str | os.PathLike[str] | None = None,
     settings: Iterable[str] = (),
 ) -> Resolved:
-    """Lay the layers over each other.
+    """Combine the layers of parameters.
 
     Args:
-        method: a method's class.
-        preset: name of a preset; its files hold one table per method, and need not know this one.
-        config: a TOML file with the parameters in a table of the method's name, or at the top.
-        settings: ``KEY=VALUE``, or ``METHOD.KEY=VALUE``, values as in TOML.
+        method: the class of a method.
+        preset: name of a preset. Its files have one table per method; this method need not be among them.
+        config: a TOML file with the parameters in a table named after the method, or at the top level.
+        settings: ``KEY=VALUE`` or ``METHOD.KEY=VALUE``, with values as in TOML.
 
     Raises:
-        UsageError: for an unknown preset, parameter or value, telling which layer holds it.
+        UsageError: for an unknown preset or parameter, or an invalid value; the message names the layer.
         DataError: for a file that cannot be read.
     """
     name = method.info.name
@@ -72,7 +72,7 @@ def resolve(
 
 
 def to_toml(name: str, params: Any, run: Mapping[str, Any]) -> bytes:
-    """``config.toml``: feeding it back with ``--config`` gives the same labels."""
+    """The content of ``config.toml``. Running with it (``--config``) gives the same labels."""
     import tomli_w
 
     return tomli_w.dumps({"run": dict(run), name: dataclasses.asdict(params)}).encode()
@@ -82,21 +82,37 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
 
     Raises:
-        DataError: where it cannot be read or is not TOML; the message has the line.
+        DataError: if it cannot be read or is not valid TOML; the message has the line.
     """
     try:
         with path.open("rb") as file:
             return tomllib.load(file)
     except OSError as error:
         raise DataError(path, error.strerror or "cannot be read", hint="Give a TOML file") from None
-    except (ValueError, RecursionError) as error:  # bad TOML, bad UTF-8, numbers without end
-        raise DataError(path, f"is not TOML: {error}", hint="See 'dynaviz config METHOD' for the names") from None
+    except (
+        ValueError,
+        RecursionError,
+    ) as error:  # invalid TOML, invalid UTF-8, integers too long to convert, nesting too deep
+        raise DataError(
+            path, f"not valid TOML: {error}", hint="For the parameter names run 'dynaviz config METHOD'"
+        ) from None
+
+
+def preset_description(files: Iterable[Path]) -> str:
+    """What a preset is for: ``description`` in the table ``[preset]`` of its files, or empty.
+
+    Raises:
+        DataError: for a file that cannot be read or is not valid TOML.
+    """
+    tables = (read_toml(path).get("preset") for path in files)
+    texts = (table.get("description") for table in tables if isinstance(table, dict))
+    return next((text for text in texts if isinstance(text, str)), "")
 
 
 def _preset(preset: str, name: str) -> dict[str, Any]:
     known = preset_files()
     if preset not in known:
-        raise UsageError(f"no preset '{preset}'. {suggest(preset, known)}")
+        raise UsageError(f"unknown preset '{preset}'. {suggest(preset, known)}")
     return {key: value for path in known[preset] for key, value in read_toml(path).get(name, {}).items()}
 
 
@@ -104,19 +120,23 @@ def _config(path: Path, name: str) -> tuple[dict[str, Any], dict[str, Any]]:
     content = read_toml(path)
     run = content.pop("run", {})
     table = content.get(name, {key: value for key, value in content.items() if not isinstance(value, dict)})
-    for title, found in (("run", run), (name, table)):
-        if not isinstance(found, dict):
-            raise DataError(path, f"has {title} = {found!r}", hint=f"Give a table: [{title}]")
+    for title, value in (("run", run), (name, table)):
+        if not isinstance(value, dict):
+            raise DataError(path, f"{title} = {value!r} is not a table", hint=f"Write a table: [{title}]")
     for key, kind in (("online", bool), ("seed", int)):
         if key in run and (type(run[key]) is not kind or run[key] < 0):
-            raise DataError(path, f"has {key} = {run[key]!r} in [run]", hint="Give online = true, or seed = 0 or more")
+            raise DataError(
+                path,
+                f"invalid {key} = {run[key]!r} in [run]",
+                hint="Write online = true or false, and seed = 0 or more",
+            )
     return table, run
 
 
 def _setting(text: str, name: str) -> tuple[str, Any]:
     key, equals, value = text.partition("=")
     if not equals:
-        raise UsageError(f"--set {text}: write KEY=VALUE, for example --set resolution=0.2")
+        raise UsageError(f"--set {text}: write KEY=VALUE, such as --set resolution=0.2")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -125,7 +145,7 @@ def _setting(text: str, name: str) -> tuple[str, Any]:
 
 
 def _coerce(value: Any, kind: Any, place: str) -> Any:
-    """Accept what a field's type can hold: an int where a float is meant, a list where a tuple is."""
+    """Convert a TOML value to the type of a parameter: int to float, list to tuple."""
     if kind is float and isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 1000:
         return float(value)
     origin = getattr(kind, "__origin__", kind)

@@ -45,7 +45,7 @@ def test_each_value_knows_the_layer_that_set_it(presets: None, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("setting", "says"),
+    ("setting", "expected"),
     [
         ("resolutoin=1", "Did you mean 'resolution'"),
         ("resolution", "KEY=VALUE"),
@@ -56,8 +56,8 @@ def test_each_value_knows_the_layer_that_set_it(presets: None, tmp_path: Path) -
         ("resolution=-1", "must be positive"),
     ],
 )
-def test_a_bad_setting_is_answered_with_what_to_do(setting: str, says: str) -> None:
-    with pytest.raises(UsageError, match=says):
+def test_an_invalid_setting_says_what_to_do(setting: str, expected: str) -> None:
+    with pytest.raises(UsageError, match=expected):
         params.resolve(METHOD, settings=[setting])
 
 
@@ -67,13 +67,23 @@ def test_unknown_preset_names_the_known_ones(presets: None) -> None:
 
 
 @pytest.mark.parametrize("content", ["resolution = = 1", "\xff\xfe"])
-def test_a_file_that_is_no_toml_is_named(tmp_path: Path, content: str) -> None:
+def test_an_invalid_file_is_named(tmp_path: Path, content: str) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(content.encode("latin1"))
     with pytest.raises(DataError, match=r"bad\.toml"):
         params.resolve(METHOD, config=file)
     with pytest.raises(DataError, match="No such file"):
         params.resolve(METHOD, config=tmp_path / "absent.toml")
+
+
+def test_the_description_of_a_preset_is_in_its_file(tmp_path: Path) -> None:
+    bare, described = tmp_path / "bare.toml", tmp_path / "described.toml"
+    bare.write_text("[toy]\nrounds = 5\n")
+    described.write_text('[preset]\ndescription = "A city"\n\n[toy]\nrounds = 5\n')
+    assert params.preset_description([bare, described]) == "A city"
+    assert params.preset_description([bare]) == ""
+    assert params.resolve(METHOD, config=described).params.rounds == 5
+    assert all(params.preset_description(files) for files in registry.preset_files().values())
 
 
 @given(
@@ -94,19 +104,19 @@ def test_config_file_round_trip(
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "expected"),
     [
-        ("run = 5", r"has run = 5. Give a table: \[run\]"),
-        ("octomap = 5", r"has octomap = 5. Give a table"),
-        ("[[octomap]]\nresolution = 1.0", "Give a table"),
-        ("[run]\nseed = -1", "has seed = -1 in"),
-        ("[run]\nonline = 1", "has online = 1 in"),
+        ("run = 5", r"run = 5 is not a table. Write a table: \[run\]"),
+        ("octomap = 5", r"octomap = 5 is not a table"),
+        ("[[octomap]]\nresolution = 1.0", "Write a table"),
+        ("[run]\nseed = -1", "invalid seed = -1 in"),
+        ("[run]\nonline = 1", "invalid online = 1 in"),
         ("[octomap]\nresolution = " + "9" * 400, "give a value of type float"),
-        ("[octomap]\nresolution = " + "9" * 5000, "is not TOML"),
-        ("a = " + "[" * 50_000, "is not TOML"),
+        ("[octomap]\nresolution = " + "9" * 5000, "not valid TOML"),
+        ("a = " + "[" * 50_000, "not valid TOML"),
     ],
 )
-def test_files_that_hold_no_parameters_are_told(tmp_path: Path, content: str, says: str) -> None:
+def test_files_without_valid_parameters_are_reported(tmp_path: Path, content: str, expected: str) -> None:
     (tmp_path / "config.toml").write_text(content)
-    with pytest.raises((DataError, UsageError), match=says):
+    with pytest.raises((DataError, UsageError), match=expected):
         params.resolve(registry.load("methods", "octomap"), config=tmp_path / "config.toml")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import StrEnum
-from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from dynaviz.cli.console import show
 
+if TYPE_CHECKING:
+    from dynaviz.registry import PluginHandle
+
 
 class Listing(StrEnum):
-    """What can be listed."""
+    """The lists to choose from."""
 
     methods = "methods"
     datasets = "datasets"
@@ -25,12 +27,18 @@ class Listing(StrEnum):
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("list")(list_)
 
 
-def list_(what: Annotated[Listing | None, typer.Argument(help="Only these. [default: everything]")] = None) -> None:
-    """List methods, datasets, metrics, formats of reports, sensors, parameter presets and simulated scenes.
+def list_(
+    kind: Annotated[
+        Listing | None, typer.Argument(metavar="KIND", help=f"One of {', '.join(Listing)}. [default: all]")
+    ] = None,
+) -> None:
+    """List methods, datasets, sensors, presets and scenes.
+
+    Also lists the installed metrics and report formats.
 
     \b
     dynaviz list
@@ -38,11 +46,18 @@ def list_(what: Annotated[Listing | None, typer.Argument(help="Only these. [defa
     """
     from rich.table import Table
 
-    for kind in [what] if what else list(Listing):
+    for listing in [kind] if kind else list(Listing):
         table = Table(
-            "name", "what", "from", title=kind.value, title_justify="left", box=None, pad_edge=False, min_width=60
+            "name",
+            "description",
+            "package",
+            title=listing.value,
+            title_justify="left",
+            box=None,
+            pad_edge=False,
+            min_width=60,
         )
-        for row in _rows(kind.value):
+        for row in _rows(listing.value):
             table.add_row(*row)
         show(table, "")
 
@@ -51,36 +66,40 @@ def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
     from rich.markup import escape
 
     from dynaviz import registry
-    from dynaviz.errors import PluginError
 
     if kind == "sensors":
         from dynaviz.sensors import load_sensor, sensor_names
 
         yield from ((name, load_sensor(name).title, "dynaviz") for name in sensor_names())
     elif kind == "presets":
+        from dynaviz.params import preset_description
+
         for name, files in sorted(registry.preset_files().items()):
-            yield name, _remark(files[0]), ", ".join(sorted({file.parent.parent.name for file in files}))
+            yield (
+                name,
+                escape(preset_description(files)),
+                ", ".join(sorted({file.parent.parent.name for file in files})),
+            )
     elif kind == "scenes":
         from dynaviz.simulate import PRESETS
 
         yield from ((name, preset.title, "dynaviz") for name, preset in PRESETS.items())
     else:
         for handle in registry.handles(kind):
-            try:
-                text = _title(handle.load())
-            except PluginError as error:
-                text = f"[red]{escape(str(error))}[/]"
-            yield handle.name, text, f"{handle.distribution} {handle.version}"
+            yield handle.name, _description(handle), f"{handle.distribution} {handle.version}"
 
 
-def _remark(preset: Path) -> str:
-    """The first remark in a file of parameters, to its first colon."""
-    return preset.read_text("utf-8").partition("\n")[0].lstrip("# ").partition(":")[0]
+def _description(handle: PluginHandle) -> str:
+    """One or two lines about a plug-in; the error in red if it cannot be loaded."""
+    from rich.markup import escape
 
+    from dynaviz.errors import PluginError
 
-def _title(plugin: object) -> str:
-    info = getattr(plugin, "info", None)
-    if info:
-        return f"{info.title} ({info.paper})"
-    first, layout = (plugin.__doc__ or "").strip().splitlines()[0], getattr(plugin, "layout", None)
-    return f"{first}\n  {layout}" if layout else first
+    try:
+        plugin = handle.load()
+    except PluginError as error:
+        return f"[red]{escape(str(error))}[/]"
+    if handle.kind == "methods":
+        return escape(f"{plugin.info.title} ({plugin.info.paper})")
+    summary = (plugin.__doc__ or "").strip().partition("\n")[0]
+    return escape(f"{summary}\n  {plugin.layout}" if handle.kind == "datasets" else summary)
