@@ -24,70 +24,74 @@ def bench(
     *,
     scheduler: str | None = None,
     fresh: bool = False,
-    watcher: BenchCallbacks | None = None,
+    callbacks: BenchCallbacks | None = None,
 ) -> Leaderboard:
-    """Run methods on sequences, with several sets of parameters if asked for, and search for better ones.
+    """Run methods on sequences, with one or more parameter sets, and optionally search for better parameters.
 
-    Cells that are done are kept: whole, of the same data, parameters and versions. All others run. A cell that fails is
-    a row with its error, and the others go on.
+    A cell is one method with one parameter set on one sequence. Finished cells are kept if they are complete and have
+    the same data, parameters and versions; all others run. A cell that fails becomes a row with its error, and the
+    others continue.
 
     Args:
         plan: a TOML file, or a mapping with its content (``examples/bench.toml`` explains every key).
-        out: the bench's folder; a cell's files are in ``out/SEQUENCE/METHOD[-VARIANT]``.
+        out: folder of the bench; the files of a cell are in ``out/SEQUENCE/METHOD[-VARIANT]``.
         scheduler: address of a Dask scheduler whose workers run the cells.
         fresh: run every cell again.
-        watcher: hears how it goes on.
+        callbacks: receives the progress.
 
     Returns:
         The rows; printing them with rich shows a leaderboard.
 
     Raises:
-        UsageError, DataError: for a plan with a mistake in it, and for a sequence that cannot be opened.
+        UsageError, DataError: for an invalid plan, or a sequence that cannot be opened.
     """
-    given = read(Path(plan)) if isinstance(plan, (str, os.PathLike)) else plan
-    checked = plan_of(given, "bench" if given is plan else os.fspath(plan))  # type: ignore[arg-type]
+    if isinstance(plan, Mapping):
+        table, place = plan, "bench"
+    else:
+        table, place = read(Path(plan)), os.fspath(plan)
+    checked = plan_of(table, place)
     if scheduler and checked.timing:
-        raise UsageError("timing needs this machine alone: leave out --scheduler")
-    if scheduler and "workers" in given:
-        raise UsageError("a cluster has its own workers: leave out workers, or --scheduler")
-    folder, watcher = Path(out), watcher or BenchCallbacks()
+        raise UsageError("timing measures this machine only. Leave out --scheduler")
+    if scheduler and "workers" in table:
+        raise UsageError("the cluster sets the number of workers. Leave out workers, or --scheduler")
+    folder, callbacks = Path(out), callbacks or BenchCallbacks()
     if checked.search:
         search.check(checked)
-    with _runner(folder, scheduler, checked, watcher) as runner:
-        desk = CellRunner(folder, checked, runner, fresh, watcher)
+    with _executor(folder, scheduler, checked, callbacks) as executor:
+        runner = CellRunner(folder, checked, executor, fresh, callbacks)
         learning = [source for source in checked.sources if source.name not in checked.holdout]
         for source in learning:
             if not source.scene:
-                open_source(source)  # what is not there is told before any work
+                open_source(source)  # fail on a missing sequence before any work starts
         _make(folder)
-        rows = desk.rows(checked.sets, learning)
+        rows = runner.rows(checked.sets, learning)
         if not checked.search:
             return Leaderboard(rows)
-        tried, found = search.search(desk, checked.search, learning, folder)
-        best = [one.best for one in found if one.best.variant and one.best not in checked.sets]
-        rows += desk.rows(best, learning)
+        tried, searches = search.search(runner, checked.search, learning, folder)
+        best = [found.best for found in searches if found.best.variant and found.best not in checked.sets]
+        rows += runner.rows(best, learning)
         shown = {row.folder for row in rows}
         trials = {row.folder: row for row in tried if row.folder not in shown}
-        # Only now is anything looked at that was held out.
+        # Held-out sequences are not read before this point.
         held = [source for source in checked.sources if source.name in checked.holdout]
-        rows += desk.rows([*checked.sets, *best], held)
-        return Leaderboard(rows, checked.holdout, found, [*trials.values()])
+        rows += runner.rows([*checked.sets, *best], held)
+        return Leaderboard(rows, checked.holdout, searches, [*trials.values()])
 
 
 def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        problem = f"cannot be made ({error.strerror})"
+        problem = f"cannot create the folder ({error.strerror})"
         raise DataError(folder, problem, hint="Choose another folder with -o") from None
 
 
 @contextlib.contextmanager
-def _runner(out: Path, scheduler: str | None, plan: BenchPlan, watcher: BenchCallbacks) -> Iterator[Executor]:
+def _executor(out: Path, scheduler: str | None, plan: BenchPlan, callbacks: BenchCallbacks) -> Iterator[Executor]:
     if not scheduler:
-        yield LocalExecutor(out, plan.workers, watcher.running)
+        yield LocalExecutor(out, plan.workers, callbacks.running)
         return
     from dynaviz.benchmarking.cluster import DaskExecutor
 
-    with contextlib.closing(DaskExecutor(out, scheduler, watcher.running)) as cluster:
+    with contextlib.closing(DaskExecutor(out, scheduler, callbacks.running)) as cluster:
         yield cluster

@@ -1,4 +1,4 @@
-"""Cells on a Dask cluster. Workers send the files of a cell back, so only the sequences must be readable there."""
+"""Runs cells on a Dask cluster. Workers send the files of a cell back, so they only need to read the sequences."""
 
 from __future__ import annotations
 
@@ -10,52 +10,52 @@ from pathlib import Path
 from typing import Any
 
 from dynaviz.benchmarking import cells
-from dynaviz.benchmarking.local import Tell, WorkerProcesses
+from dynaviz.benchmarking.local import CellProgress, WorkerProcesses
 from dynaviz.benchmarking.plan import BenchCell
 from dynaviz.errors import MissingDependency, UsageError
 from dynaviz.io.atomic import write_atomic
 
 TOPIC = "dynaviz-bench"
-LARGEST = 2_000_000_000  # bytes of one cell's files; they pass through the memory of worker, scheduler and client
-PATIENCE = 15  # seconds until a scheduler must have answered
+LARGEST = 2_000_000_000  # bytes of one cell's files, which pass through the memory of worker, scheduler and client
+CONNECT_TIMEOUT = 15  # seconds to wait for the scheduler
 
 
 class DaskExecutor:
-    """Runs cells on the workers of a Dask scheduler, on each as many at a time as it has threads.
+    """Runs cells on the workers of a Dask scheduler, one per thread of each worker.
 
     Args:
-        out: the bench's folder, here.
-        address: of the scheduler, as ``tcp://host:8786``.
-        tell: hears of their progress, on threads of its own.
+        out: local folder of the bench.
+        address: address of the scheduler, such as ``tcp://host:8786``.
+        report: called with the progress of the cells, from other threads.
 
     Raises:
-        MissingDependency: without Dask.
-        UsageError: where no scheduler answers.
+        MissingDependency: if Dask is not installed.
+        UsageError: if no scheduler answers at the address.
     """
 
-    def __init__(self, out: Path, address: str, tell: Tell):
+    def __init__(self, out: Path, address: str, report: CellProgress):
         try:
             from distributed import Client
         except ImportError:
             raise MissingDependency("--scheduler needs Dask. Install it with: pip install 'dynaviz[cluster]'") from None
         try:
-            self._client = Client(address, timeout=PATIENCE, set_as_default=False)
+            self._client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise UsageError(
-                f"--scheduler {address}: no Dask scheduler answers ({error}). "
+                f"--scheduler {address}: no Dask scheduler answers at this address ({error}). "
                 "Start one with 'dask scheduler', and workers with 'dask worker ADDRESS --nthreads 1'"
             ) from None
-        self._out, self._tell = out, tell
+        self._out, self._report = out, report
 
     def run(self, todo: Sequence[BenchCell]) -> Iterator[BenchCell]:
-        """Run cells and give each as soon as it has ended, well or not; leaving early forgets the others.
+        """Run cells and yield each when it has ended, also if it failed; closing the iterator cancels the others.
 
-        Cells of a worker that dies are run again by another; one whose workers die again and again is given up.
+        If a worker dies, another one runs its cells again. Dask gives up on a cell whose workers die repeatedly.
         """
         from distributed import as_completed
 
         by_key = {f"{cell.path.as_posix()}-{time.time_ns()}": cell for cell in todo}
-        self._client.subscribe_topic(TOPIC, lambda event: self._heard(by_key, event[1]))
+        self._client.subscribe_topic(TOPIC, lambda event: self._on_event(by_key, event[1]))
         futures = [self._client.submit(remote, cell, key, key=key, pure=False) for key, cell in by_key.items()]
         try:
             for future in as_completed(futures, loop=self._client.loop):
@@ -68,46 +68,50 @@ class DaskExecutor:
             self._client.cancel(futures)
 
     def close(self) -> None:
-        """Leave the cluster; it goes on without us."""
+        """Disconnect from the cluster, which keeps running."""
         self._client.close()
 
     def _fetch(self, cell: BenchCell, future: Any) -> None:
-        """Write what a worker sent; ``result.json`` last, so that its presence says the others are whole."""
+        """Write the files from a worker; ``result.json`` last, because its presence marks the others as complete."""
         folder = self._out / cell.path
         cells.clear(folder)
         try:
             files: dict[str, bytes] = future.result()
-        except Exception as error:  # the worker died too often, or sent what cannot be read
-            return cells.fail(cell, folder, f"the cluster gave up on it: {cells.sentence(error)}")
+        except Exception as error:  # the worker died too often, or its answer cannot be unpickled
+            return cells.fail(cell, folder, f"the cluster could not run this cell: {cells.sentence(error)}")
         for name in sorted(files, key=lambda name: name == "result.json"):
             write_atomic(folder / name, files[name])
         if "result.json" in files and cells.finished(cell, folder) is None:
-            cells.fail(cell, folder, "the worker has other versions of packages than this machine. Install the same.")
+            problem = "the package versions on the worker differ from those on this machine. Install the same versions."
+            cells.fail(cell, folder, problem)
 
-    def _heard(self, by_key: dict[str, BenchCell], event: Any) -> None:
+    def _on_event(self, by_key: dict[str, BenchCell], event: Any) -> None:
         key, phase, done, total = event
         if key in by_key:
-            self._tell(by_key[key], phase, done, total)
+            self._report(by_key[key], phase, done, total)
 
 
 def remote(cell: BenchCell, key: str) -> dict[str, bytes]:
-    """Run a cell where this is called, in a process of its own; give its files by name."""
+    """Run a cell on the worker that calls this, in a separate process; return its files by name."""
     from distributed import get_worker
 
     worker = get_worker()
 
-    def tell(cell: BenchCell, phase: str, done: int, total: int) -> None:
+    def report(cell: BenchCell, phase: str, done: int, total: int) -> None:
         worker.log_event(TOPIC, (key, phase, done, total))
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / cell.path
-        # One thread: the worker runs as many cells at a time as it has threads. Kernels need a process's main thread.
-        WorkerProcesses().attend(cell, folder, 1, tell)
+        # One kernel thread, because the worker runs one cell per thread. A process, because kernels need a main thread.
+        WorkerProcesses().run(cell, folder, 1, report)
         if error := cells.error_of(folder):
             cells.fail(cell, folder, f"on worker {worker.address}: {error}")
         size = sum(path.stat().st_size for path in folder.iterdir())
         if size > LARGEST:
             shutil.rmtree(folder)
-            cells.fail(cell, folder, f"its files have {size / 1e9:.1f} GB, too much to send back from a worker. "
-                                     "Record errors or scores only, or run it without --scheduler.")  # fmt: skip
+            problem = (
+                f"the files of this cell have {size / 1e9:.1f} GB, too much to send back from a worker. "
+                "Use --record errors or scores, or run it without --scheduler."
+            )
+            cells.fail(cell, folder, problem)
         return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in cells.ALL_FILES}

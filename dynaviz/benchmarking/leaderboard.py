@@ -1,4 +1,4 @@
-"""What a bench answers: a row a cell, sequences combined by adding counts, and what a search found."""
+"""The results of a bench: one row per cell, totals over sequences by adding counts, and the results of a search."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class BenchRow:
     """A cell that has ended.
 
     Attributes:
-        cell, folder: what it is, and where its files are.
-        result: None where it failed.
+        cell, folder: the cell, and the folder of its files.
+        result: None if it failed.
         error: why it failed, a sentence; else None.
-        kept: whether it was done already, by an earlier bench.
+        kept: whether the result is from an earlier run of the bench.
     """
 
     cell: BenchCell
@@ -36,14 +36,14 @@ class BenchRow:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What a search found for one method.
+    """The result of a search for one method.
 
     Attributes:
-        best: the parameters; the defaults where no trial was better.
-        preset: the file that holds them.
-        aa, default_aa: associated accuracy on the sequences that were not held out, percent, counts added; of the
-            defaults None where undefined.
-        trials, failed: how many sets were tried, and how many of them gave no AA.
+        best: the best parameters; the defaults if no trial was better.
+        preset: the file with these parameters.
+        aa, default_aa: associated accuracy of the best and the default parameters, in percent, over the added counts
+            of all sequences that were not held out; ``default_aa`` is None if undefined.
+        trials, failed: number of sets that were tried, and of those without an AA.
     """
 
     best: ParameterSet
@@ -56,39 +56,39 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """All rows of a bench; shows itself as a leaderboard.
+    """All rows of a bench; printing it with rich shows a leaderboard.
 
     Attributes:
-        rows: one a cell.
-        holdout: names of the sequences that were held out.
-        found: one for each method that was searched.
-        trials: the rows of all sets that were tried and are not the best.
+        rows: one per cell.
+        holdout: names of the held-out sequences.
+        searches: one for each method whose parameters were searched.
+        trials: the rows of all trials except the best.
     """
 
     rows: list[BenchRow]
     holdout: frozenset[str] = frozenset()
-    found: list[SearchResult] = field(default_factory=list)
+    searches: list[SearchResult] = field(default_factory=list)
     trials: list[BenchRow] = field(default_factory=list)
 
     @property
     def results(self) -> list[Result]:
-        """Of the cells that are done."""
+        """The results of all finished cells."""
         return [row.result for row in self.rows if row.result]
 
     @property
     def failed(self) -> list[BenchRow]:
-        """The cells that are not, trials too."""
+        """The cells that failed, including trials."""
         return [row for row in [*self.rows, *self.trials] if row.error]
 
     def totals(self, held_out: bool = False) -> list[Result]:
-        """One result for each method and variant all whose cells are done, where there are several sequences."""
+        """One combined result per method and variant if there are several sequences and none of its cells failed."""
         groups: dict[tuple[str, str], list[BenchRow]] = {}
         for row in self.rows:
             if (row.cell.source.name in self.holdout) == held_out:
-                groups.setdefault((row.cell.what.method, row.cell.what.variant), []).append(row)
+                groups.setdefault((row.cell.parameter_set.method, row.cell.parameter_set.variant), []).append(row)
         most = max(map(len, groups.values()), default=0)
-        whole = [[row.result for row in rows if row.result] for rows in groups.values()]
-        return [combined(results) for results in whole if len(results) == most > 1]
+        finished = [[row.result for row in rows if row.result] for rows in groups.values()]
+        return [combined(results) for results in finished if len(results) == most > 1]
 
     def __rich__(self) -> RenderableType:
         from rich.console import Group
@@ -98,18 +98,16 @@ class Leaderboard:
         from dynaviz.results.result import result_table
 
         parts: list[RenderableType] = []
-        learnt = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]
+        training = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]
         held = [row.result for row in self.rows if row.result and row.cell.source.name in self.holdout]
         for results, totals, title in (
-            (learnt, self.totals(), None),
-            (held, self.totals(held_out=True), "held out from the search"),
+            (training, self.totals(), None),
+            (held, self.totals(held_out=True), "Held out from the search"),
         ):
             if results:
                 parts.append(result_table(_ranked(results) + _ranked(totals), title=title))
         if self.failed:
-            table = Table(
-                "sequence", "method", "failed", box=None, pad_edge=False, title="failed", title_justify="left"
-            )
+            table = Table("sequence", "method", "error", box=None, pad_edge=False, title="Failed", title_justify="left")
             for row in self.failed:
                 table.add_row(*map(escape, (row.cell.source.name, row.cell.path.name, row.error or "")))
             parts.append(table)
@@ -117,7 +115,7 @@ class Leaderboard:
 
 
 def _ranked(results: Sequence[Result]) -> list[Result]:
-    """Sequence by sequence as they come, the best AA first, undefined ones last."""
+    """Sequences in their order; within each the best AA first, undefined ones last."""
     order = list(dict.fromkeys(result.sequence.name for result in results))
 
     def rank(result: Result) -> tuple[int, float]:

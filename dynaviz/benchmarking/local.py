@@ -1,4 +1,4 @@
-"""Cells in processes of this machine, each in one of its own: one that dies takes nothing with it."""
+"""Runs cells on this machine, each in its own process, so that a crash affects no other cell."""
 
 from __future__ import annotations
 
@@ -16,31 +16,35 @@ from pathlib import Path
 from dynaviz.benchmarking import cells
 from dynaviz.benchmarking.plan import BenchCell
 
-Tell = Callable[[BenchCell, str, int, int], None]
-"""Called with a cell, a phase of its run, and how many frames of how many are done."""
-PATIENCE = 5.0  # seconds that a process may take to remove what it has half written
+CellProgress = Callable[[BenchCell, str, int, int], None]
+"""Called with a cell, a phase of its run, the number of frames done and their total."""
+END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is killed
+
+
+# A separate session (on Windows a process group): Ctrl-C reaches only the bench, which then ends its processes.
+DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP if sys.platform == "win32" else 0
 
 
 class LocalExecutor:
-    """Runs cells, some at a time, with the cores divided among them.
+    """Runs several cells at a time and divides the cores among them.
 
     Args:
-        out: the bench's folder.
-        workers: how many cells run at a time.
-        tell: hears of their progress, on threads of its own.
+        out: folder of the bench.
+        workers: number of cells that run at a time.
+        report: called with the progress of the cells, from other threads.
     """
 
-    def __init__(self, out: Path, workers: int, tell: Tell):
-        self._out, self._workers, self._tell = out, workers, tell
+    def __init__(self, out: Path, workers: int, report: CellProgress):
+        self._out, self._workers, self._report = out, workers, report
         self._threads = None if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
 
     def run(self, todo: Sequence[BenchCell]) -> Iterator[BenchCell]:
-        """Run cells and give each as soon as it has ended, well or not; leaving early ends all processes."""
-        children = WorkerProcesses()
+        """Run cells and yield each when it has ended, also if it failed; closing the iterator ends all processes."""
+        processes = WorkerProcesses()
         pool = ThreadPoolExecutor(self._workers)
         try:
             ended = {
-                pool.submit(children.attend, cell, self._out / cell.path, self._threads, self._tell): cell
+                pool.submit(processes.run, cell, self._out / cell.path, self._threads, self._report): cell
                 for cell in todo
             }
             for future in as_completed(ended):
@@ -48,30 +52,30 @@ class LocalExecutor:
                 yield ended[future]
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-            children.end()
+            processes.end()
             pool.shutdown()
 
 
 class WorkerProcesses:
-    """The processes that run cells, one each."""
+    """The processes that run cells, one process per cell."""
 
     def __init__(self) -> None:
         self._alive: set[subprocess.Popen[bytes]] = set()
         self._lock, self._ending = threading.Lock(), False
 
-    def attend(self, cell: BenchCell, folder: Path, threads: int | None, tell: Tell) -> None:
-        """Run a cell in a process and wait for it; its folder then holds the files of a run, or ``error.json``."""
+    def run(self, cell: BenchCell, folder: Path, threads: int | None, report: CellProgress) -> None:
+        """Run a cell in a process and wait for it; its folder then contains the files of a run, or ``error.json``."""
         folder.mkdir(parents=True, exist_ok=True)
         cells.clear(folder)
         with (folder / "error.log").open("wb") as log, self._child(log.fileno()) as child:
             assert child.stdin
             assert child.stdout
-            with contextlib.suppress(BrokenPipeError):  # it died; its exit code tells
+            with contextlib.suppress(BrokenPipeError):  # the process died; its exit code is checked below
                 child.stdin.write(pickle.dumps((cell, folder, threads)))
                 child.stdin.flush()
             for line in child.stdout:
-                phase, done, total = line.decode().split()
-                tell(cell, phase, int(done), int(total))
+                phase, done, total = line.decode().rsplit(maxsplit=2)
+                report(cell, phase, int(done), int(total))
             code = child.wait()
         if code == 0:
             (folder / "error.log").unlink(missing_ok=True)
@@ -79,7 +83,7 @@ class WorkerProcesses:
             cells.fail(cell, folder, death(code))
 
     def end(self) -> None:
-        """End all processes, and begin no more."""
+        """End all processes, and start no more."""
         with self._lock:
             self._ending = True
             alive = tuple(self._alive)
@@ -87,7 +91,7 @@ class WorkerProcesses:
             child.terminate()
         for child in alive:
             try:
-                child.wait(PATIENCE)
+                child.wait(END_TIMEOUT)
             except subprocess.TimeoutExpired:
                 child.kill()
 
@@ -96,11 +100,14 @@ class WorkerProcesses:
         with self._lock:
             if self._ending:
                 raise KeyboardInterrupt
-            # A session of its own: Ctrl-C on the terminal reaches the bench alone, which then ends its processes.
             child = subprocess.Popen(
                 [sys.executable, "-P", "-m", "dynaviz.benchmarking.worker"],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, start_new_session=True,
-            )  # fmt: skip
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                start_new_session=sys.platform != "win32",
+                creationflags=DETACHED,
+            )
             self._alive.add(child)
         try:
             yield child
@@ -111,9 +118,9 @@ class WorkerProcesses:
 
 
 def death(code: int) -> str:
-    """What an exit code without an ``error.json`` means, in words."""
+    """The error message for a process that ended without ``error.json``."""
     if code >= 0:
-        return f"its process ended with exit code {code} and no error. error.log may tell why."
+        return f"the process ended with exit code {code}. Look into error.log for the reason."
     name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
-    hint = " Perhaps memory ran out: run fewer workers." if name == "SIGKILL" else " error.log may tell why."
-    return f"its process was killed by {name}.{hint}"
+    hint = "Memory may have run out: use fewer workers." if name == "SIGKILL" else "Look into error.log for the reason."
+    return f"the process was killed by {name}. {hint}"

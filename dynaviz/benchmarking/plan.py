@@ -1,4 +1,4 @@
-"""What a bench is made of: sequences x parameter sets = cells."""
+"""The plan of a bench: sequences x parameter sets = cells."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class SequenceSpec:
     """A sequence of a bench.
 
     Attributes:
-        name: of its folder and in tables.
-        path: what ``dynaviz.open`` takes; empty for a simulated scene, which is written when the bench begins.
+        name: name of its folder and in tables.
+        path: path for ``dynaviz.open``; empty for a simulated scene, which is written when the bench starts.
         frames: ``A:B``; for a simulated scene the number of sweeps.
         stride, sensor, poses, points_in, deskew: as in ``dynaviz.open``.
-        scene: a simulated scene's name, or empty.
-        seed: of the simulated scene.
+        scene: name of a simulated scene, or empty.
+        seed: random seed of the simulated scene.
     """
 
     name: str
@@ -44,8 +44,8 @@ class ParameterSet:
     """A method with all its parameters.
 
     Attributes:
-        method: its name.
-        variant: what tells this set from others of the method; empty for the defaults.
+        method: name of the method.
+        variant: short name of this set; empty for the defaults.
         parameters: every parameter of the method.
         online, seed: as in ``dynaviz.run``.
     """
@@ -71,7 +71,7 @@ class ParameterSet:
         """Resolve and check parameters.
 
         Raises:
-            UsageError: for a method, preset, parameter or value that does not exist.
+            UsageError: for an unknown method, preset or parameter, or an invalid value.
         """
         kind = registry.load("methods", method)
         resolved = params.resolve(kind, preset, config, settings(values or {}))
@@ -84,7 +84,7 @@ class ParameterSet:
         )
 
     def changed(self, values: Mapping[str, Any]) -> ParameterSet:
-        """This set with other values for some parameters, named after them."""
+        """A copy with other values for some parameters, named after them."""
         other = ParameterSet.of(self.method, variant(values), {**self.parameters, **values})
         return dataclasses.replace(other, online=self.online, seed=self.seed)
 
@@ -94,22 +94,22 @@ class BenchCell:
     """One run of a bench.
 
     Attributes:
-        source, what: the sequence, and the method with its parameters.
-        digest: of the sequence's content; empty where it could not be read.
-        record: how much its recording holds.
-        timing: whether its runtime must be comparable: nothing recorded, all cores.
+        source, parameter_set: the sequence, and the method with its parameters.
+        digest: digest of the sequence's content; empty if it could not be read.
+        record: how much its recording contains.
+        timing: whether its runtime must be comparable: no recording, all cores.
     """
 
     source: SequenceSpec
-    what: ParameterSet
+    parameter_set: ParameterSet
     digest: str
     record: str
     timing: bool = False
 
     @property
     def path(self) -> Path:
-        """Its folder below the bench's."""
-        return Path(self.source.name, "-".join(filter(None, [self.what.method, self.what.variant])))
+        """Its folder, relative to the folder of the bench."""
+        return Path(self.source.name, "-".join(filter(None, [self.parameter_set.method, self.parameter_set.variant])))
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ class SearchSpec:
 
     Attributes:
         kind: ``random`` or ``bayes``.
-        trials: how many sets to try, of each method.
+        trials: number of sets to try per method.
         ranges: by method and parameter: ``LOW:HIGH`` or ``log:LOW:HIGH``.
-        seed: for the choice of trials.
+        seed: random seed of the choice of trials.
     """
 
     kind: str
@@ -131,12 +131,12 @@ class SearchSpec:
 
 @dataclass(frozen=True)
 class BenchPlan:
-    """A bench, checked.
+    """A validated bench.
 
     Attributes:
-        sets, sources: what runs on what.
-        holdout: names of the sequences that a search never looks at.
-        search: None without one.
+        sets, sources: the parameter sets, each of which runs on every sequence.
+        holdout: names of the sequences that are hidden from the search.
+        search: None without a search.
         record, workers, timing: as the keys of the file.
     """
 
@@ -150,15 +150,15 @@ class BenchPlan:
 
 
 def settings(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """Values as ``--set`` takes them."""
+    """Values in the form of ``--set``."""
     import tomli_w
 
     return tuple(tomli_w.dumps({key: value}).strip() for key, value in values.items())
 
 
 def variant(values: Mapping[str, Any]) -> str:
-    """A short name for a choice of values, fit for a folder: the same values, the same name."""
+    """A short name for a choice of values, valid as a folder name; the same values give the same name."""
     plain = ",".join(f"{key}={json.dumps(value, separators=(',', ':'))}" for key, value in sorted(values.items()))
     short = re.sub(r'"([A-Za-z_]\w*)"', r"\1", plain)
-    fits = re.fullmatch(r"[\w.=,+\[\]-]{1,48}", short, re.ASCII)
-    return short if fits else "set-" + hashlib.sha256(plain.encode()).hexdigest()[:8]
+    valid = re.fullmatch(r"[\w.=,+\[\]-]{1,48}", short, re.ASCII)
+    return short if valid else "set-" + hashlib.sha256(plain.encode()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""A bench's plan from a TOML file or from flags, with every mistake told before anything runs."""
+"""Reads the plan of a bench from a TOML file or from flags, and reports every mistake before anything runs."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ KEYS: dict[str, dict[str, Any]] = {
     "variants": {"method": str, "name": str, "preset": str, "config": str, "set": dict, "online": bool, "seed": int},
     "search": {"kind": str, "trials": int, "seed": int, "ranges": dict},
 }  # fmt: skip
-"""The keys of a bench's TOML file and of its tables, with the types of their values."""
+"""The keys of a bench file and of its tables, with the types of their values."""
 
 
 def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
-    """Check a table as ``read`` gives it.
+    """Build the plan from a table, as returned by ``read``.
 
     Args:
         table: keys and values as in the file.
-        place: where it comes from, for errors.
+        place: origin of the table, for errors.
 
     Raises:
-        UsageError: for an unknown key, a wrong type, or a method, parameter, scene or sensor that does not exist.
+        UsageError: for an unknown key, a wrong type, or an unknown method, parameter, scene or sensor.
     """
     table = checked(table, "bench", place)
     search = _search(table["search"], f"{place} [search]") if table.get("search") else None
@@ -60,10 +60,10 @@ def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a bench's TOML file; paths in it are relative to its folder.
+    """Read a bench file; its paths are relative to its folder.
 
     Raises:
-        DataError: where it cannot be read or is not TOML.
+        DataError: if it cannot be read or is not valid TOML.
         UsageError: for an unknown key.
     """
     table, base = checked(params.read_toml(path), "bench", os.fspath(path)), path.parent
@@ -78,13 +78,13 @@ def read(path: Path) -> dict[str, Any]:
     table["sequences"] = [here(entry, "path") for entry in table.get("sequences", [])]
     for entry in table["sequences"]:
         if isinstance(entry, dict) and isinstance(entry.get("poses"), str) and (base / entry["poses"]).is_file():
-            entry["poses"] = os.path.abspath(base / entry["poses"])  # else it is a topic or frame of a bag
+            entry["poses"] = os.path.abspath(base / entry["poses"])  # else a topic or frame of a bag
     table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
     return table
 
 
 def anchored(text: str, base: Path) -> str:
-    """A sequence's path made absolute; a ``FORMAT:`` before it stays, a scene to simulate is none."""
+    """The absolute path of a sequence. A ``FORMAT:`` prefix is kept, and ``simulate:SCENE`` is returned unchanged."""
     prefix, colon, rest = text.partition(":")
     if not colon or not prefix.isidentifier() or (base / text).exists():
         return os.path.abspath(base / text)
@@ -92,32 +92,32 @@ def anchored(text: str, base: Path) -> str:
 
 
 def checked(table: Mapping[str, Any], kind: str, place: str) -> dict[str, Any]:
-    """A table all whose keys are known, with values of the right types.
+    """A copy of the table, after checking its keys and the types of its values.
 
     Raises:
-        UsageError: for any other, naming the nearest known key.
+        UsageError: for an unknown key, with the nearest known one, or a wrong type.
     """
     for key, value in table.items():
         if key not in KEYS[kind]:
             raise UsageError(f"{place}: unknown key '{key}'. {suggest(key, KEYS[kind])}")
-        wanted = KEYS[kind][key]
-        if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
-            names = " or ".join(kind.__name__ for kind in (wanted if isinstance(wanted, tuple) else (wanted,)))
+        types = KEYS[kind][key]
+        if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
+            names = " or ".join(kind.__name__ for kind in (types if isinstance(types, tuple) else (types,)))
             raise UsageError(f"{place}: {key} = {value!r}: give a value of type {names}")
     return dict(table)
 
 
 def assignment(text: str, flag: str) -> tuple[str, str, str]:
     """Split ``METHOD.PARAM=VALUES``."""
-    found = re.fullmatch(r"\s*([\w]+)\.(\w+)\s*=(.+)", text)
-    if not found:
-        raise UsageError(f"{flag} {text}: write METHOD.PARAM=VALUES, for example {flag} octomap.resolution="
-                         + ("0.1,0.2" if flag == "--grid" else "0.05:0.4"))  # fmt: skip
-    return found[1], found[2], found[3]
+    match = re.fullmatch(r"\s*([\w]+)\.(\w+)\s*=(.+)", text)
+    if not match:
+        values = "0.1,0.2" if flag == "--grid" else "0.05:0.4"
+        raise UsageError(f"{flag} {text}: write METHOD.PARAM=VALUES, such as {flag} octomap.resolution={values}")
+    return match[1], match[2], match[3]
 
 
 def values_of(text: str) -> list[Any]:
-    """Values between commas, as in TOML; what is none is a string."""
+    """Comma-separated values as in TOML; if they are not valid TOML, all are strings."""
     try:
         parsed: list[Any] = tomllib.loads(f"values = [{text}]")["values"]
     except tomllib.TOMLDecodeError:
@@ -139,16 +139,16 @@ def _source(entry: Any, place: str) -> SequenceSpec:
             scene, frames, seed = [*rest, None, None][:3]
             numbers = {key: int(text) for key, text in (("frames", frames), ("seed", seed)) if text is not None}
         except ValueError:
-            raise UsageError(f"{entry}: write simulate:SCENE[:FRAMES[:SEED]], as simulate:demo:20") from None
+            raise UsageError(f"{entry}: write simulate:SCENE[:FRAMES[:SEED]], such as simulate:demo:20") from None
         return _source({"simulate": scene, **numbers}, entry)
     if not isinstance(entry, dict):
-        raise UsageError(f"{place}: {entry!r}: give a path, or a table with a path or a scene to simulate")
+        raise UsageError(f"{place}: invalid sequence {entry!r}. Give a path, or a table with path or simulate")
     entry = checked(entry, "sequences", place)
     if ("path" in entry) == ("simulate" in entry):
         raise UsageError(f"{place}: give either path or simulate")
     source = _simulated(entry, place) if "simulate" in entry else _recorded(entry, place)
     if source.name != re.sub(r"[/\\:\s]", "", source.name) or source.name in ("", ".", "..", "sequences"):
-        raise UsageError(f"{place}: name = {source.name!r} names no folder: give another")
+        raise UsageError(f"{place}: name = {source.name!r} is not a valid folder name. Give another name")
     if source.sensor:
         from dynaviz.sensors import load_sensor
 
@@ -161,39 +161,39 @@ def _simulated(entry: Mapping[str, Any], place: str) -> SequenceSpec:
 
     scene, frames, seed = entry["simulate"], entry.get("frames"), entry.get("seed", 0)
     if scene not in PRESETS:
-        raise UsageError(f"{place}: no scene '{scene}'. {suggest(scene, PRESETS)}")
-    if told := {"poses", "points_in", "deskew"} & entry.keys():
-        raise UsageError(f"{place}: {min(told)} is for a sequence with a path, not for a scene to simulate")
+        raise UsageError(f"{place}: unknown scene '{scene}'. {suggest(scene, PRESETS)}")
+    if invalid := {"poses", "points_in", "deskew"} & entry.keys():
+        raise UsageError(f"{place}: {min(invalid)} applies to a sequence with a path, not to a simulated scene")
     if isinstance(frames, str):
-        raise UsageError(f"{place}: frames = {frames!r}: a simulated scene takes a number of frames")
+        raise UsageError(f"{place}: frames = {frames!r}: give the number of frames of a simulated scene")
     name = entry.get("name") or scene + (f"-{frames}" if frames else "") + (f"-seed{seed}" if seed else "")
     return SequenceSpec(name, "", frames, entry.get("stride", 1), entry.get("sensor"), scene, seed)
 
 
 def _recorded(entry: Mapping[str, Any], place: str) -> SequenceSpec:
     if "seed" in entry:
-        raise UsageError(f"{place}: seed is for a scene to simulate")
+        raise UsageError(f"{place}: seed applies to a simulated scene only")
     frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
     name = entry.get("name") or Path(entry["path"].rpartition(":")[2]).name
-    known: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
-    return SequenceSpec(name, entry["path"], frames, entry.get("stride", 1), **known)
+    options: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
+    return SequenceSpec(name, entry["path"], frames, entry.get("stride", 1), **options)
 
 
 def _held(entry: Any, sources: list[SequenceSpec]) -> SequenceSpec:
-    """A sequence that is held out: by its name or path, or a further one."""
+    """A held-out sequence: one of the bench by its name or path, or an additional one."""
     if named := next((source for source in sources if source.name == entry), None):
         return named
     other = _source(entry, "holdout")
     if other in sources:
         return other
-    if other.path and not is_sequence(other.path):  # not opened: that is for the end
+    if other.path and not is_sequence(other.path):  # not opened: held-out data are not read before the end
         names = ", ".join(source.name for source in sources)
-        raise UsageError(f"holdout: {entry} is no sequence, nor the name of one here: {names}")
+        raise UsageError(f"holdout: {entry} is neither a sequence nor the name of one in this bench: {names}")
     return other
 
 
 def _sets(table: Mapping[str, Any], search: SearchSpec | None, place: str) -> Iterable[ParameterSet]:
-    """Every method with its defaults, then the variants, then the grids."""
+    """The defaults of every method, then the variants, then the grids."""
     grids = table.get("grid", {})
     variants = [
         checked(entry, "variants", f"{place} [[variants]] {n}") if isinstance(entry, dict) else {}
@@ -204,22 +204,22 @@ def _sets(table: Mapping[str, Any], search: SearchSpec | None, place: str) -> It
     base = {method: ParameterSet.of(str(method)) for method in dict.fromkeys(methods)}
     yield from base.values()
     for n, entry in enumerate(variants, 1):
-        with _told(f"{place} [[variants]] {n}"):
+        with _located(f"{place} [[variants]] {n}"):
             yield _variant(entry)
     for method, axes in grids.items():
-        with _told(f"{place} [grid.{method}]"):
+        with _located(f"{place} [grid.{method}]"):
             yield from _grid(ParameterSet.of(method), axes)
 
 
 def _variant(entry: Mapping[str, Any]) -> ParameterSet:
     rest = {key: entry.get(key) for key in ("preset", "config", "online", "seed")}
     if "method" not in entry or not any(key in entry for key in ("set", *rest)):
-        raise UsageError("give a method, and what is special: preset, config, set, online or seed")
+        raise UsageError("give a method and at least one of preset, config, set, online and seed")
     values = entry.get("set", {})
-    special = [entry.get("preset"), variant(values) if values else "", "online" if entry.get("online") else ""]
-    name = entry.get("name") or "-".join(filter(None, special))
+    parts = [entry.get("preset"), variant(values) if values else "", "online" if entry.get("online") else ""]
+    name = entry.get("name") or "-".join(filter(None, parts))
     if not re.fullmatch(r"[\w.=,+\[\]-]+", name):
-        raise UsageError("give the variant a name of letters, digits and -_.=,+")
+        raise UsageError("give the variant a name that consists of letters, digits and -_.=,+[]")
     return ParameterSet.of(entry["method"], name, values, **rest)
 
 
@@ -231,8 +231,8 @@ def _grid(base: ParameterSet, axes: Any) -> Iterable[ParameterSet]:
 
 
 @contextlib.contextmanager
-def _told(place: str) -> Iterator[None]:
-    """Say in which table a wrong parameter stands."""
+def _located(place: str) -> Iterator[None]:
+    """Add the table to the error of a wrong parameter."""
     try:
         yield
     except UsageError as error:
@@ -246,10 +246,10 @@ def _search(table: Mapping[str, Any], place: str) -> SearchSpec:
         raise UsageError(f"{place}: kind = {table.get('kind')!r}. {suggest(str(table.get('kind')), kinds)}")
     if table.get("trials", 0) < 1 or not table.get("ranges"):
         raise UsageError(
-            f"{place}: give trials, at least 1, and ranges, as --trials 30 --range octomap.resolution=0.05:0.4"
+            f"{place}: give trials (at least 1) and ranges, such as --trials 30 --range octomap.resolution=0.05:0.4"
         )
     if not 0 <= table.get("seed", 0) < 2**32:
-        raise UsageError(f"{place}: seed = {table['seed']}: give one of 0 or more, below 2^32")
+        raise UsageError(f"{place}: seed = {table['seed']}: give a seed from 0 to 2^32 - 1")
     if not all(isinstance(axes, dict) for axes in table["ranges"].values()):
         raise UsageError(f'{place}: give ranges as METHOD.PARAM = "LOW:HIGH"')
     ranges = {method: {name: str(text) for name, text in axes.items()} for method, axes in table["ranges"].items()}
@@ -259,18 +259,18 @@ def _search(table: Mapping[str, Any], place: str) -> SearchSpec:
 def _check(plan: BenchPlan, place: str) -> None:
     learning = [source for source in plan.sources if source.name not in plan.holdout]
     if not learning:
-        raise UsageError(f"{place}: give at least one sequence that is not held out: -s SEQ or [[sequences]]")
+        raise UsageError(f"{place}: give at least one sequence that is not held out, with -s SEQ or [[sequences]]")
     if plan.record not in RECORDS:
         raise UsageError(f"{place}: record = {plan.record!r}. {suggest(plan.record, RECORDS)}")
     if plan.workers < 1:
         raise UsageError(f"{place}: workers = {plan.workers}: give at least 1")
     if plan.timing and (plan.workers > 1 or plan.record != "none"):
-        raise UsageError(f"{place}: timing runs one cell at a time and records nothing: leave out workers and record")
+        raise UsageError(f"{place}: timing runs one cell at a time without a recording. Leave out workers and record")
     if plan.holdout and not plan.search:
-        raise UsageError(f"{place}: holdout keeps sequences from a search: add --search bayes --trials N")
+        raise UsageError(f"{place}: holdout needs a search. Add --search bayes --trials N")
     for kind, names in (
         ("sequences", [source.name for source in plan.sources]),
-        ("variants", ["-".join([what.method, what.variant]) for what in plan.sets]),
+        ("variants", ["-".join([known.method, known.variant]) for known in plan.sets]),
     ):
         if twice := next((name for name in names if names.count(name) > 1), None):
-            raise UsageError(f"{place}: two {kind} are called '{twice.rstrip('-')}': give one another name")
+            raise UsageError(f"{place}: two {kind} have the name '{twice.rstrip('-')}'. Rename one")

@@ -1,4 +1,4 @@
-"""Runs the cells of a benchmark that are not finished yet, and keeps those that are."""
+"""Runs the unfinished cells of a bench and keeps the finished ones."""
 
 from __future__ import annotations
 
@@ -16,47 +16,47 @@ from dynaviz.errors import DynavizError
 
 
 class BenchCallbacks:
-    """Hears how a bench goes on, on several threads; subclasses say what they care for."""
+    """Callbacks for the progress of a bench, called from several threads. Override those you need."""
 
-    def preparing(self, what: str, done: int, total: int) -> None:
-        """A sequence is simulated or surveyed, and so many of its frames are done."""
+    def preparing(self, task: str, done: int, total: int) -> None:
+        """A sequence is being simulated or read; counts are in frames."""
 
     def planned(self, number: int) -> None:
-        """So many further cells are to end."""
+        """A number of further cells was added to the bench."""
 
     def running(self, cell: BenchCell, phase: str, done: int, total: int) -> None:
-        """A cell runs, and so many frames of a phase are done."""
+        """A cell is running; counts are in frames of a phase."""
 
     def ended(self, row: BenchRow) -> None:
-        """A cell has ended, or was done already."""
+        """A cell has ended, or its earlier result is kept."""
 
 
 class Executor(Protocol):
-    """What runs cells, here or elsewhere."""
+    """Runs cells, on this machine or elsewhere."""
 
     def run(self, todo: list[BenchCell]) -> Iterator[BenchCell]:
-        """Run cells and give each as soon as it has ended."""
+        """Run cells and yield each when it has ended."""
         ...
 
 
 @dataclass
 class CellRunner:
-    """Where cells are handed in: those that are done are kept, all others run."""
+    """Runs the cells of a plan; finished cells are kept."""
 
     out: Path
     plan: BenchPlan
-    runner: Executor
+    executor: Executor
     fresh: bool
-    watcher: BenchCallbacks
+    callbacks: BenchCallbacks
     _digests: dict[SequenceSpec, str | DynavizError] = field(default_factory=dict)
     _ended: dict[Path, BenchRow] = field(default_factory=dict)
 
     def rows(self, sets: Iterable[ParameterSet], sources: Iterable[SequenceSpec]) -> list[BenchRow]:
-        """Have every set run on every sequence; give the rows sequence by sequence, in this order."""
+        """Run every set on every sequence; return the rows sequence by sequence, in the given order."""
         sets = list(sets)
-        wanted = [self._cell(source, what) for source in sources for what in sets]
+        wanted = [self._cell(source, parameter_set) for source in sources for parameter_set in sets]
         new = {cell.path: cell for cell in wanted if cell.path not in self._ended}
-        self.watcher.planned(len(new))
+        self.callbacks.planned(len(new))
         todo = []
         for cell in new.values():
             folder, problem = self.out / cell.path, self._digests[cell.source]
@@ -68,7 +68,7 @@ class CellRunner:
                 self._end(cell, BenchRow(cell, folder, result, kept=True))
             else:
                 todo.append(cell)
-        with contextlib.closing(self.runner.run(todo)) as ended:  # type: ignore[type-var]
+        with contextlib.closing(self.executor.run(todo)) as ended:  # type: ignore[type-var]
             for cell in ended:
                 self._end(cell)
         return [self._ended[cell.path] for cell in wanted]
@@ -77,31 +77,31 @@ class CellRunner:
         folder = self.out / cell.path
         if row is None:
             result = cells.finished(cell, folder)
-            error = None if result else cells.error_of(folder) or "its files vanished. Run the bench again."
+            error = None if result else cells.error_of(folder) or "its files disappeared. Run the bench again."
             row = BenchRow(cell, folder, result, error)
         self._ended[cell.path] = row
-        self.watcher.ended(row)
+        self.callbacks.ended(row)
 
-    def _cell(self, source: SequenceSpec, what: ParameterSet) -> BenchCell:
+    def _cell(self, source: SequenceSpec, parameter_set: ParameterSet) -> BenchCell:
         source = placed(source, self.out)
         if source not in self._digests:
             self._digests[source] = self._digest(source)
         digest = self._digests[source]
         known = "" if isinstance(digest, DynavizError) else digest
-        return BenchCell(source, what, known, self.plan.record, self.plan.timing)
+        return BenchCell(source, parameter_set, known, self.plan.record, self.plan.timing)
 
     def _digest(self, source: SequenceSpec) -> str | DynavizError:
-        """Read a sequence, once a bench; what keeps it from being read is an answer too."""
+        """The digest of a sequence, or the error if it cannot be read. Called once per sequence."""
         from dynaviz.engine.summary import summarize
 
-        def tell(what: str) -> Callable[[int, int], None]:
-            return lambda done, total: self.watcher.preparing(f"{what} {source.name}", done, total)
+        def report(task: str) -> Callable[[int, int], None]:
+            return lambda done, total: self.callbacks.preparing(f"{task} {source.name}", done, total)
 
         try:
             if source.scene:
-                simulated(source, tell("simulating"))
+                simulated(source, report("simulate"))
             sequence = open_source(source)
-            reading, total = tell("reading"), len(sequence)
-            return summarize(sequence, lambda done: reading(done, total)).digest
+            report_read, total = report("read"), len(sequence)
+            return summarize(sequence, lambda done: report_read(done, total)).digest
         except DynavizError as error:
             return error

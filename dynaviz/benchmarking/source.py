@@ -1,4 +1,4 @@
-"""The sequences of a bench: opened under their names there, scenes simulated first."""
+"""The sequences of a bench: opened under the names of the plan; scenes are simulated first."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dynaviz.simulate.presets import PRESETS
 
 
 def open_source(source: SequenceSpec) -> Sequence:
-    """Open a sequence of a bench, under its name there.
+    """Open a sequence of a bench, under its name in the plan.
 
     Raises:
         DataError, UsageError: as ``dynaviz.open``.
@@ -35,15 +35,15 @@ def open_source(source: SequenceSpec) -> Sequence:
 
 
 def placed(source: SequenceSpec, out: Path) -> SequenceSpec:
-    """A source with the path where it is, or will be simulated, for a bench in ``out``."""
+    """The source with its path; for a scene the path to simulate it to, in the bench folder ``out``."""
     return replace(source, path=str((out / "sequences" / source.name).resolve())) if source.scene else source
 
 
 def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> None:
-    """Write a scene to its place, unless it is there.
+    """Simulate a scene, unless it is already there.
 
     Raises:
-        DataError: where it cannot be written, or something else is in its place.
+        DataError: if it cannot be written, or the folder contains something else.
     """
     from dynaviz.simulate.recording import VERSION, simulate
 
@@ -54,7 +54,9 @@ def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> Non
         if all(facts.get(key) == value for key, value in wanted.items()):
             return
         if "generator" not in facts:
-            raise DataError(folder, "is no simulated scene", hint="Remove it, or give the sequence another name")
+            raise DataError(
+                folder, "not a simulated scene", hint="Remove the folder, or give the sequence another name"
+            )
         shutil.rmtree(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     simulate(source.scene, folder, int(frames), source.seed, progress)

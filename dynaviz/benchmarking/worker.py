@@ -1,8 +1,8 @@
-"""The process that runs one cell: ``python -m dynaviz.benchmarking.worker``, begun by ``dynaviz.benchmarking.local``.
+"""The process that runs one cell: ``python -m dynaviz.benchmarking.worker``, started by ``dynaviz.benchmarking.local``.
 
 It reads a pickled (cell, folder, threads) from standard input, writes lines ``PHASE DONE TOTAL`` to standard output,
-and ends with 0, or with 1 and ``error.json`` in the folder. It ends at once when its parent is gone, so that nobody
-else finds it still writing.
+and exits with 0, or with 1 and ``error.json`` in the folder. It exits at once if its parent dies, so that it never
+writes into a folder that another bench uses.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ import time
 import traceback
 from typing import IO
 
-EVERY = 0.2  # seconds between two lines of a phase
+INTERVAL = 0.2  # seconds between two lines of a phase
 
 
 def main() -> int:
     """Run the cell."""
-    told = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what a method prints goes to the log
+    progress_lines = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # a method's own output goes to the log
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     cell, folder, threads = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     from dynaviz.benchmarking import cells
 
     try:
-        cells.run(cell, folder, threads, _ProgressReporter(told))
+        cells.run(cell, folder, threads, _ProgressReporter(progress_lines))
     except Exception as error:
         traceback.print_exc()
         cells.fail(cell, folder, cells.sentence(error))
@@ -43,13 +43,13 @@ class _ProgressReporter:
 
     def __call__(self, phase: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if phase != self._phase or done == total or now - self._last > EVERY:
+        if phase != self._phase or done == total or now - self._last > INTERVAL:
             self._phase, self._last = phase, now
             print(phase, done, total, file=self._out, flush=True)
 
 
 def _end_with_parent() -> None:
-    while os.read(0, 4096):  # not through sys.stdin, whose lock a thread must not hold when Python ends
+    while os.read(0, 4096):  # not sys.stdin: a thread must not hold its lock when Python exits
         pass
     os._exit(1)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import show
-from dynaviz.cli.run import RecordModeOption
+from dynaviz.cli.options import RecordModeOption
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -21,60 +21,74 @@ if TYPE_CHECKING:
 
 
 class SearchKind(StrEnum):
-    """How a search chooses its trials."""
+    """Samplers of a search."""
 
     random = "random"
     bayes = "bayes"
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("bench")(bench)
 
 
 def bench(
     file: Annotated[
-        Path | None, typer.Argument(metavar="BENCH.toml", help="What to run; examples/bench.toml explains every key.")
+        Path | None,
+        typer.Argument(metavar="BENCH.toml", help="Plan of the bench; examples/bench.toml explains every key."),
     ] = None,
     methods: Annotated[
-        list[str] | None, typer.Option("-m", "--method", metavar="M", help="A method. [default: all]")
+        list[str] | None, typer.Option("-m", "--method", metavar="M", help="Method to run. Repeatable. [default: all]")
     ] = None,
     sequences: Annotated[
         list[str] | None,
-        typer.Option("-s", "--sequence", metavar="SEQ", help="A folder, or simulate:SCENE[:FRAMES[:SEED]]."),
+        typer.Option(
+            "-s",
+            "--sequence",
+            metavar="SEQ",
+            help="Sequence folder, bag or simulate:SCENE[:FRAMES[:SEED]]. Repeatable.",
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the bench.")] = ...,  # type: ignore[assignment]
+    out: Annotated[Path, typer.Option("-o", "--out", help="Output folder; each run has its own subfolder.")] = ...,  # type: ignore[assignment]
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Cells at a time; they share the cores. [default: 1]")
+        int | None,
+        typer.Option(min=1, metavar="N", help="Number of parallel runs, which share the cores. [default: 1]"),
     ] = None,
     timing: Annotated[
-        bool, typer.Option("--timing", help="For comparable runtimes: one at a time, all cores, unrecorded.")
+        bool, typer.Option("--timing", help="Measure comparable runtimes: one run at a time, all cores, no recording.")
     ] = False,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run the cells on a Dask cluster, as tcp://HOST:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="Run on a Dask cluster, such as tcp://HOST:8786.")
     ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume/--fresh", help="Keep the cells that are done, or run all again.")
-    ] = True,
+    resume: Annotated[bool, typer.Option("--resume/--fresh", help="Keep finished runs, or run all again.")] = True,
     record: Annotated[
-        RecordModeOption | None, typer.Option(help="How much each run.rrd holds. [default: errors]")
+        RecordModeOption | None, typer.Option(help="How much to record in each run.rrd. [default: errors]")
     ] = None,
     grid: Annotated[
-        list[str] | None, typer.Option(metavar="METHOD.PARAM=V1,V2", help="Run every value; several: the product.")
+        list[str] | None,
+        typer.Option(metavar="METHOD.PARAM=V1,V2", help="Run with each value. Repeat for all combinations."),
     ] = None,
-    search: Annotated[SearchKind | None, typer.Option(help="Search parameters for the best AA.")] = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="How many sets a search tries, of each method.")] = None,
+    search: Annotated[SearchKind | None, typer.Option(help="Search for the parameters with the best AA.")] = None,
+    trials: Annotated[int | None, typer.Option(min=1, metavar="N", help="Number of trials per method.")] = None,
     ranges: Annotated[
-        list[str] | None, typer.Option("--range", metavar="METHOD.PARAM=LOW:HIGH", help="Searched; log:LOW:HIGH too.")
+        list[str] | None,
+        typer.Option(
+            "--range",
+            metavar="METHOD.PARAM=LOW:HIGH",
+            help="Search range; log:LOW:HIGH for a logarithmic scale. Repeatable.",
+        ),
     ] = None,
     holdout: Annotated[
-        list[str] | None, typer.Option(metavar="SEQ", help="A sequence that a search sees only at the end.")
+        list[str] | None,
+        typer.Option(metavar="SEQ", help="Sequence to hide from the search and to run at the end. Repeatable."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="For the choice of trials. [default: 0]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")
+    ] = None,
 ) -> None:
-    """Run methods on sequences with sets of parameters: one folder a cell, a leaderboard, and no cell run twice.
+    """Run methods on sequences and show a leaderboard.
 
-    A bench that was interrupted goes on where it was left. Flags take the place of the file's keys.
+    An interrupted bench resumes: finished runs are kept. Options override the keys of BENCH.toml.
 
     \b
     dynaviz bench -s path/to/sequence -s simulate:demo:20 -o bench
@@ -89,8 +103,7 @@ def bench(
     from dynaviz.benchmarking.plan_file import read
 
     table = read(file) if file else {}
-    apart = ("workers", "record") if timing else ("workers",) if scheduler else ()
-    table = {key: value for key, value in table.items() if key not in apart}
+    table = {key: value for key, value in table.items() if key not in _overridden(timing, scheduler)}
     table |= _given(
         methods=methods,
         sequences=sequences,
@@ -99,20 +112,27 @@ def bench(
         record=record and record.value,
         holdout=holdout,
     )
-    table |= _assigned(table, grid, search, trials, ranges, seed)
-    with _watched() as watcher:
-        board = run(table, out, scheduler=scheduler, fresh=not resume, watcher=watcher)
-    show(board, *map(escape, _words(board, out)))
+    table |= _grid_and_search(table, grid, search, trials, ranges, seed)
+    with _callbacks() as callbacks:
+        board = run(table, out, scheduler=scheduler, fresh=not resume, callbacks=callbacks)
+    show(board, *map(escape, _summary(board, out)))
     if board.failed:
         raise typer.Exit(1)
 
 
+def _overridden(timing: bool, scheduler: str | None) -> tuple[str, ...]:
+    """Keys of the file that contradict an option."""
+    if timing:
+        return "workers", "record"
+    return ("workers",) if scheduler else ()
+
+
 def _given(**flags: Any) -> dict[str, Any]:
-    """The flags that were typed, be it a 0."""
+    """The options that were given, including a 0."""
     return {key: value for key, value in flags.items() if value or (value == 0 and value is not False)}
 
 
-def _assigned(
+def _grid_and_search(
     table: dict[str, Any],
     grid: list[str] | None,
     search: SearchKind | None,
@@ -120,44 +140,44 @@ def _assigned(
     ranges: list[str] | None,
     seed: int | None,
 ) -> dict[str, Any]:
-    """Grid and search, as the tables of the file."""
+    """The tables ``grid`` and ``search``, from the options and the file."""
     from dynaviz.benchmarking.plan_file import assignment, values_of
 
     given: dict[str, Any] = {}
     for text in grid or []:
         method, name, values = assignment(text, "--grid")
         given.setdefault("grid", {}).setdefault(method, {})[name] = values_of(values)
-    wish = _given(kind=search and search.value, trials=trials, seed=seed)
+    options = _given(kind=search and search.value, trials=trials, seed=seed)
     for text in ranges or []:
         method, name, values = assignment(text, "--range")
-        wish.setdefault("ranges", {}).setdefault(method, {})[name] = values.strip()
-    if wish:
-        given["search"] = {**table.get("search", {}), **wish}
+        options.setdefault("ranges", {}).setdefault(method, {})[name] = values.strip()
+    if options:
+        given["search"] = {**table.get("search", {}), **options}
     return given
 
 
-def _words(board: Leaderboard, out: Path) -> Iterator[str]:
-    """What was found, and where everything is."""
-    for found in board.found:
+def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
+    """The best parameters that were found, the number of runs, and where their files are."""
+    for found in board.searches:
         default = "n/a" if found.default_aa is None else f"{found.default_aa:.2f}"
         trials = f"{found.trials} trials" + (f" ({found.failed} failed)" if found.failed else "")
         if found.best.variant:
-            yield f"{found.best.method}: AA {found.aa:.2f} is the best of {trials}; {default} by default."
+            yield f"{found.best.method}: best AA {found.aa:.2f} of {trials}; the default parameters have AA {default}."
         else:
-            yield f"{found.best.method}: none of {trials} is better than the defaults, AA {default}."
-        yield f"Use it with: dynaviz run {found.best.method} SEQ --config {found.preset}"
+            yield f"{found.best.method}: none of {trials} is better than the default parameters, AA {default}."
+        yield f"Use these parameters with: dynaviz run {found.best.method} SEQ --config {found.preset}"
     every = [*board.rows, *board.trials]
     kept, failed = sum(row.kept for row in every), len(board.failed)
-    done = f"{len(every) - failed} cells done" + (f", {kept} of them before" if kept else "")
-    yield f"{done}, {failed} failed. Each has its folder: {out}/SEQUENCE/METHOD."
+    done = f"{len(every) - failed} runs finished" + (f" ({kept} from before)" if kept else "")
+    yield f"{done}, {failed} failed. The files of each run are in {out}/SEQUENCE/METHOD."
     if board.failed:
         log = board.failed[0].folder / "error.log"
-        told = log if log.is_file() else log.with_name("error.json")  # a cell that never ran has no log
-        yield f"What went wrong: {told}. The same command runs only what is not done."
+        file = log if log.is_file() else log.with_name("error.json")  # a cell that never ran has no log
+        yield f"For the first error see {file}. The same command repeats only the unfinished runs."
 
 
 @contextlib.contextmanager
-def _watched() -> Iterator[BenchCallbacks]:
+def _callbacks() -> Iterator[BenchCallbacks]:
     """A live table on a terminal, lines in a log."""
     from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
 

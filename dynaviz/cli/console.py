@@ -1,4 +1,4 @@
-"""What the verbs share: a console, and progress as a bar on a terminal or as plain lines in a log."""
+"""Output shared by the commands: a console, and progress as bars on a terminal or as lines in a log."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,69 +15,124 @@ if TYPE_CHECKING:
 
     from dynaviz.progress import Progress
 
-QUIET = 5.0  # seconds between two lines of a phase in a log
+LOG_INTERVAL = 5.0  # seconds between two log lines of a phase
+Unit = str | Mapping[str, str]
+"""What a step of a phase is, in the plural; a mapping gives one for each phase."""
 
 
 def console() -> Console:
-    """Standard output; wide where it is no terminal, so that tables in logs are not cut."""
+    """Standard output; wide if it is not a terminal, so that tables in logs are not cut."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else 160)
 
 
 def program() -> str:
-    """What to type for this program: its name where the shell finds it, else as it was called."""
+    """How to call this program: its name if the shell finds it, else as it was called."""
     if shutil.which("dynaviz"):
         return "dynaviz"
     return sys.argv[0] if Path(sys.argv[0]).name == "dynaviz" else f"{sys.executable} -m dynaviz"
 
 
 def written(folder: Path, recorded: bool) -> str:
-    """Where a run is, and how to look at it."""
-    return f"Written to {folder}." + (f" Look at it: {program()} view {folder / 'run.rrd'}" if recorded else "")
+    """Where the files of a run are, and how to open its recording."""
+    return f"Written to {folder}." + (f" Open it with: {program()} view {folder / 'run.rrd'}" if recorded else "")
 
 
-def show(*what: RenderableType) -> None:
-    """Print with styles where the terminal has them."""
+def show(*items: RenderableType) -> None:
+    """Print, with styles if the terminal supports them."""
     out = console()
-    for item in what:
+    for item in items:
         out.print(item)
 
 
+class PhaseTimer:
+    """Formats the progress of one phase, with its speed and the time left.
+
+    The first step of a phase often includes compilation or opening files, so speed is measured from its end.
+
+    Args:
+        unit: what a step is, in the plural.
+        done: the number of steps done now.
+    """
+
+    def __init__(self, unit: str, done: int):
+        self.unit, self._done, self._since = unit, done, time.monotonic()
+
+    def speed(self, done: int) -> float | None:
+        """Steps per second; None until a second step is done."""
+        seconds = time.monotonic() - self._since
+        return (done - self._done) / seconds if done > self._done and seconds > 0 else None
+
+    def line(self, phase: str, done: int, total: int) -> str:
+        """Text for a log, such as ``label 40/100 frames, 12.3 frames/s, 5 s left``."""
+        parts = [f"{phase} {done}/{total} {self.unit}"]
+        if speed := self.speed(done):
+            parts.append(f"{speed:,.1f} {self.unit}/s")
+            if done < total:
+                parts.append(f"{duration((total - done) / speed)} left")
+        return ", ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """A duration in one unit: seconds below 90 s, minutes below 90 min, else hours."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 90 * 60:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
 @contextlib.contextmanager
-def progress(title: str) -> Iterator[Progress]:
-    """Give a function that is told (phase, done, total) and shows it on standard error."""
+def progress(title: str, unit: Unit = "frames") -> Iterator[Progress]:
+    """Give a function that takes (phase, done, total) and shows it on standard error."""
+    units = unit if isinstance(unit, Mapping) else {}
+    default = unit if isinstance(unit, str) else "steps"
+
+    def start(phase: str, done: int) -> PhaseTimer:
+        return PhaseTimer(units.get(phase, default), done)
+
     if sys.stderr.isatty():
-        with _bars(title) as tell:
-            yield tell
+        with _bars(title, start) as report:
+            yield report
     else:
-        yield _lines(title)
+        yield _lines(title, start)
 
 
 @contextlib.contextmanager
-def _bars(title: str) -> Iterator[Progress]:
+def _bars(title: str, start: Callable[[str, int], PhaseTimer]) -> Iterator[Progress]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description:<32}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(20),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, tuple[TaskID, PhaseTimer]] = {}
 
-        def tell(phase: str, done: int, total: int) -> None:
+        def report(phase: str, done: int, total: int) -> None:
             if phase not in tasks:
-                tasks[phase] = bars.add_task(f"{title}: {phase}", total=total)
-            bars.update(tasks[phase], completed=done)  # type: ignore[arg-type]
+                tasks[phase] = bars.add_task(f"{title}: {phase}", total=total, speed=""), start(phase, done)
+            task, timer = tasks[phase]
+            speed = timer.speed(done)
+            bars.update(task, completed=done, speed="" if speed is None else f"{speed:,.1f} {timer.unit}/s")
 
-        yield tell
+        yield report
 
 
-def _lines(title: str) -> Progress:
-    said: dict[str, float] = {}
+def _lines(title: str, start: Callable[[str, int], PhaseTimer]) -> Progress:
+    timers: dict[str, PhaseTimer] = {}
+    printed: dict[str, float] = {}
 
-    def tell(phase: str, done: int, total: int) -> None:
+    def report(phase: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if done == total or now - said.setdefault(phase, now) > QUIET:
-            said[phase] = now
-            print(f"{title}: {phase} {done}/{total}", file=sys.stderr, flush=True)
+        timer = timers.setdefault(phase, start(phase, done))
+        if done == total or now - printed.setdefault(phase, now) > LOG_INTERVAL:
+            printed[phase] = now
+            print(f"{title}: {timer.line(phase, done, total)}", file=sys.stderr, flush=True)
 
-    return tell
+    return report

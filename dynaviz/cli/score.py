@@ -10,12 +10,11 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show, written
-from dynaviz.cli.options import Frames, PointsIn, Poses, Stride, open_sequence
-from dynaviz.cli.run import RecordModeOption
+from dynaviz.cli.options import Frames, PointsIn, Poses, Record, RecordModeOption, Stride, Threads, open_sequence
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("score")(score)
 
 
@@ -23,28 +22,30 @@ def score(
     map: Annotated[
         Path,
         typer.Argument(
-            metavar="MAP", help="A cleaned map in the sequence's frame: pcd, ply, las, laz, npy; or labels.npz."
+            metavar="MAP", help="Cleaned map in the sequence's world frame (pcd, ply, las, laz, npy), or labels.npz."
         ),
     ],
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="A folder with ground truth; FORMAT:PATH forces its format.")
+        str, typer.Argument(metavar="SEQ", help="Sequence with ground truth. FORMAT:PATH forces the format.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Folder for the files of the run. [default: recordings/SEQUENCE/NAME]"),
+        typer.Option("-o", "--out", help="Output folder. [default: recordings/SEQUENCE/NAME]"),
     ] = None,
     radius: Annotated[
-        float, typer.Option(help="Metres around a point of the map in which points count as kept.")
+        float, typer.Option(help="A point counts as kept if the map has a point within this radius, in metres.")
     ] = 0.05,
-    name: Annotated[str | None, typer.Option(help="For tables. [default: the map's file name]")] = None,
+    name: Annotated[str | None, typer.Option(help="Name in tables. [default: the map's file name]")] = None,
     frames: Frames = None,
     stride: Stride = 1,
     poses: Poses = None,
     points_in: PointsIn = None,
-    record: Annotated[RecordModeOption, typer.Option(help="How much run.rrd holds.")] = RecordModeOption.errors,
-    threads: Annotated[int | None, typer.Option(min=1, help="Threads for kernels. [default: all cores]")] = None,
+    record: Record = RecordModeOption.errors,
+    threads: Threads = None,
 ) -> None:
-    """Score a cleaned map that any other program wrote, with a recording.
+    """Score a cleaned map from another program.
+
+    Writes the same files as 'dynaviz run', including a recording.
 
     \b
     dynaviz score erasor_output.pcd path/to/sequence
@@ -54,9 +55,9 @@ def score(
     from dynaviz import api
 
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
-    called = map.stem if name is None else name
-    folder = out or Path("recordings") / opened.name / called
-    with progress(f"{called} on {opened.name}") as tell:
+    label = map.stem if name is None else name
+    folder = out or Path("recordings") / opened.name / label
+    with progress(f"{label} on {opened.name}") as report:
         result = api.score(
             map,
             opened,
@@ -66,6 +67,6 @@ def score(
             record=record.value,
             threads=threads,
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
-            progress=tell,
+            progress=report,
         )
     show(result, written(folder, record is not RecordModeOption.none))

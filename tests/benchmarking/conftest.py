@@ -6,22 +6,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from helpers.toy_method import TOY, Here, write_room
+from helpers.toy_method import TOY, InProcessExecutor, write_room
 
 from dynaviz import registry
-from dynaviz.benchmarking import bench as benches
+from dynaviz.benchmarking import bench as bench_module
 
 
 @pytest.fixture(scope="session")
 def rooms(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Two sequences; only to be read."""
+    """Two sequences. Tests must not change them."""
     folder = tmp_path_factory.mktemp("rooms")
     return [write_room(folder / name, frames=2, rays=800, seed=seed) for seed, name in enumerate(["one", "two"])]
 
 
 @pytest.fixture(scope="session")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The method ``toy``, installed beside everything else, here and in all processes begun from here."""
+    """Install the method ``toy`` for this process and all processes that it starts."""
     site = tmp_path_factory.mktemp("site")
     (site / "toy_methods.py").write_text(TOY)
     facts = site / "toy_methods-1.0.dist-info"
@@ -35,13 +35,13 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def here(toy: None, monkeypatch: pytest.MonkeyPatch) -> type[Here]:
-    """Have cells run in this process and count points only: quick, where nothing else is tested."""
-    every = registry.handles
+def in_process(toy: None, monkeypatch: pytest.MonkeyPatch) -> type[InProcessExecutor]:
+    """Run cells in this process, with the counts as the only metric: fast."""
+    all_handles = registry.handles
 
     def handles(kind: str) -> list[registry.PluginHandle]:
-        return [handle for handle in every(kind) if kind != "metrics" or handle.name == "confusion"]
+        return [handle for handle in all_handles(kind) if kind != "metrics" or handle.name == "confusion"]
 
     monkeypatch.setattr(registry, "handles", handles)
-    monkeypatch.setattr(benches, "Local", Here)
-    return Here
+    monkeypatch.setattr(bench_module, "LocalExecutor", InProcessExecutor)
+    return InProcessExecutor

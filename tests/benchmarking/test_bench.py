@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.toy_method import Here, gone, who, write_room
+from helpers.toy_method import InProcessExecutor, has_ended, waiting_process, write_room
 from rich.console import Console
 
 from dynaviz import api
@@ -53,7 +53,7 @@ def mixed(toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory
 def test_a_cell_that_fails_or_dies_is_a_row_and_the_others_go_on(mixed: tuple[Leaderboard, Path]) -> None:
     board, out = mixed
     assert list(states(board).values()) == ["ran", "ran", "failed", "failed"]
-    errors = {row.cell.what.variant: row.error for row in board.failed}
+    errors = {row.cell.parameter_set.variant: row.error for row in board.failed}
     assert errors["act=raise"] == "ValueError: this method cannot"
     assert "SIGKILL" in errors["act=die"]
     facts = json.loads((out / "one/toy-act=raise/error.json").read_text())
@@ -93,8 +93,8 @@ def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
     shared = mixed[0].results[0]
     assert (timed.method, timed.labels_sha256) == (shared.method, shared.labels_sha256)
     assert timed.counts["dynamic_removed"] + timed.counts["static_removed"] > 0
-    assert timed.runtime["threads"] == os.cpu_count()
-    assert shared.runtime["threads"] == max(1, (os.cpu_count() or 1) // 2)
+    assert timed.runtime.threads == os.cpu_count()
+    assert shared.runtime.threads == max(1, (os.cpu_count() or 1) // 2)
     assert (timed.record, shared.record) == (None, "scores")
     assert not timed.instrumented
 
@@ -106,10 +106,10 @@ def test_a_bench_that_was_ended_goes_on_with_the_rest(
     out, gate = tmp_path / "out", tmp_path / "gate"
     typed = ["bench", "-m", "toy", "-s", rooms[0], "-o", out, "--record", "none", "--grid", f"toy.act=wait:{gate}"]
     begun = subprocess.Popen([*MAIN, *map(str, typed)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
-    pid, _ = who(gate)
+    pid, _ = waiting_process(gate)
     begun.send_signal(end)
     _, err = begun.communicate()
-    assert gone(pid), "the process of the cell outlived the bench"
+    assert has_ended(pid), "the process of the cell outlived the bench"
     done = sorted(out.glob("one/*/result.json"))
     assert [path.parent.name for path in done] == ["toy"]
     assert not list(out.glob("one/*/error.json")), "a cell that was interrupted has not failed"
@@ -124,16 +124,16 @@ def test_a_bench_that_was_ended_goes_on_with_the_rest(
     assert [path.stat().st_mtime_ns for path in done] == before
 
 
-def test_only_what_changed_runs_again(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+def test_only_what_changed_runs_again(in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path) -> None:
     one, two = (write_room(tmp_path / "data" / name, frames=2, rays=300, seed=len(name)) for name in ("one", "three"))
     table = {**NONE, "sequences": [str(one), str(two)], "grid": {"toy": {"height": [0.3]}}}
     out = tmp_path / "out"
     assert set(states(bench(table, out)).values()) == {"ran"}
     assert set(states(bench(table, out)).values()) == {"kept"}
-    assert here.ran == []
+    assert in_process.ran == []
 
     bench({**table, "grid": {"toy": {"height": [0.7]}}}, out)
-    assert here.ran == ["one/toy-height=0.7", "three/toy-height=0.7"]
+    assert in_process.ran == ["one/toy-height=0.7", "three/toy-height=0.7"]
 
     for name, change in {
         "one/toy": lambda text: text[:-20],
@@ -146,33 +146,35 @@ def test_only_what_changed_runs_again(here: type[Here], rooms: list[Path], tmp_p
         path.write_text(change(before))
         assert path.read_text() != before
         bench(table, out)
-        assert here.ran == [name]
+        assert in_process.ran == [name]
 
     write_room(two, frames=2, rays=300, seed=99)
     bench(table, out)
-    assert here.ran == ["three/toy", "three/toy-height=0.3"]
+    assert in_process.ran == ["three/toy", "three/toy-height=0.3"]
     bench(table, out, fresh=True)
-    assert len(here.ran) == 4
+    assert len(in_process.ran) == 4
 
 
-def test_a_recording_that_is_asked_for_must_be_there(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+def test_a_recording_that_is_asked_for_must_be_there(
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
+) -> None:
     table = {"methods": ["toy"], "sequences": [str(rooms[0])], "record": "scores"}
     bench(table, tmp_path)
     bench(table, tmp_path)
-    assert here.ran == []
+    assert in_process.ran == []
     with (tmp_path / "one/toy/run.rrd").open("ab") as file:
         file.write(b"x")
     bench(table, tmp_path)
-    assert here.ran == ["one/toy"]
+    assert in_process.ran == ["one/toy"]
     (tmp_path / "one/toy/run.rrd").unlink()
     bench(table, tmp_path)
-    assert here.ran == ["one/toy"]
+    assert in_process.ran == ["one/toy"]
     bench({**table, "record": "none"}, tmp_path)
-    assert here.ran == ["one/toy"]
+    assert in_process.ran == ["one/toy"]
     assert not (tmp_path / "one/toy/run.rrd").exists()
 
 
-def test_sequences_add_up_by_counts(here: type[Here], rooms: list[Path], tmp_path: Path) -> None:
+def test_sequences_add_up_by_counts(in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path) -> None:
     few = write_room(tmp_path / "few", frames=1, rays=50)
     board = bench(
         {**NONE, "sequences": [str(rooms[0]), str(few)], "grid": {"toy": {"act": ["raise"]}}}, tmp_path / "out"
@@ -190,8 +192,8 @@ def test_sequences_add_up_by_counts(here: type[Here], rooms: list[Path], tmp_pat
     assert total.metrics["SA"] == pytest.approx(100 * kept / (kept + removed))
     means = [result.metrics["SA"] for result in board.results]
     assert total.metrics["SA"] != pytest.approx(sum(means) / 2, abs=1e-3)
-    assert total.runtime["frames"] == 3
-    assert total.sequence["points"] == 1650
+    assert total.runtime.frames == 3
+    assert total.sequence.points == 1650
     assert "all 2" in shown(board)
 
 
@@ -206,7 +208,7 @@ def test_runtimes_add_up_as_if_all_frames_were_one_run() -> None:
 
 
 def test_data_that_cannot_be_read_are_rows_and_what_is_not_there_is_told_at_once(
-    here: type[Here], rooms: list[Path], tmp_path: Path
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     far = write_room(tmp_path / "far", frames=2, rays=300)
     write_pcd(far / "pcd/000011.pcd", dict.fromkeys("xyz", np.full(300, 1e7, np.float32)), np.eye(4))
@@ -219,7 +221,9 @@ def test_data_that_cannot_be_read_are_rows_and_what_is_not_there_is_told_at_once
     assert not board.totals()
 
 
-def test_scenes_are_simulated_once(here: type[Here], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_are_simulated_once(
+    in_process: type[InProcessExecutor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     simulated = []
 
     def simulate(scene: str, out: Path, frames: int, seed: int, progress: object) -> None:
@@ -236,12 +240,12 @@ def test_scenes_are_simulated_once(here: type[Here], tmp_path: Path, monkeypatch
     assert simulated == [("hall_vlp16", 1, 0), ("hall_vlp16", 1, 5)]
     (tmp_path / "sequences/hall_vlp16-1/sequence.toml").write_text('name = "mine"')
     board = bench({**table, "sequences": [other]}, tmp_path)
-    assert "is no simulated scene" in board.failed[0].error
+    assert "not a simulated scene" in board.failed[0].error
     assert (tmp_path / "sequences/hall_vlp16-1/pcd").exists(), "nobody's data are removed"
 
 
 def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
-    here: type[Here], rooms: list[Path], tmp_path: Path
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     row = bench({**NONE, "sequences": [str(rooms[0])]}, tmp_path).rows[0]
     assert row.result
@@ -257,5 +261,5 @@ def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
 
 def test_a_folder_that_cannot_be_made_is_named(rooms: list[Path], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(DataError, match=r"file/bench: cannot be made .* Choose another folder with -o"):
+    with pytest.raises(DataError, match=r"file/bench: cannot create the folder .* Choose another folder with -o"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")

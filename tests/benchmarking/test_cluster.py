@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from helpers.toy_method import gone, who
+from helpers.toy_method import has_ended, waiting_process
 
 from dynaviz.benchmarking.bench import bench
 from dynaviz.benchmarking.plan import BenchCell
@@ -21,9 +21,7 @@ distributed = pytest.importorskip("distributed", reason="needs Dask: pip install
 
 @pytest.fixture(scope="module")
 def cluster(toy: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
-    with (
-        pytest.MonkeyPatch.context() as patch,
-    ):
+    with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DASK_TEMPORARY_DIRECTORY", str(tmp_path_factory.mktemp("dask")))
         with distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50, protocol="tcp"
@@ -33,17 +31,17 @@ def cluster(toy: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[obj
 
 def test_a_killed_worker_loses_nothing(cluster, rooms: list[Path], tmp_path: Path) -> None:
     gate, out = tmp_path / "gate", tmp_path / "out"
-    heard: set[str] = set()
+    reported: set[str] = set()
 
-    class Ears(BenchCallbacks):
+    class Recorder(BenchCallbacks):
         def running(self, cell: BenchCell, phase: str, done: int, total: int) -> None:
-            heard.add(cell.path.name)
+            reported.add(cell.path.name)
 
     def kill_the_worker() -> None:
         """Once the cell that waits for the gate runs, kill the worker whose child it is; then open the gate."""
-        child, worker = who(gate)
+        child, worker = waiting_process(gate)
         os.kill(worker, signal.SIGKILL)
-        assert gone(child), "the process of the cell outlived its worker"
+        assert has_ended(child), "the process of the cell outlived its worker"
         killed.append(child)
         gate.touch()
 
@@ -52,14 +50,14 @@ def test_a_killed_worker_loses_nothing(cluster, rooms: list[Path], tmp_path: Pat
     thread.start()
     table = {"methods": ["toy"], "sequences": [str(rooms[0])], "record": "scores"}
     grid = {"toy": {"act": [f"wait:{gate}", "raise"]}}
-    board = bench({**table, "grid": grid}, out, scheduler=cluster.scheduler_address, watcher=Ears())
+    board = bench({**table, "grid": grid}, out, scheduler=cluster.scheduler_address, callbacks=Recorder())
     thread.join(20)
     assert killed
-    assert who(gate)[0] != killed[0], "another process has done the cell again"
+    assert waiting_process(gate)[0] != killed[0], "another process has done the cell again"
     assert ["failed" if row.error else "done" for row in board.rows] == ["done", "done", "failed"]
     assert "on worker tcp://" in board.failed[0].error
     assert "this method cannot" in board.failed[0].error
-    assert heard
+    assert reported
     assert {path.name for path in (out / "one/toy").iterdir()} == {
         "run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml",
     }  # fmt: skip
@@ -67,11 +65,11 @@ def test_a_killed_worker_loses_nothing(cluster, rooms: list[Path], tmp_path: Pat
     assert [row.kept for row in again.rows] == [True], "what the cluster did is done here too"
 
 
-def test_no_scheduler_is_told(rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynaviz.benchmarking.cluster.PATIENCE", 1)
+def test_an_absent_scheduler_is_an_error(rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dynaviz.benchmarking.cluster.CONNECT_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler answers"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path, scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(UsageError, match="leave out --scheduler"):
+    with pytest.raises(UsageError, match="Leave out --scheduler"):
         bench({"sequences": [str(rooms[0])], "timing": True}, tmp_path, scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(UsageError, match="a cluster has its own workers"):
+    with pytest.raises(UsageError, match="the cluster sets the number of workers"):
         bench({"sequences": [str(rooms[0])], "workers": 1}, tmp_path, scheduler="tcp://127.0.0.1:9")

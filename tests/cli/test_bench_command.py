@@ -19,22 +19,22 @@ Command = Callable[..., tuple[int, str, str]]
 
 
 def failed(folder: Path, error: str, variant: str = "") -> BenchRow:
-    what = ParameterSet("octomap", variant, {})
-    return BenchRow(BenchCell(SequenceSpec("street"), what, "", "none"), folder, error=error)
+    parameter_set = ParameterSet("octomap", variant, {})
+    return BenchRow(BenchCell(SequenceSpec("street"), parameter_set, "", "none"), folder, error=error)
 
 
-def shown(what: object) -> str:
+def shown(item: object) -> str:
     console = Console(width=150, file=io.StringIO())
-    console.print(what)
+    console.print(item)
     return console.file.getvalue()
 
 
 @pytest.fixture
 def planned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """The tables of the benches that are typed; none runs."""
+    """The tables that the command passes to ``bench``, which does not run."""
     tables: list[dict[str, Any]] = []
 
-    def bench(table: dict[str, Any], out: Path, **how: object) -> Leaderboard:
+    def bench(table: dict[str, Any], out: Path, **options: object) -> Leaderboard:
         tables.append(table)
         return Leaderboard([])
 
@@ -42,16 +42,14 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return tables
 
 
-def test_a_seed_of_zero_takes_the_place_of_the_files_too(
-    run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
-) -> None:
+def test_a_seed_of_zero_overrides_the_file(run_command: Command, planned: list[dict[str, Any]], tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text('[search]\nkind = "bayes"\nseed = 5\n')
     for typed, seed in (([], 5), (["--seed", 0], 0), (["--seed", 3], 3)):
         assert run_command("bench", tmp_path / "bench.toml", "-o", tmp_path, *typed)[0] == 0
         assert planned[-1]["search"]["seed"] == seed
 
 
-def test_a_cluster_takes_the_place_of_the_files_workers(
+def test_a_scheduler_overrides_the_workers_of_the_file(
     run_command: Command, planned: list[dict[str, Any]], tmp_path: Path
 ) -> None:
     (tmp_path / "bench.toml").write_text('workers = 4\nrecord = "scores"\n')
@@ -70,38 +68,36 @@ def test_a_seed_below_zero_is_refused(run_command: Command, tmp_path: Path) -> N
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
 
 
-def test_an_error_is_shown_as_it_is(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_error_is_shown_unchanged(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     row = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]")
     board, live = Leaderboard([row]), ProgressBars()
-    live.preparing("reading [/street]", 1, 2)
+    live.preparing("read [/street]", 1, 2)
     live.running(row.cell, "label [/2]", 1, 2)
     texts = [shown(live._table())]
     live.ended(row)
     texts += [shown(live._table()), shown(board)]
     assert all("octomap-act=[auto]" in text for text in texts)
-    assert all("reading [/street] 1/2" in text for text in texts[:2])
-    assert "label [/2] 1/2" in texts[0]
+    assert all("read [/street] 1/2 frames" in text for text in texts[:2])
+    assert "label [/2] 1/2 frames" in texts[0]
     assert all("no [auto] at [/tmp/x]" in text for text in texts[1:])
-    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **options: board)
     code, out, _ = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
     assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
 
 
-def test_the_file_that_tells_what_went_wrong_exists(
-    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_named_error_file_exists(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     board = Leaderboard([failed(tmp_path, "cannot be read")])
-    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: board)
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **options: board)
     for name in ("error.json", "error.log"):
         (tmp_path / name).touch()
         assert f"{name}. The same command" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
 
 
 @pytest.mark.parametrize("variant", ["", "resolution=0.2"])
-def test_trials_that_failed_are_told(
+def test_failed_trials_are_counted(
     run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, variant: str
 ) -> None:
-    found = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
-    monkeypatch.setattr(bench_module, "bench", lambda *given, **how: Leaderboard([], found=[found]))
+    result = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
+    monkeypatch.setattr(bench_module, "bench", lambda *given, **options: Leaderboard([], searches=[result]))
     assert "of 7 trials (2 failed)" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]

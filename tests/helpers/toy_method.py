@@ -1,4 +1,4 @@
-"""A toy method from another package, little sequences as files, and a runner of cells without processes."""
+"""A toy method from another package, small sequences as files, and an executor without processes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from dynaviz.io.pcd import write_pcd
 from helpers.worlds import room
 
 TOY = '''
-"""Removes what lies between the ground and a height; and misbehaves when told to."""
+"""Removes points between the ground and a height; ``act`` makes it misbehave."""
 import os, signal, time
 from dataclasses import dataclass
 import numpy as np
-from dynaviz.method import MethodInfo, Reason
+from dynaviz.method import Labels, MethodInfo, Reason
 
 @dataclass(frozen=True)
 class Params:
@@ -49,23 +49,21 @@ class Toy:
             raise ValueError("this method cannot")
         if act == "die":
             os.kill(os.getpid(), signal.SIGKILL)
-        if act == "wait":  # for a file
+        if act == "wait":  # until a file exists
             open(value + ".part", "w").write(f"{os.getpid()} {os.getppid()}")
             os.replace(value + ".part", value + ".pid")
             while not os.path.exists(value):
                 time.sleep(0.02)
 
     def label(self, scan):
-        return (scan.points[:, 2] > 0.02) & (scan.points[:, 2] < self.params.height)
-
-    def explain(self, scan):
-        return self.label(scan).astype(np.uint8)
+        dynamic = (scan.points[:, 2] > 0.02) & (scan.points[:, 2] < self.params.height)
+        return Labels(dynamic, dynamic.astype(np.uint8))
 '''
 
 
-def write_room(folder: Path, **how: int) -> Path:
-    """The little room in the public benchmark's layout."""
-    scans = room(**how).scans
+def write_room(folder: Path, **options: int) -> Path:
+    """Write the small room in the public benchmark's layout."""
+    scans = room(**options).scans
     for scan in scans:
         fields = {**dict(zip("xyz", scan.points.T, strict=True)), "intensity": np.zeros(len(scan), np.float32)}
         write_pcd(folder / f"pcd/{scan.index:06d}.pcd", fields, scan.T_world_sensor)
@@ -75,17 +73,17 @@ def write_room(folder: Path, **how: int) -> Path:
     return folder
 
 
-class Here:
-    """Runs cells in this process, one after the other; remembers which."""
+class InProcessExecutor:
+    """Runs cells one by one in this process and records their paths."""
 
     ran: ClassVar[list[str]] = []
 
-    def __init__(self, out: Path, workers: int, tell: object):
-        self._out, Here.ran = out, []
+    def __init__(self, out: Path, workers: int, report: object):
+        self._out, InProcessExecutor.ran = out, []
 
     def run(self, todo: Sequence[BenchCell]) -> Iterator[BenchCell]:
         for cell in todo:
-            Here.ran.append(cell.path.as_posix())
+            InProcessExecutor.ran.append(cell.path.as_posix())
             cells.clear(self._out / cell.path)
             try:
                 cells.run(cell, self._out / cell.path, 1)
@@ -94,8 +92,8 @@ class Here:
             yield cell
 
 
-def gone(pid: int) -> bool:
-    """Whether a process has ended, within some seconds."""
+def has_ended(pid: int) -> bool:
+    """Whether a process ends within 10 seconds."""
     until = time.monotonic() + 10
     while time.monotonic() < until:
         try:
@@ -106,8 +104,8 @@ def gone(pid: int) -> bool:
     return False
 
 
-def who(gate: Path) -> tuple[int, int]:
-    """The process that waits for a file, and its parent; once it does."""
+def waiting_process(gate: Path) -> tuple[int, int]:
+    """The process that waits for a file, and its parent; blocks until it waits."""
     file, until = gate.with_suffix(".pid"), time.monotonic() + 60
     while not file.exists() and time.monotonic() < until:
         time.sleep(0.02)
