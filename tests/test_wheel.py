@@ -65,7 +65,7 @@ def test_it_runs_outside_the_checkout(command: Command) -> None:
     command("dynaviz", "simulate", "demo", "street", "--frames", "5")
     told = command("dynaviz", "run", "erasor", "street", "-o", "run")
     assert "compiling kernels, first run only" in told
-    assert re.search(r"Look at it: \S*/bin/dynaviz view run/run.rrd$", told, re.MULTILINE), told
+    assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", told, re.MULTILINE), told
     assert "Warning" not in told
     assert " DA  Kept: " in command("dynaviz", "failures", "run/run.rrd")
     command("dynaviz", "report", "run", "-o", "report.html")

@@ -1,4 +1,4 @@
-"""The command line: one file per verb, thin. Nothing heavy is imported before a verb needs it."""
+"""The command line: one small file per command. Heavy modules are imported only by the commands that need them."""
 
 from __future__ import annotations
 
@@ -37,46 +37,53 @@ from dynaviz.cli import (
 )
 from dynaviz.errors import DynavizError, UsageError
 
-WRONG_USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the copy of it that typer has
+try:
+    from typer import TyperException as CommandLineError
+except ImportError:  # earlier versions of typer raise the exceptions of click
+    from click import ClickException as CommandLineError  # type: ignore[assignment]
 
 
 class Commands(TyperGroup):
-    """The verbs; wrong words after one are told in a line, as all else that a user can cause."""
+    """All commands. Wrong usage gives one line, like every other error that a user can cause."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the verb that was typed."""
+        """Run the chosen command."""
         try:
             return super().invoke(ctx)
-        except WRONG_USAGE as error:
+        except CommandLineError as error:
             problem = error.format_message().replace("Value error, ", "")
-            help = f"{(error.ctx or ctx).command_path} --help"
+            context = getattr(error, "ctx", None) or ctx  # only errors of usage have a context
             end = "" if problem.endswith((".", "?")) else "."
-            raise UsageError(f"{problem[0].lower()}{problem[1:]}{end} Examples: {help}") from error
+            text = f"{problem[0].lower()}{problem[1:]}{end} For examples run: {context.command_path} --help"
+            raise UsageError(text) from error
 
 
 app = typer.Typer(
     name="dynaviz",
     cls=Commands,
-    help="Clean LiDAR maps of moving objects, score the cleaning point by point, and replay every mistake.",
+    help="Remove dynamic points from LiDAR maps, score the result point by point, and replay every error.",
     epilog="Start with: dynaviz demo",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-VERBS = (
+COMMANDS = (
     demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, download, convert,
     export_labels, view, shot, repair
 )  # fmt: skip
-for verb in VERBS:
-    verb.add_to(app)
+for command in COMMANDS:
+    command.add_to(app)
 
 
 def main() -> None:
-    """Run a command; exit 0 done, 1 a check fell, 2 wrong usage or unusable input, 130 interrupted, 143 terminated."""
+    """Run a command.
+
+    Exit codes: 0 done, 1 a check failed, 2 wrong usage or unusable input, 130 interrupted, 143 terminated.
+    """
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        with _warnings_in_lines():
+        with _one_line_warnings():
             app(standalone_mode=True)
     except DynavizError as error:
         if os.environ.get("DYNAVIZ_DEBUG"):
@@ -91,16 +98,16 @@ def main() -> None:
 
 
 @contextlib.contextmanager
-def _warnings_in_lines() -> Iterator[None]:
-    """Tell each warning to users in a line, once; those to programmers come as Python shows them."""
-    told, shown = set(), warnings.showwarning
+def _one_line_warnings() -> Iterator[None]:
+    """Print each warning for users once, in one line. Warnings for programmers keep Python's format."""
+    printed, showwarning = set(), warnings.showwarning
 
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *location: Any, **options: Any) -> None:
         line = f"dynaviz: warning: {str(message).removesuffix('.')}."
         if not issubclass(category, UserWarning):
-            shown(message, category, *place, **more)
-        elif line not in told:
-            told.add(line)
+            showwarning(message, category, *location, **options)
+        elif line not in printed:
+            printed.add(line)
             print(line, file=sys.stderr)
 
     with warnings.catch_warnings():
@@ -110,7 +117,7 @@ def _warnings_in_lines() -> Iterator[None]:
 
 
 def _notes(error: BaseException | None) -> Iterator[str]:
-    """What was added to an error on its way here, as where the rest of a recording lies; each once."""
+    """Notes that were added to an error, such as where a partial recording is; each once."""
     notes: dict[str, None] = {}
     while error is not None:
         notes |= dict.fromkeys(f"{note}." for note in getattr(error, "__notes__", ()))
@@ -119,5 +126,5 @@ def _notes(error: BaseException | None) -> Iterator[str]:
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
-    """End as by an exception, so that files are closed or removed."""
+    """Exit through an exception, so that open files are closed or removed."""
     sys.exit(128 + number)

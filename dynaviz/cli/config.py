@@ -13,20 +13,24 @@ from dynaviz.cli.console import show
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("config")(config)
 
 
 def config(
-    method: Annotated[str, typer.Argument(help="A method's name (dynaviz list methods).")],
-    preset: Annotated[str | None, typer.Option(help="Published parameters (dynaviz list presets).")] = None,
-    file: Annotated[Path | None, typer.Option("--config", help="TOML file with parameters.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter; may be repeated.")
+    method: Annotated[str, typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.")],
+    preset: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Published parameter set; see 'dynaviz list presets'.")
     ] = None,
-    sensor: Annotated[str | None, typer.Option(help="Also show the facts of a sensor (dynaviz list sensors).")] = None,
+    file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="TOML file with parameters.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
+    ] = None,
+    sensor: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Also show this sensor; see 'dynaviz list sensors'.")
+    ] = None,
 ) -> None:
-    """Show every parameter of a method, its value, and which layer set it.
+    """Show the parameters of a method, their values, and where each value is set.
 
     \b
     dynaviz config octomap_gf
@@ -44,7 +48,7 @@ def config(
         table.add_row(field.name, json.dumps(getattr(resolved.params, field.name)), resolved.source[field.name])
     show(table)
     if sensor:
-        facts = Table("fact", "value", title=f"sensor {sensor}", title_justify="left")
+        properties = Table("property", "value", title=f"sensor {sensor}", title_justify="left")
         for name, value in dataclasses.asdict(load_sensor(sensor)).items():
-            facts.add_row(name, repr(value))
-        show(facts)
+            properties.add_row(name, repr(value))
+        show(properties)

@@ -13,13 +13,15 @@ from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Str
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("convert")(convert)
 
 
 def convert(
-    sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder or bag; FORMAT:PATH forces its format.")],
-    out: Annotated[Path, typer.Argument(help="Folder for the copy; must not exist.")],
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
+    ],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder. Must not exist.")],
     frames: Frames = None,
     stride: Stride = 1,
     sensor: SensorName = None,
@@ -27,26 +29,26 @@ def convert(
     points_in: PointsIn = None,
     deskew: Deskew = None,
 ) -> None:
-    """Write any sequence in the public benchmark's layout, for other tools and for sharing.
+    """Convert a sequence to the public benchmark's layout.
 
     \b
     dynaviz convert kitti/sequences/08 out/08 --frames 0:100
     dynaviz convert path/to/scans out/mine --poses trajectory.tum --sensor vlp16
     dynaviz convert "drive.bag#/velodyne_points" out/drive --poses map
 
-    It has pcd/NNNNNN.pcd (points in the world frame, the sensor's pose in VIEWPOINT), gt_cloud.pcd where there is
-    ground truth (intensity 0 static, 1 dynamic, 255 unlabelled), and sequence.toml with the name, sensor and classes.
-    The data do not lose the licence they came under.
+    Writes pcd/NNNNNN.pcd (points in the world frame, sensor pose in VIEWPOINT), sequence.toml (name, sensor and
+    classes) and, if there is ground truth, gt_cloud.pcd (intensity 0 static, 1 dynamic, 255 unlabelled). The original
+    licence still applies to the copy.
     """
     from dynaviz.datasets.convert import convert as write
 
     opened = open_sequence(
         sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew
     )
-    with progress(f"converting {opened.name}") as tell:
-        done = write(opened, out, lambda frame, total: tell("frames", frame, total))
+    with progress(f"convert {opened.name}") as report:
+        done = write(opened, out, lambda frame, total: report("write", frame, total))
     for remark in done.remarks():
         warnings.warn(remark, stacklevel=1)
-    poses_ = "poses bit for bit" if done.pose_error == 0 else f"poses to {done.pose_error:.0e}"
-    show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {poses_}.")
-    show(f"Next: {program()} run octomap_gf {out}")
+    accuracy = "poses bit for bit" if done.pose_error == 0 else f"largest pose error {done.pose_error:.0e}"
+    show(f"Written to {out}: {done.frames:,} frames, {done.points:,} points, {accuracy}.")
+    show(f"Next: {program()} run METHOD {out}")

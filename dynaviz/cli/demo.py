@@ -14,20 +14,22 @@ from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("demo")(demo)
 
 
 def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the sequence and the recordings.")] = Path(
+    out: Annotated[Path, typer.Option("-o", "--out", help="Output folder for the sequence and the runs.")] = Path(
         "recordings/demo"
     ),
     view: Annotated[
         bool | None,
-        typer.Option("--view/--no-view", help="Open the best run in a viewer. [default: where there is a screen]"),
+        typer.Option("--view/--no-view", help="Open the best run in the viewer. [default: if there is a display]"),
     ] = None,
 ) -> None:
-    """Simulate a street, clean it with every method, score and record each run.
+    """Simulate a street and run every method on it.
+
+    Each run is scored and recorded, and the best two are compared.
 
     \b
     dynaviz demo
@@ -36,42 +38,42 @@ def demo(
     from dynaviz import api, registry
     from dynaviz.params import read_toml
     from dynaviz.precompile import compiling
-    from dynaviz.results.tables import result_table
+    from dynaviz.results.result import result_table
     from dynaviz.simulate import simulate
 
     folder = out / "street"
     facts = folder / "sequence.toml"
-    if facts.is_file() and "generator" in read_toml(facts):  # of an earlier demo; a user's data stays
+    if facts.is_file() and "generator" in read_toml(facts):  # from an earlier demo; never delete a user's data
         shutil.rmtree(folder)
     names = list(registry.loadable("methods"))
-    with compiling(), progress("simulating a street") as tell:
-        simulate("demo", folder, progress=lambda done, total: tell("frames", done, total))
+    with compiling(), progress("street") as report:
+        simulate("demo", folder, progress=lambda done, total: report("simulate", done, total))
     results = []
     for name in names:
-        with progress(name) as tell:
-            results.append(api.run(name, api.open(folder), out=out / name, command="dynaviz demo", progress=tell))
+        with progress(f"{name} on street") as report:
+            results.append(api.run(name, api.open(folder), out=out / name, command="dynaviz demo", progress=report))
     best, second = sorted(results, key=lambda result: -(result.metrics.get("AA") or 0.0))[:2]
     recording, comparison = out / best.method / "run.rrd", out / "compare.rrd"
-    with progress("comparing the best two") as tell:
-        api.compare(out / second.method / "run.rrd", recording, out=comparison, progress=tell)
-    again = program()
+    with progress("compare the best two", unit="recordings") as report:
+        api.compare(out / second.method / "run.rrd", recording, out=comparison, progress=report)
+    command = program()
     show(
         result_table(results),
-        f"A recording of each run is in {out}/METHOD/run.rrd. What to type next:",
-        f"  {again} failures {recording}",
-        f"  {again} view {recording}",
-        f"  {again} shot {recording} -o {best.method}.png    (without a screen)",
-        f"  {again} view {comparison}    (how {best.method} differs from {second.method})",
-        f"  {again} run {best.method} PATH/TO/YOUR/SEQUENCE",
+        f"The recording of each run is {out}/METHOD/run.rrd. Next steps:",
+        f"  {command} failures {recording}",
+        f"  {command} view {recording}",
+        f"  {command} shot {recording} -o {best.method}.png    (without a display)",
+        f"  {command} view {comparison}    (how {best.method} differs from {second.method})",
+        f"  {command} run {best.method} PATH/TO/YOUR/SEQUENCE",
     )
-    if view or (view is None and somebody_looks()):
+    if view or (view is None and should_open_viewer()):
         from dynaviz.viz.view import view as open_viewer
 
         open_viewer([recording])
 
 
-def somebody_looks() -> bool:
-    """Whether a window can open and a person sits before it."""
+def should_open_viewer() -> bool:
+    """Whether a window can open and the session is interactive."""
     from dynaviz.viz.viewer import has_screen
 
     return has_screen() and sys.stdout.isatty() and "CI" not in os.environ

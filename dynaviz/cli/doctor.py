@@ -12,22 +12,26 @@ from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("doctor")(doctor)
 
 
 def doctor(
-    sequence: Annotated[str, typer.Argument(metavar="SEQ", help="A folder; FORMAT:PATH forces its format.")],
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
+    ],
     frames: Frames = None,
     sensor: SensorName = None,
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
     out: Annotated[
-        Path | None, typer.Option("--json", metavar="F", help="Write the findings to a file as well.")
+        Path | None, typer.Option("--json", metavar="FILE", help="Also write the findings to a JSON file.")
     ] = None,
 ) -> None:
-    """Say what is wrong with a sequence, and what mends it: exit 0 nothing found, 1 findings, 2 unreadable.
+    """Diagnose a sequence and suggest fixes.
+
+    Exit code 0: nothing found, 1: findings, 2: the data cannot be read.
 
     \b
     dynaviz doctor path/to/sequence
@@ -41,10 +45,10 @@ def doctor(
     from dynaviz.io.atomic import write_atomic
 
     opened = open_sequence(sequence, frames=frames, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
-    with progress(f"doctor on {opened.name}") as tell:
-        found = examine(opened, progress=tell)
-    show(found)
+    with progress(f"doctor on {opened.name}") as report:
+        diagnosis = examine(opened, progress=report)
+    show(diagnosis)
     if out:
-        write_atomic(out, json.dumps(found.to_dict(), indent=1, allow_nan=False).encode())
-    if not found.sound:
+        write_atomic(out, json.dumps(diagnosis.to_dict(), indent=1, allow_nan=False).encode())
+    if not diagnosis.ok:
         raise typer.Exit(1)

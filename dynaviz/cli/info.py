@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import typer
 
@@ -15,18 +16,33 @@ if TYPE_CHECKING:
     from dynaviz.scan import Sequence
 
 
+@runtime_checkable
+class HasFacts(Protocol):
+    """A sequence with further facts, such as the topic of a bag or the number of tracks."""
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """Name and value, as ``dynaviz info`` shows them."""
+        ...
+
+
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("info")(info)
 
 
 def info(
-    what: Annotated[str, typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json")],
+    path: Annotated[
+        str,
+        typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json", help="Sequence (FORMAT:PATH forces the format) or file."),
+    ],
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
 ) -> None:
-    """Say what a sequence, a recording or a result is.
+    """Describe a sequence, a recording or a result.
+
+    For a sequence this shows the detected format, the sensor, the numbers of frames and points, and the extent.
 
     \b
     dynaviz info path/to/sequence
@@ -34,59 +50,61 @@ def info(
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
     """
-    suffix = Path(what).suffix
+    suffix = Path(path).suffix
     if suffix == ".json":
         from dynaviz.results.result import Result
 
-        _show_result(Result.load(what))
-    elif suffix == ".rrd" or what.endswith(".rrd.part"):
+        _show_result(Result.load(path))
+    elif suffix == ".rrd" or path.endswith(".rrd.part"):
         from dynaviz.viz.reader import RunRecording, read
 
-        recording = read(what)
-        _show_pairs(what, recording.facts())
+        recording = read(path)
+        _show_pairs(path, recording.facts())
         if isinstance(recording, RunRecording) and recording.result is not None:
             _show_result(recording.result)
     else:
-        _show_pairs(what, _sequence_facts(open_sequence(what, poses=poses, points_in=points_in, deskew=deskew)))
+        _show_pairs(path, _sequence_facts(open_sequence(path, poses=poses, points_in=points_in, deskew=deskew)))
 
 
 def _show_result(result: Result) -> None:
     from rich.table import Table
 
+    from dynaviz.results.sections import Reasons
+
     show(result)
-    reasons = result.sections.get("reasons", {})
+    reasons = result.sections.reasons or Reasons()
     for outcome, meaning in (("false_positive", "static points removed"), ("false_negative", "dynamic points kept")):
         table = Table("reason", "points", box=None)
-        for name, count in sorted(reasons.get(outcome, {}).items(), key=lambda pair: -pair[1]):
+        for name, count in sorted(getattr(reasons, outcome).items(), key=lambda pair: -pair[1]):
             table.add_row(name, f"{count:,}")
         if table.row_count:
-            show(f"\n{meaning}, by reason", table)
+            show(f"\n{meaning.capitalize()}, by reason", table)
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
     from dynaviz.engine.summary import summarize
 
-    with progress(sequence.name) as tell:
-        seen = summarize(sequence, lambda done: tell("reading", done, len(sequence)))
-    low, high = seen.extent.low, seen.extent.high
+    with progress(sequence.name) as report:
+        summary = summarize(sequence, lambda done: report("read", done, len(sequence)))
+    low, high = summary.extent.low, summary.extent.high
     return {
         "name": sequence.name,
         "format": type(sequence).__name__,
         "sensor": f"{sequence.sensor.name} ({sequence.sensor.title})",
-        "frames": f"{seen.frames:,}",
-        "points": f"{seen.points:,} ({seen.points // max(seen.frames, 1):,} a frame)",
+        "frames": f"{summary.frames:,}",
+        "points": f"{summary.points:,} ({summary.points // max(summary.frames, 1):,} per frame)",
         "ground truth": "yes" if sequence.has_labels else "no",
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
-        "digest": seen.digest,
-        **getattr(sequence, "facts", {}),
+        "digest": summary.digest,
+        **(sequence.facts if isinstance(sequence, HasFacts) else {}),
     }
 
 
 def _show_pairs(title: str, facts: dict[str, str]) -> None:
     from rich.table import Table
 
-    table = Table("what", "value", title=title, title_justify="left", show_header=False)
+    table = Table("name", "value", title=title, title_justify="left", show_header=False)
     for name, value in facts.items():
         table.add_row(name, value)
     show(table)

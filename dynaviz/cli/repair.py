@@ -12,26 +12,27 @@ from dynaviz.cli.console import program, show
 if TYPE_CHECKING:
     from dynaviz.viz.repair import SalvagedRecording
 
-IN_PART, NOTHING = 3, 1
+PARTIAL, NOTHING = 3, 1
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("repair")(repair)
 
 
 def repair(
     broken: Annotated[
-        Path, typer.Argument(metavar="BROKEN.rrd", help="A recording that was cut off, or .run.rrd.part.")
+        Path, typer.Argument(metavar="BROKEN.rrd", help="Truncated recording, or the .run.rrd.part of a killed run.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Where to write it. [default: run.rrd of .run.rrd.part, or run-repaired.rrd]"),
+        typer.Option("-o", "--out", help="Output file. [default: run.rrd for .run.rrd.part, else run-repaired.rrd]"),
     ] = None,
 ) -> None:
-    """Salvage a recording whose writer was killed. The broken file stays as it is.
+    """Recover a recording whose writer was killed.
 
-    Exit 0: nothing to do, or no frame is missing; 3: some are; 1: nothing was left.
+    The input file is not changed. Exit code 0: nothing to do, or no frame is missing, 3: frames are missing, 1: no
+    frame could be recovered.
 
     \b
     dynaviz repair recordings/demo/octomap/.run.rrd.part
@@ -39,25 +40,30 @@ def repair(
     """
     from dynaviz.viz.repair import repair as salvage
 
-    found = salvage(broken, out)
-    for line in _words(broken, found):
+    salvaged = salvage(broken, out)
+    for line in _summary(broken, salvaged):
         show(line)
-    if not found.whole and found.path != broken:
-        raise typer.Exit(NOTHING if found.path is None else IN_PART)
+    if not salvaged.whole and salvaged.path != broken:
+        raise typer.Exit(NOTHING if salvaged.path is None else PARTIAL)
 
 
-def _words(broken: Path, found: SalvagedRecording) -> list[str]:
-    """What was salvaged, and what to do next."""
-    again = "Run the method again for the rest: it writes every file of the run anew."
-    if found.path is None:
-        first = f"the first of its {found.frames} frames" if found.frames else "its first frame"
-        return [f"Nothing to salvage in {broken}: it ends before {first}.", "Run the method again."]
-    look = f"Look at it: {program()} view {found.path}"
-    if found.path == broken:
-        head = f"Nothing to do: {broken} opens as it is, with {found.answered} of {found.frames} frames."
-        return [head, look] if found.finished else [head, look, again]
-    if not found.answered:
-        head = f"Salvaged what the method showed in {found.observed} of {found.frames} frames, before its first answer."
+def _summary(broken: Path, salvaged: SalvagedRecording) -> list[str]:
+    """What was recovered, and what to do next."""
+    if salvaged.path is None:
+        first = f"the first of its {salvaged.frames} frames" if salvaged.frames else "its first frame"
+        return [f"Nothing to recover in {broken}: it ends before {first}.", "Run the method again."]
+    if salvaged.path == broken:
+        head = f"Nothing to do: {broken} can be opened, with {salvaged.answered} of {salvaged.frames} frames."
     else:
-        head = f"Salvaged {found.answered} of {found.frames} frames{', and the result' if found.finished else ''}."
-    return [f"{head} Written to {found.path}.", look, *([] if found.finished else [again])]
+        head = f"{_recovered(salvaged)} Written to {salvaged.path}."
+    lines = [head, f"Open it with: {program()} view {salvaged.path}"]
+    if not salvaged.finished:
+        lines.append("Run the method again for the missing frames; it writes all files of the run again.")
+    return lines
+
+
+def _recovered(salvaged: SalvagedRecording) -> str:
+    if not salvaged.answered:
+        return f"Recovered the states of {salvaged.observed} of {salvaged.frames} frames; no frame has labels yet."
+    result = " and the result" if salvaged.finished else ""
+    return f"Recovered {salvaged.answered} of {salvaged.frames} frames{result}."

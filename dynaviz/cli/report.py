@@ -12,26 +12,22 @@ from dynaviz.cli.console import progress
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("report")(report)
 
 
 def report(
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR...", help="Folders with results in or below them, or result.json files."),
+        typer.Argument(metavar="DIR...", help="Result files, or folders to search for them."),
     ],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="The file to write. [default: standard output]")
-    ] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Output file. [default: standard output]")] = None,
     format: Annotated[
         str | None,
-        typer.Option(
-            help="html, md, latex, csv, or another that is installed. [default: by the suffix of -o, else md]"
-        ),
+        typer.Option(help="html, md, latex, csv or an installed plug-in. [default: by the suffix of -o, else md]"),
     ] = None,
 ) -> None:
-    """Write tables and figures of one or many results.
+    """Write tables and figures of one or more results.
 
     \b
     dynaviz report recordings/demo -o report.html
@@ -40,8 +36,8 @@ def report(
     """
     from dynaviz.reporting import report as write_report
 
-    with progress("report") as tell:
-        text = write_report(*results, out=out, format=format, progress=tell)
+    with progress("report", unit="steps") as show_progress:
+        text = write_report(*results, out=out, format=format, progress=show_progress)
     if out is None:
         sys.stdout.write(text)
     else:

@@ -11,21 +11,26 @@ from dynaviz.cli.console import show
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("shot")(shot)
 
 
 def shot(
-    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd")],
+    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd", help="Recording of a run.")],
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="The picture; with several frames, the number is put before .png.")
+        Path,
+        typer.Option(
+            "-o", "--out", help="Output image. With several frames, the frame number is inserted before .png."
+        ),
     ],
     frames: Annotated[
-        list[int] | None, typer.Option("--frame", metavar="N", help="A frame; may be repeated. [default: the last]")
+        list[int] | None, typer.Option("--frame", metavar="N", help="Frame to render. Repeatable. [default: the last]")
     ] = None,
-    view_name: Annotated[str | None, typer.Option(help="Only this view. [default: the whole window]")] = None,
+    view_name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Render only this view. [default: the whole window]")
+    ] = None,
 ) -> None:
-    """Render pictures of a recording without a screen.
+    """Render images of a recording without a display.
 
     \b
     dynaviz shot recordings/demo/octomap/run.rrd --frame 30 -o octomap.png

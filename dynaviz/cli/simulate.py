@@ -11,17 +11,21 @@ from dynaviz.cli.console import program, progress, show
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("simulate")(simulate)
 
 
 def simulate(
-    preset: Annotated[str, typer.Argument(help="A scene with its sensor (dynaviz list scenes).")],
-    out: Annotated[Path, typer.Argument(help="Folder for the sequence; must not exist.")],
-    frames: Annotated[int | None, typer.Option(min=1, help="How many sweeps. [default: the scene's own]")] = None,
-    seed: Annotated[int, typer.Option(help="Another seed, another scene; the same seed, the same bytes.")] = 0,
+    preset: Annotated[str, typer.Argument(metavar="SCENE", help="Scene with its sensor; see 'dynaviz list scenes'.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder. Must not exist.")],
+    frames: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of sweeps. [default: set by the scene]")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Random seed. The same seed gives identical files.")] = 0,
 ) -> None:
-    """Write a simulated sequence with exact ground truth, in the public benchmark's layout.
+    """Simulate a sequence with exact ground truth.
+
+    Writes it in the public benchmark's layout.
 
     \b
     dynaviz simulate street_hdl64 out/street
@@ -29,6 +33,8 @@ def simulate(
     """
     from dynaviz.simulate import simulate as write
 
-    with progress(f"simulating {preset}") as tell:
-        folder = write(preset, out, frames=frames, seed=seed, progress=lambda done, total: tell("frames", done, total))
-    show(f"Written to {folder}. Next: {program()} run octomap_gf {folder}")
+    with progress(preset) as report:
+        folder = write(
+            preset, out, frames=frames, seed=seed, progress=lambda done, total: report("simulate", done, total)
+        )
+    show(f"Written to {folder}. Next: {program()} run METHOD {folder}")

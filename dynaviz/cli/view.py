@@ -9,14 +9,14 @@ import typer
 
 
 def add_to(app: typer.Typer) -> None:
-    """Register the verb."""
+    """Register the command."""
     app.command("view")(view)
 
 
 def view(
     recordings: Annotated[list[Path], typer.Argument(metavar="RUN.rrd...", help="One or more recordings.")],
     web: Annotated[
-        bool, typer.Option("--web", help="Serve to a browser on this machine instead of opening a window.")
+        bool, typer.Option("--web", help="Show them in a browser on this machine instead of a window.")
     ] = False,
 ) -> None:
     """Open recordings in the viewer.

@@ -35,7 +35,7 @@ def mirror(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ite
     handler = type("Quiet", (SimpleHTTPRequestHandler,), {"log_message": lambda *words: None})
     for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(fetch, "PAUSE", 0.0)
+    monkeypatch.setattr(fetch, "RETRY_DELAY", 0.0)
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=served)) as server:
         thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -55,7 +55,7 @@ def test_convert_takes_frames_and_sensor(run_command: Command, folder: Path, tmp
     )
     assert code == 0, err
     assert "2 frames, 2,000 points, poses bit for bit" in out
-    assert "frames 2/2" in err
+    assert "write 2/2 frames" in err
     assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == ["000011.pcd", "000013.pcd"]
     assert 'sensor = "vlp16"' in (tmp_path / "x/sequence.toml").read_text()
     code, _, err = run_command("convert", folder, tmp_path / "x")
@@ -98,14 +98,14 @@ def test_download(run_command: Command, mirror: str, tmp_path: Path, monkeypatch
     code, out, err = run_command("download", "05", "-o", tmp_path / "data", "--url", mirror)
     assert code == 0, err
     assert "KITTI 05" in out
-    assert "unpacking, files 6/6" in err
+    assert "unpack 6/6 files" in err
     code, out, _ = run_command("info", tmp_path / "data/05")
     assert (code, "4,000" in out) == (0, True)
     monkeypatch.setenv("DYNAVIZ_DOWNLOAD_URL", mirror)
     code, _, err = run_command("download", "00", "-o", tmp_path / "data")
-    assert (code, "00.zip: cannot be fetched (404" in one_line(err)) == (2, True)
+    assert (code, "00.zip: download failed (404" in one_line(err)) == (2, True)
     code, _, err = run_command("download", "moon")
-    assert (code, "Known: 00 (385 MB)" in one_line(err)) == (2, True)
+    assert (code, "Available: 00 (385 MB)" in one_line(err)) == (2, True)
 
 
 @pytest.mark.parametrize("verb", ["convert", "export-labels", "download"])

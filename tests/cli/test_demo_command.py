@@ -10,6 +10,7 @@ import pytest
 
 from dynaviz import api, precompile, simulate
 from dynaviz.results.result import Result
+from dynaviz.results.sections import SequenceInfo
 
 
 def test_a_broken_method_is_left_out(
@@ -21,7 +22,7 @@ def test_a_broken_method_is_left_out(
     for module, name in ((simulate, "simulate"), (api, "open"), (api, "compare")):
         monkeypatch.setattr(module, name, lambda *given, **how: None)
     monkeypatch.setattr(precompile, "compiling", contextlib.nullcontext)
-    monkeypatch.setattr(api, "run", lambda name, *given, **how: Result(name, {}, {"name": "street"}))
+    monkeypatch.setattr(api, "run", lambda name, *given, **how: Result(name, {}, SequenceInfo("street")))
     code, out, err = run_command("demo", "-o", tmp_path, "--no-view")
     assert code == 0, err
     assert "dynaviz: warning: method 'a_broken_one'" in err

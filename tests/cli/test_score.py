@@ -83,7 +83,7 @@ def test_without_ground_truth_no_failure_is_told(run_command: Command, folder: P
     assert run_command("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
     code, _, err = run_command("failures", tmp_path / "result.json")
     assert code == 2
-    assert "without ground truth" in err
+    assert "has no ground truth" in err
 
 
 def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder:
         ("clean.pcd room --name a/b", "name"),
         ("absent.pcd room", "absent.pcd"),
         ("cut.pcd room", "cut.pcd, byte"),
-        ("empty.pcd room", "empty.pcd: has no point"),
+        ("empty.pcd room", "empty.pcd: contains no points"),
         ("notes.txt room", "notes.txt"),
     ],
 )
