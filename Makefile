@@ -23,19 +23,13 @@ types: .venv/.dev
 CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck
 boundscheck: .venv/.dev  # test the kernels with bounds checking
 	$(CHECKED) $(BIN)/python -m dynaviz.precompile
-	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) \
-		-k 'not golden and not report and (not conforms or survives or keeps_points)' tests/kernels tests/methods tests/eval \
-		tests/testing tests/laws/test_places.py tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
+	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) -m boundscheck
 
 # Coverage cannot see the lines of compiled kernels, so their tests on small worlds run again as plain Python. Plain Python warns
 # when integers overflow, and cannot convert NaN to an integer. tests/README.md lists what this leaves out.
-PLAIN := not finite and (odd_scans or log_odds or lines_protect or box_goes or empty or few_points or lzf or touched or \
-	of_a_pixel or key_set or lower_edge or limit_itself or all_pairs or outliers or steep or components or \
-	dilation or seethrough_keeps)
 coverage: .venv/.dev
 	$(BIN)/pytest -q $(ALL_CORES) --cov --cov-report=
-	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning \
-		-k '$(PLAIN)' tests/kernels tests/methods tests/eval tests/spatial/test_grid.py tests/spatial/test_nearest.py tests/io/test_pcd.py
+	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning -m plain
 
 mutants: .venv/.dev  # change the evaluation in one place at a time; list the changes that its tests miss
 	$(BIN)/python tests/mutants.py

@@ -7,6 +7,8 @@ from dynaviz.method import Cause, Reason
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.cases import Cases, summed
 
+pytestmark = pytest.mark.boundscheck
+
 REASONS = (
     Reason("crossed", "rays", Cause.GRAZING_RAYS),
     Reason("crossed_often", "rays as well", Cause.GRAZING_RAYS),

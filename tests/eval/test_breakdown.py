@@ -9,6 +9,8 @@ import pytest
 from dynaviz_eval.breakdown import Breakdown, heights_above_ground
 from dynaviz_eval.confusion import Counts
 
+pytestmark = pytest.mark.boundscheck
+
 COUNTED = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")
 
 
@@ -32,6 +34,7 @@ def test_every_list_adds_up_to_the_total(info, make_labelled):
     assert section["frame"][0]["SA"] == Counts.of(frames[0].outcome).SA
 
 
+@pytest.mark.plain
 def test_ranges_are_from_the_sensor_and_include_their_lower_edge(info, make_labelled):
     pose = np.eye(4)
     pose[:3, 3] = 1000, 0, 0
@@ -54,6 +57,7 @@ def test_ranges_are_three_dimensional(info, make_labelled):
     assert [row["static_kept"] for row in section["range"]] == [0, 2, 1, 1, 0]
 
 
+@pytest.mark.plain
 def test_heights_include_their_lower_edge(info, make_labelled):
     z = np.array([0.0] * 30 + [-1, 0.1, 0.2, 0.5, 1, 1.9, 2, 4, 9])
     points = np.c_[np.full((len(z), 2), 0.5), z]

@@ -1,8 +1,11 @@
 """Rows of cases: their fields, and when cases are dropped."""
 
 import numpy as np
+import pytest
 
 from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, summed
+
+pytestmark = pytest.mark.boundscheck
 
 
 def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, near_dynamic=False) -> None:

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from dynaviz.scan import Outcome, outcomes
 from dynaviz_eval.confusion import Confusion, Counts
 
+pytestmark = pytest.mark.boundscheck
+
 OUTCOMES = st.lists(st.sampled_from(list(Outcome)), max_size=60).map(lambda o: np.array(o, np.uint8))
 
 PAPER = {  # table "Quantitative comparison", KITTI 00, before rounding as the benchmark's scripts print it: SA, DA, AA

@@ -15,6 +15,8 @@ from dynaviz.scan import Outcome
 from dynaviz_eval.error_distance import EDGES, ErrorDistance, distances, summary
 from dynaviz_eval.spool import PointSpool
 
+pytestmark = pytest.mark.boundscheck
+
 
 def spool_of(clouds):
     spool = PointSpool()
@@ -51,6 +53,7 @@ def test_distances_span_frames(info, make_labelled):
     assert section["false_positive"] == dict.fromkeys(section["false_positive"]) | {"count": 0}  # no true negative
 
 
+@pytest.mark.plain
 def test_sections_equal_all_pairs_of_all_frames(info, make_labelled):
     frames = [make_labelled(k) for k in range(3)]
     section, histograms = run(info, *frames)

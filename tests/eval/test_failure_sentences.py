@@ -9,6 +9,8 @@ from dynaviz.scan import Outcome, Scan
 from dynaviz_eval.cases import KEEP
 from dynaviz_eval.failures import Failures
 
+pytestmark = pytest.mark.boundscheck
+
 SPOT = np.full((3, 3), 0.25)
 
 

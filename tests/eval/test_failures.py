@@ -15,6 +15,8 @@ from dynaviz.scan import Outcome, Scan
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 from dynaviz_eval.failures import Failures
 
+pytestmark = pytest.mark.boundscheck
+
 
 def cube(n: int = 50, seed: int = 0, x: float = 0.0) -> np.ndarray:
     return np.random.default_rng(seed).uniform([x, 0, 0], [x + 0.9, 0.9, 0.9], (n, 3))
@@ -32,6 +34,7 @@ def components(frames: list[np.ndarray]) -> list[frozenset[tuple[int, int]]]:
     return [frozenset(where[i] for i in np.flatnonzero(label == k)) for k in range(label.max() + 1)]
 
 
+@pytest.mark.plain
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10_000), n=st.integers(0, 40), frames=st.integers(1, 40), size=st.floats(1.0, 8.0))
 def test_cases_are_connected_components(seed, n, frames, size):

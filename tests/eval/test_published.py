@@ -6,6 +6,8 @@ import pytest
 
 from dynaviz_eval.published import published, published_runtimes, published_sequences
 
+pytestmark = pytest.mark.boundscheck
+
 ROWS = [(sequence, row) for sequence in published_sequences() for row in published(sequence)]
 
 

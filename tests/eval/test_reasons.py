@@ -8,6 +8,8 @@ import pytest
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.reasons import Reasons
 
+pytestmark = pytest.mark.boundscheck
+
 
 def test_wrong_points_are_counted_by_name(info, make_labelled):
     metric = Reasons(info)

@@ -7,6 +7,8 @@ from dynaviz.errors import DynavizError
 from dynaviz_eval.error_distance import LIMIT, distances
 from dynaviz_eval.spool import PointSpool
 
+pytestmark = pytest.mark.boundscheck
+
 
 def along(*frames) -> PointSpool:
     """A spool of frames, with points at these positions along x."""

@@ -9,6 +9,8 @@ from dynaviz.metric import Labelled
 from dynaviz.scan import Scan
 from dynaviz_eval.voxelwise import EDGE, Voxelwise
 
+pytestmark = pytest.mark.boundscheck
+
 INFO = MethodInfo("m", "M", "none", ())
 
 

@@ -15,6 +15,8 @@ from hypothesis.extra import numpy as hnp
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import ENCODINGS, PcdWriter, read_header, read_pcd, write_pcd
 
+pytestmark = pytest.mark.boundscheck
+
 KINDS = ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")
 in_one_folder = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -62,6 +64,7 @@ def test_every_layout_is_read_back_unchanged(tmp_path: Path, fields: dict[str, A
         np.testing.assert_array_equal(back[name], array)
 
 
+@pytest.mark.plain
 @in_one_folder
 @given(st.binary(max_size=5000) | st.binary(max_size=12).map(lambda b: b * 400))
 def test_lzf_is_lossless(tmp_path: Path, content: bytes) -> None:

@@ -10,6 +10,8 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid, voxels_of
 from dynaviz.spatial.extent import Extent
 
+pytestmark = pytest.mark.boundscheck
+
 places = arrays.arrays(
     np.float32,
     st.tuples(st.integers(1, 40), st.just(3)),
@@ -51,6 +53,7 @@ def test_a_map_of_kilometres_fits():
     assert (grid.locate(far) >= 0).all()
 
 
+@pytest.mark.plain
 def test_an_empty_extent_has_no_blocks():
     grid = BlockGrid(Extent(np.full(3, np.inf), np.full(3, -np.inf), np.zeros((0, 3), np.int32)), 0.1)
     assert len(grid) == 0

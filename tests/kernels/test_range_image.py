@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from dynaviz import kernels
 from dynaviz_methods.range_images import image_views, slices, whole
 
+pytestmark = pytest.mark.boundscheck
+
 RESOLUTIONS = (2.5, 0.7)
 TURNS = {"none": np.eye(3), "some": Rotation.from_euler("xyz", (0.1, -0.2, 2.5)).as_matrix()}
 
@@ -61,6 +63,7 @@ def test_every_point_falls_into_the_pixel_of_double_precision(span, turn, clamp)
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("lanes", [1, 2, 3, 7])
 def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
     random = np.random.default_rng(1)
@@ -82,6 +85,7 @@ def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
     assert [int(s.stop - s.start) for s in slices(views)] == [100 * 900, 28 * 252]
 
 
+@pytest.mark.plain
 def test_an_empty_cloud_makes_an_empty_image():
     views = image_views((1.0,), (-20.0, 20.0), (-180.0, 180.0))
     camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64), views, False

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -8,6 +9,8 @@ from dynaviz import kernels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
+
+pytestmark = pytest.mark.boundscheck
 
 RESOLUTION = 0.1
 REACH = 26  # cells of 0.8 m to each side: some super-blocks of 12.8 m
@@ -89,6 +92,7 @@ def test_many_rays_mark_what_each_marks_alone():
         kernels.set_threads(None)
 
 
+@pytest.mark.plain
 def test_each_touched_block_is_told_once_and_memory_is_clean_afterwards():
     random = np.random.default_rng(1)
     scan = along(random.uniform(-50, 50, (3000, 3)), random.uniform(-50, 50, (3000, 3)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from helpers.worlds import room
 
 from dynaviz.method import Context
@@ -10,7 +11,10 @@ from dynaviz.scan import Label
 from dynaviz.spatial.extent import Extent
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
+pytestmark = pytest.mark.boundscheck
 
+
+@pytest.mark.plain
 def test_seethrough_keeps_most_of_a_room_and_answers_for_every_point() -> None:
     scans = room(frames=4, rays=200).scans
     method = SeeThrough(SeeThroughParams(resolution=0.8, guard=1.6, gap=1.7, ground_height=0.8))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -19,6 +20,8 @@ from dynaviz.spatial.grid import in_key_range, pack, unpack, voxel_downsample
 from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.range_images import image_views, slices, whole
+
+pytestmark = pytest.mark.boundscheck
 
 some = settings(max_examples=30)
 numbers = st.floats(-100, 100, allow_subnormal=False)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers.marks import compiled_only
 from helpers.reference.beautymap import Reference
 
 from dynaviz import kernels
@@ -13,6 +14,8 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing.world import moved, turn
 from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
+
+pytestmark = pytest.mark.boundscheck
 
 EXTENT = Extent(np.zeros(3), np.zeros(3), np.zeros((0, 3), np.int32))
 
@@ -138,6 +141,7 @@ def test_no_scan_takes_back_what_another_splits():
         )
 
 
+@pytest.mark.plain
 def test_lines_protect_where_the_map_has_no_point_below_the_sensor():
     hole = floor()[(np.abs(floor()[:, :2]) > 1.5).any(1)]
     there = scan(0, np.concatenate([hole, post(0.6)]))
@@ -181,6 +185,7 @@ def test_each_step_keeps_what_it_is_for(reason, there, gone):
     assert names(method, scans[0])[-1] == reason
 
 
+@pytest.mark.plain
 def test_the_field_of_view_reaches_up_to_the_steepest_point_however_near():
     there = scan(0, np.concatenate([floor(), post(0.6, 1.1, 1.6, 2.1, 2.6, 3.1, 3.6)]))
     for near, reason in ((post(), "above_view"), (post(2.2, at=(0.4, 0.3)), "not_in_scan")):
@@ -202,13 +207,14 @@ def test_the_lowest_slice_is_ground():
     assert not run(scans).label(scans[0]).dynamic.any()
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     "points",
     [
         [],
         [(1.0, 2.0, 3.0)],
         [(0.0, 0.0, 1.7)],
-        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0), (1.0, 1.0, np.nan)],
+        pytest.param([(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0), (1.0, 1.0, np.nan)], marks=compiled_only),
         [(1e30, 0.0, 0.0), (4e4, 0.0, 0.0), (1.0, 1.0, 1.0), (5.0, 5.0, 1e30)],
     ],
     ids=["empty", "one", "at the sensor", "not finite", "beyond reach"],

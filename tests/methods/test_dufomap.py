@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers.marks import compiled_only
 from helpers.reference.dufomap import Reference, key
 
 from dynaviz import kernels
@@ -13,6 +14,8 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS
 from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dufomap import DufoMap, DufoMapParams
+
+pytestmark = pytest.mark.boundscheck
 
 
 def scan(index: int, points, origins=(0.0, 0.0, 0.0)) -> Scan:
@@ -125,6 +128,7 @@ def test_what_was_void_once_stays_so_whatever_the_order():
     assert np.concatenate(answers).sum() < by_the_end.sum()
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("values", [{}, {"min_range": 0.0}, {"min_range": 0.0, "resolution": 1.0}], ids=str)
 @pytest.mark.parametrize(
     "points",
@@ -133,7 +137,7 @@ def test_what_was_void_once_stays_so_whatever_the_order():
         [(1.0, 2.0, 3.0)],
         [(0.0, 0.0, 0.0)],
         [(0.05, 0.05, 0.05), (0.5, 0.5, 0.5)],
-        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)],
+        pytest.param([(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)], marks=compiled_only),
         [(1e30, 0.0, 0.0), (4000.0, 0.0, 0.0), (1.0, 1.0, 1.0)],
     ],
     ids=["empty", "one", "at the sensor", "on the sensor's voxel", "not finite", "beyond reach"],

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers.marks import compiled_only
 from helpers.reference.dynablox import Reference
 from helpers.worlds import pose
 
@@ -31,6 +32,8 @@ from dynaviz_methods.dynablox import (
     view_of,
 )
 from dynaviz_methods.free_space import SensorView
+
+pytestmark = pytest.mark.boundscheck
 
 SENSOR = Sensor(rings=20, elevation=(-40.0, 50.0))
 # Coarse enough for the plain reference, and so that the few rays of the room fill the image.
@@ -199,6 +202,7 @@ def test_every_reason_is_given():
     assert found | {REVOKED, OUT_OF_REACH} == set(range(len(REASONS)))  # these two have tests of their own
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     "points",
     [
@@ -206,7 +210,7 @@ def test_every_reason_is_given():
         [(1.0, 2.0, 3.0)],
         [(0.0, 0.0, 0.0)],
         [(0.0, 0.0, 5.0), (0.0, 0.0, -5.0)],
-        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)],
+        pytest.param([(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)], marks=compiled_only),
         [(1e30, 0.0, 0.0), (4000.0, 0.0, 0.0), (1.0, 1.0, 1.0)],
     ],
     ids=["empty", "one", "at the sensor", "overhead", "not finite", "beyond reach"],
@@ -225,6 +229,7 @@ def test_odd_scans_are_kept(points):
     np.testing.assert_array_equal(method.label(scans[-1]).reasons, expected)
 
 
+@pytest.mark.plain
 def test_an_empty_scan_between_others_forgets_nothing(room_scans):
     empty = Scan(99, np.empty((0, 3), np.float32), np.eye(4))
     method = run([*room_scans[:8], empty, *room_scans[8:]], extent=Extent.of(*room_scans))

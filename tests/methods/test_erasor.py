@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers.marks import compiled_only
 from helpers.reference.erasor import Reference
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,6 +20,8 @@ from dynaviz.spatial.extent import Extent
 from dynaviz_methods import tiles
 from dynaviz_methods.erasor import REASONS, Erasor, ErasorParams
 from dynaviz_methods.tiles import laid_out, thinned
+
+pytestmark = pytest.mark.boundscheck
 
 HEIGHT = 1.5
 SMALL = ErasorParams(max_range=12.0, rings=5, sectors=24, removal_interval=2)
@@ -86,6 +89,7 @@ def test_agrees_with_the_reference_point_by_point(variant):
     assert {"bin_ratio", "ground_of_flagged_bin", "map_not_higher"} <= set(expected)
 
 
+@pytest.mark.plain
 def test_the_box_goes_and_the_rest_stays():
     scans = street()
     dynamic = labels(run(scans), scans).reshape(len(scans), -1)
@@ -184,13 +188,14 @@ def test_states_are_those_announced_and_fit_together():
         assert cubes == {tuple(key) for key in probe.values["flagged"][k].keys.tolist()}
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(
     "points",
     [
         [],
         [(1.0, 2.0, 0.5)],
         [(0.0, 0.0, HEIGHT)],
-        [(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)],
+        pytest.param([(np.nan, 0.0, 0.0), (np.inf, -np.inf, 0.0)], marks=compiled_only),
         [(1e30, 0.0, 0.0), (4e5, 0.0, 0.0), (1.0, 1.0, 1.0)],
     ],
     ids=["empty", "one", "at the sensor", "not finite", "beyond reach"],
@@ -217,6 +222,7 @@ def test_scans_far_from_the_map_say_nothing_of_it():
     assert {name for s in alone for name in names(method, s)} == {"beyond_range"}
 
 
+@pytest.mark.plain
 def test_a_scan_with_few_points_in_a_bin_says_nothing_there():
     floor = np.array([(x, y, 0.02) for x in np.arange(5.05, 7, 0.2) for y in (0.25, 0.45, 0.65)])
     tower = np.array([(6.0, 0.5, z) for z in np.arange(0.15, 2.5, 0.2)])

@@ -8,6 +8,8 @@ import pytest
 from dynaviz_methods.ground import ground_plane
 from dynaviz_methods.noise import outliers
 
+pytestmark = pytest.mark.boundscheck
+
 
 def random(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
@@ -31,6 +33,7 @@ def test_a_floor_among_clutter_is_found_and_fitted(angle):
     assert 9 < plane.radius < 16
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("angle", [0.3, 1.0, math.pi / 2])
 def test_what_is_too_steep_is_no_ground(angle):
     found, plane = ground_plane(tilted(angle), 0.04, 0.15, random())
@@ -64,6 +67,7 @@ def test_the_seed_decides():
     assert (first != other).any()
 
 
+@pytest.mark.plain
 def test_outliers_are_those_of_the_formula():
     points = np.concatenate([random().normal(0, 1, (500, 3)), random(1).uniform(-20, 20, (30, 3))]).astype(np.float32)
     apart = np.linalg.norm(points[:, None].astype(float) - points[None], axis=2)
@@ -73,6 +77,7 @@ def test_outliers_are_those_of_the_formula():
     assert expected.any()
 
 
+@pytest.mark.plain
 def test_few_points_have_fewer_neighbours():
     assert outliers(np.zeros((0, 3), np.float32), 50, 1.0).tolist() == []
     assert outliers(np.zeros((1, 3), np.float32), 50, 1.0).tolist() == [False]

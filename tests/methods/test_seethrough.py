@@ -34,6 +34,8 @@ from dynaviz_methods.seethrough import (
     SeeThroughParams,
 )
 
+pytestmark = pytest.mark.boundscheck
+
 COARSE = SeeThroughParams(resolution=0.4, guard=0.8, gap=0.9, ground_height=0.4)
 
 
@@ -165,6 +167,7 @@ def test_where_no_ground_is_known_nothing_is_low_and_a_stray_return_costs_nothin
     assert most < 150e6
 
 
+@pytest.mark.plain
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
 @settings(max_examples=15)
 def test_growing_is_a_dilation(seed: int, times: int) -> None:
@@ -185,6 +188,7 @@ def test_growing_is_a_dilation(seed: int, times: int) -> None:
     np.testing.assert_array_equal(found.astype(bool), expected)
 
 
+@pytest.mark.plain
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
 @settings(max_examples=25)
 def test_objects_are_connected_components(seed: int, size: float) -> None:

@@ -13,6 +13,8 @@ from hypothesis.extra import numpy as hnp
 from dynaviz.kernels.keys import REACH
 from dynaviz.spatial.grid import KeySet, pack, unpack, voxel_downsample
 
+pytestmark = pytest.mark.boundscheck
+
 sizes = st.sampled_from([0.1, 0.2, 0.8, 1.0])
 clouds = hnp.arrays(np.float32, st.tuples(st.integers(0, 60), st.just(3)), elements=st.floats(-50, 50, width=32))
 key_lists = st.lists(st.integers(0, 2**63 - 1) | st.integers(0, 30), max_size=200).map(lambda k: np.array(k, np.int64))
@@ -40,6 +42,7 @@ def test_points_without_a_voxel_are_rejected(bad: float) -> None:
         pack(np.array([[0, 0, 0], [0, bad, 0]], np.float32), 0.1)
 
 
+@pytest.mark.plain
 @slow_first
 @given(st.lists(key_lists, max_size=5))
 def test_a_key_set_is_a_set(batches: list[Any]) -> None:
@@ -53,6 +56,7 @@ def test_a_key_set_is_a_set(batches: list[Any]) -> None:
     assert ours.keys().tolist() == sorted(theirs)
 
 
+@pytest.mark.plain
 def test_a_key_set_grows() -> None:
     keys = np.random.default_rng(0).permutation(100_000)
     ours = KeySet()

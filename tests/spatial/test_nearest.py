@@ -10,6 +10,8 @@ from scipy.spatial import cKDTree
 
 from dynaviz.spatial.nearest import Nearest, nearest_distance
 
+pytestmark = pytest.mark.boundscheck
+
 COORDINATE = st.floats(-100, 100, width=32) | st.integers(-3, 3).map(float)  # the latter make ties and duplicates
 CLOUD = hnp.arrays(np.float32, st.tuples(st.integers(1, 70), st.just(3)), elements=COORDINATE)
 
@@ -30,6 +32,7 @@ def street(n, seed):
     return np.concatenate([ground, wall, far]).astype(np.float32)
 
 
+@pytest.mark.plain
 @settings(deadline=None)
 @given(CLOUD, CLOUD, st.sampled_from([0.5, 1.0, 30.0, np.inf]))
 def test_equals_the_minimum_over_all_pairs(query, reference, limit):
@@ -49,6 +52,7 @@ def test_equals_a_kd_tree(limit):
     np.testing.assert_allclose(found[inside], expected[inside], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.plain
 def test_the_limit_itself_is_found():
     query, reference = np.zeros((1, 3), np.float32), np.array([[0.05, 0, 0]], np.float32)
     assert nearest_distance(query, reference, 0.05) == np.float32(0.05)
