@@ -1,47 +1,43 @@
-"""Where the bytes of a recording go: through a pipe, and into the file by our own hand."""
+"""Writing the file of a recording so that errors are noticed: through a pipe on Linux, directly elsewhere."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
 import struct
-import termios
+import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
+try:
+    import fcntl
+    import termios
+except ImportError:  # Windows
+    PIPES = False
+else:
+    PIPES = sys.platform == "linux"  # the pipe is opened by its path in /dev/fd
+
 PIPE_BYTES = 1 << 20
 
 
-class PipeWriter:
-    """A file that a library writes by its path; what goes wrong in writing is told here, whatever the library does.
-
-    Rerun writes files on a thread of its own. On a full disk that thread ends with a message on the screen, and whoever
-    flushes after it may wait for ever. A pipe never fills up as long as this reads it, so nobody waits, and the error
-    is ours to raise.
+class FileWriter:
+    """A file that a library writes by its path.
 
     Args:
-        path: the file; what was there is lost.
+        path: the file; existing content is lost.
 
     Raises:
-        OSError: where it cannot be opened.
+        OSError: if it cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
-        self._error: OSError | None = None
-        self._closing = False
-        self._copying = threading.Lock()
         self._file = path.open("wb", buffering=0)
-        self._out, self._in = os.pipe()
-        with contextlib.suppress(OSError, AttributeError):  # not on every system; a small pipe is only slower
-            fcntl.fcntl(self._in, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        self._thread = threading.Thread(target=self._copy, name="tap", daemon=True)
-        self._thread.start()
+        self._path = path
 
-    def __enter__(self) -> PipeWriter:
+    def __enter__(self) -> FileWriter:
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -50,35 +46,66 @@ class PipeWriter:
     @property
     def inlet(self) -> str:
         """The path to write to."""
-        return f"/dev/fd/{self._in}"
+        return str(self._path)
 
     def settle(self) -> None:
-        """Wait until all that went into the inlet is in the file.
+        """Wait until everything written to the inlet is in the file.
 
         Raises:
-            OSError: where it could not be written, now or earlier.
+            OSError: if writing failed, now or earlier; only ``PipeWriter`` notices.
         """
-        while True:
-            with self._copying:
-                if self._error is not None:
-                    raise self._error
-                if not _waiting(self._out):
-                    return
-            time.sleep(0)  # for the thread to take its turn
 
     def close(self) -> None:
-        """Close the file, once the library has closed the inlet; may be called again.
+        """Close the file, after the library has closed the inlet. May be called again.
 
         Raises:
             OSError: as ``settle``.
         """
+        self._file.close()
+
+
+class PipeWriter(FileWriter):
+    """A file that a library writes through a pipe, so that write errors are raised here.
+
+    Rerun writes files on its own thread. On a full disk that thread stops with a message on the screen, and later calls
+    of ``flush`` may block forever. The pipe is always read, so nothing blocks, and this class raises the error.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._error: OSError | None = None
+        self._closing = False
+        self._copying = threading.Lock()
+        self._out, self._in = os.pipe()
+        with contextlib.suppress(OSError):  # more than the system allows; a small pipe is only slower
+            fcntl.fcntl(self._in, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        self._thread = threading.Thread(target=self._copy, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def inlet(self) -> str:
+        """The path to write to."""
+        return f"/dev/fd/{self._in}"
+
+    def settle(self) -> None:
+        """Wait until everything written to the inlet is in the file."""
+        while True:
+            with self._copying:
+                if self._error is not None:
+                    raise self._error
+                if not _pending_bytes(self._out):
+                    return
+            time.sleep(0)  # let the thread run
+
+    def close(self) -> None:
+        """Close the file, after the library has closed the inlet."""
         if self._file.closed:
             return
         try:
             self.settle()
         finally:
             self._closing = True
-            os.write(self._in, b"\0")  # wakes the thread; nobody else writes any more
+            os.write(self._in, b"\0")  # wakes the thread; nothing else writes any more
             self._thread.join()
             for end in (self._in, self._out):
                 os.close(end)
@@ -99,10 +126,19 @@ class PipeWriter:
             while rest and self._error is None:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
-            self._error = error  # and read on, so that nobody waits
+            self._error = error  # keep reading, so that the library does not block
 
 
-def _waiting(end: int) -> int:
-    """How many bytes wait in a pipe."""
+def open_writer(path: Path) -> FileWriter:
+    """Open the file of a recording for a library that writes it by its path.
+
+    Raises:
+        OSError: if it cannot be opened.
+    """
+    return PipeWriter(path) if PIPES else FileWriter(path)
+
+
+def _pending_bytes(end: int) -> int:
+    """Number of bytes in a pipe."""
     count: int = struct.unpack("i", fcntl.ioctl(end, termios.FIONREAD, bytes(4)))[0]
     return count

@@ -11,6 +11,7 @@ import numpy as np
 from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.results.result import Result
+from dynaviz.results.scores import percentage_points_lost
 from dynaviz.results.sections import FailureCase
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
@@ -111,7 +112,8 @@ def _causes(result: Result) -> str:
         ("false_positive", "Yellow", static, "SA"),
         ("false_negative", "Orange", dynamic, "DA"),
     ):
-        costs = {cause: 100 * count.points / whole for cause, count in result.causes.get(kind, {}).items()}
+        causes = result.causes.get(kind, {})
+        costs = {cause: float(percentage_points_lost(count.points, whole)) for cause, count in causes.items()}
         parts = [f"{cause} {cost:.2f}" for cause, cost in costs.items() if cost >= 0.005]
         if parts:
             lines.append(f"**{colour}**: wrongly {_DID[kind]}. Loss of {score} by cause, in %: {', '.join(parts)}.")

@@ -15,7 +15,7 @@ import rerun as rr
 
 from dynaviz.errors import DataError
 from dynaviz.viz import paths, viewer
-from dynaviz.viz.pipe import PipeWriter
+from dynaviz.viz.pipe import open_writer
 
 FLUSH_SECONDS = 60.0
 
@@ -49,7 +49,7 @@ class RecordingFile:
         self.path, self._port = path, live
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = PipeWriter(part_of(path))
+            self._writer = open_writer(part_of(path))
         except OSError as error:
             raise self._unwritable(error) from None
         self._file = _stream(layout_id)

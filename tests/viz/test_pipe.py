@@ -1,9 +1,11 @@
-"""The file that a recording is written to."""
+"""The file that a recording is written to, with and without pipes."""
 
 from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +14,52 @@ import pytest
 from dynaviz.viz.pipe import PipeWriter
 
 
-def test_a_tap_hands_on_every_byte(tmp_path: Path) -> None:
+def test_every_byte_reaches_the_file(tmp_path: Path) -> None:
     content = np.random.default_rng(0).bytes(5_000_000)
-    with PipeWriter(tmp_path / "file") as tap, open(tap.inlet, "wb", buffering=0) as inlet:
+    with PipeWriter(tmp_path / "file") as writer, open(writer.inlet, "wb", buffering=0) as inlet:
         for start in range(0, len(content), 700_000):
             inlet.write(content[start : start + 700_000])
-            tap.settle()
+            writer.settle()
             assert (tmp_path / "file").stat().st_size == min(start + 700_000, len(content))
     assert (tmp_path / "file").read_bytes() == content
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_tap_tells_of_a_full_disk_and_blocks_nobody() -> None:
-    tap = PipeWriter(Path("/dev/full"))
-    with open(tap.inlet, "wb", buffering=0) as inlet:
+def test_a_full_disk_raises_an_error_and_does_not_block() -> None:
+    writer = PipeWriter(Path("/dev/full"))
+    with open(writer.inlet, "wb", buffering=0) as inlet:
         for _ in range(40):  # more than the pipe holds
             inlet.write(bytes(100_000))
     with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
-        tap.settle()
+        writer.settle()
     with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
-        tap.close()
-    tap.close()
+        writer.close()
+    writer.close()
+
+
+WITHOUT_PIPES = """
+import sys
+import rerun  # the Linux build of a package it needs imports resource
+for name in ("fcntl", "termios", "resource"):
+    sys.modules[name] = None  # importing it raises an ImportError, as on Windows
+sys.path[:0] = {folders!r}
+import dynaviz as dv
+from dynaviz.viz.pipe import PIPES
+from dynaviz.viz.reader import RunRecording
+from helpers.worlds import room
+
+assert not PIPES
+result = dv.run("octomap", room(3, 300), out={out!r}, settings=("resolution=0.5",))
+recording = RunRecording({out!r} + "/run.rrd")
+assert recording.result.labels_sha256 == result.labels_sha256
+assert result.runtime.peak_rss_mb is None
+assert len(list(recording.answers())) == len(list(recording.drawn())) == 3
+dv.compare(recording.path, recording.path, out={out!r} + "/compare.rrd")
+"""
+
+
+def test_without_the_modules_of_linux_a_run_is_recorded(tmp_path: Path) -> None:
+    code = WITHOUT_PIPES.format(folders=[str(Path(__file__).parents[1])], out=str(tmp_path / "out"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {"run.rrd", "compare.rrd", "result.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
