@@ -42,7 +42,7 @@ def test_the_page_states_what_the_code_has() -> None:
         f"{FAR / 1000:.0f} km",
         f"{kernels.blocks.REACH:,} voxels",
         f"{grid.REACH:,} voxels",
-        f"{loop.MOST_IN_MAP:,} points",
+        f"{loop.MAX_MAP_POINTS:,} points",
         f"{records._MAX_RECORD >> 20} MiB",
     ):
         assert number in stated, number
@@ -74,7 +74,7 @@ def test_what_lies_beyond_a_methods_reach_is_kept_and_harms_nobody(name: str) ->
 
 def test_a_map_of_more_points_than_can_be_numbered_is_refused() -> None:
     sequence = InMemory(crossing(1))
-    seen = SequenceSummary(Extent.of(*sequence.scans), 9000, loop.MOST_IN_MAP + 1, "")
+    seen = SequenceSummary(Extent.of(*sequence.scans), 9000, loop.MAX_MAP_POINTS + 1, "")
     method = loaded("erasor")
     with pytest.raises(UsageError, match=r"2,147,483,648 points in 9,000 frames.*--stride"):
         loop._context(RunSpec(method, sequence, method.params), seen, loop.SILENT)
