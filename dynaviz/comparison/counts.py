@@ -18,12 +18,12 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.comparison.answers import BAND_NAMES, Answers
+from dynaviz.results.scores import accuracies, percentage_points_lost
 from dynaviz.scan import Label, Outcome
 
 TRUTHS = ("static", "dynamic")
 AGREEMENT = ("neither", "only_first", "only_second", "both")  # bit 0: the first run is right; bit 1: the second is
 NEITHER, FIRST, SECOND, BOTH = range(4)
-SCORES = ("SA", "DA", "AA", "HA")  # percent
 WRONG = ("FP", "FN")  # points: static points removed, dynamic points kept
 PLACE = 5.0  # metres: edge of the square columns called places
 LEVEL = 0.95
@@ -121,12 +121,9 @@ def scores(counts: I64 | F64) -> tuple[ByScore[F64], ByScore[F64]]:
     found = []
     for side in (FIRST, SECOND):
         right = counts[..., side] + counts[..., BOTH]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            accuracy = 100.0 * right / total
-            sa, da = accuracy[..., 0], accuracy[..., 1]
-            ha = np.where(sa + da == 0, 0.0, 2 * sa * da / (sa + da))
+        values = accuracies(right[..., 0], total[..., 0], right[..., 1], total[..., 1])
         wrong = (total - right).astype(np.float64)
-        found.append(ByScore(sa, da, np.sqrt(sa * da), ha, wrong[..., 0], wrong[..., 1]))
+        found.append(ByScore(**values, FP=wrong[..., 0], FN=wrong[..., 1]))
     return found[0], found[1]
 
 
@@ -187,8 +184,7 @@ def gains(wrong_first: I64, wrong_second: I64, total: I64) -> F64:
     Returns:
         (..., 2) float64, percentage points of SA and of DA; 0 where the score is undefined.
     """
-    gain: F64 = 100.0 * (wrong_first - wrong_second) / np.maximum(total, 1)
-    return gain
+    return percentage_points_lost(wrong_first - wrong_second, np.maximum(total, 1))
 
 
 def frame_gains(counts: AgreementCounts) -> F64:

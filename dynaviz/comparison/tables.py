@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dynaviz.comparison.counts import SCORES, WRONG
+from dynaviz.comparison.counts import WRONG
 from dynaviz.comparison.pair import Agreement, ComparedRun, FrameChange, PairComparison, PlaceChange, RangeAgreement
 from dynaviz.comparison.settings import text
+from dynaviz.results.scores import SCORES
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -12,7 +12,6 @@ from scipy.stats import bootstrap
 from dynaviz.comparison.counts import (
     BOTH,
     FIRST,
-    SCORES,
     SECOND,
     SpatialCells,
     block_length,
@@ -22,6 +21,7 @@ from dynaviz.comparison.counts import (
     scores,
     spatial_gains,
 )
+from dynaviz.results.scores import SCORES
 from dynaviz.scan import Outcome, outcomes
 from dynaviz_eval.confusion import Counts
 
