@@ -1,0 +1,95 @@
+"""Files written by an earlier version: two results, their recordings and their comparison stay readable."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.results.collect import collect
+from dynaviz.results.result import Result
+from dynaviz.scan import Outcome
+from dynaviz.viz.failures import failures_of
+from dynaviz.viz.reader import RunRecording
+
+DATA = Path(__file__).resolve().parents[1] / "data/previous"
+RUNS = ("fine", "coarse")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files as they were written, recordings unpacked."""
+    folder = tmp_path_factory.mktemp("previous")
+    for name in RUNS:
+        (folder / name).mkdir()
+        shutil.copy(DATA / name / "result.json", folder / name)
+        (folder / name / "run.rrd").write_bytes(gzip.decompress((DATA / name / "run.rrd.gz").read_bytes()))
+    return folder
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_results_load_and_are_written_unchanged(files: Path, name: str) -> None:
+    path = files / name / "result.json"
+    result = Result.load(path)
+    plain, old = json.loads(json.dumps(result.to_dict())), json.loads(path.read_text())
+    added = {"preset", "parameter_origins"}
+    assert {key: value for key, value in plain.items() if key not in added} == old
+    assert "octomap" in str(result)
+    assert f"{old['metrics']['SA']:.2f}" in str(result)
+    assert result.failures[0].points == old["failures"]["cases"][0]["points"]
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_recordings_contain_the_labels_and_the_result(files: Path, name: str) -> None:
+    recording = RunRecording(files / name / "run.rrd")
+    result = Result.load(files / name / "result.json")
+    assert recording.complete
+    assert recording.result is not None
+    assert recording.result.sections == result.sections
+    scans, found = room(3, 300).scans, np.zeros(len(Outcome), np.int64)
+    for answers, drawn, scan in zip(recording.answers(), recording.drawn(), scans, strict=True):
+        np.testing.assert_array_equal(answers.truth, scan.labels)
+        np.testing.assert_array_equal(drawn.xyz, scan.points[drawn.point])
+        found += np.bincount(answers.outcome, minlength=len(Outcome))
+    assert found[Outcome.FALSE_POSITIVE] == result.counts["static_removed"]
+    assert found[Outcome.FALSE_NEGATIVE] == result.counts["dynamic_kept"]
+    assert failures_of(recording.path) == result.sections.failures
+
+
+def test_the_comparison_is_the_same(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(files)
+    comparison = dv.compare("fine/run.rrd", "coarse/run.rrd", out=tmp_path / "compare.rrd")
+    comparison.save(tmp_path / "compare.json")
+    plain, old = (json.loads((folder / "compare.json").read_text()) for folder in (tmp_path, DATA))
+    for content in (plain, old):
+        without_prose(content)
+    assert plain == old
+
+
+def without_prose(comparison: dict[str, Any]) -> None:
+    """Remove sentences, which are not part of the format."""
+    del comparison["verdicts"]
+    for pair in comparison["pairs"]:
+        del pair["places_note"], pair["runtime"]["notes"]
+
+
+def test_a_comparison_with_itself_finds_no_difference(files: Path) -> None:
+    path = files / "fine/run.rrd"
+    pair = dv.compare(path, path).pairs[0]
+    assert (pair.frames, pair.places, pair.differ) == ((), (), ())
+    assert pair.scores.SA.delta == 0
+
+
+def test_a_report_collects_them(files: Path) -> None:
+    assert [run.label for run in collect([files])] == ["octomap", "octomap"]
+    text = dv.report(files, format="md")
+    for name in RUNS:
+        assert f"{Result.load(files / name / 'result.json').metrics['SA']:.2f}" in text
+    assert "<img" in dv.report(files, format="html")
