@@ -25,7 +25,7 @@ hypothesis.settings.load_profile("patient")
 
 if (
     signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-):  # a shell starts what runs in its background so, and children inherit it
+):  # background jobs of a shell start like this, and their children inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -38,7 +38,7 @@ def little_room() -> InMemory:
 
 @pytest.fixture
 def broken_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A plug-in of each kind that cannot be imported, beside all others."""
+    """Add a plug-in of each kind that cannot be imported."""
     every = registry.handles
 
     def handles(kind: str) -> list[registry.PluginHandle]:
@@ -54,7 +54,7 @@ def broken_plugins(monkeypatch: pytest.MonkeyPatch) -> None:
 def run_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str, str]]:
-    """Run a command in this process; gives its exit code and what it wrote to the two streams."""
+    """Run a command in this process; returns its exit code, standard output and standard error."""
 
     def run(*words: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["dynaviz", *map(str, words)])
@@ -68,15 +68,15 @@ def run_command(
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder with real data and golden labels; tests that need it skip where it is absent."""
+    """The folder with real data and golden labels; tests that need it are skipped if it is absent."""
     if not SHARED.is_dir():
-        pytest.skip(f"needs the real data in {SHARED.name}/ beside the checkout")
+        pytest.skip(f"needs the real data in {SHARED.name}/ next to the checkout")
     return SHARED
 
 
 @pytest.fixture(scope="session")
 def real_data(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real data in the native layout of each data set, unpacked once a session."""
+    """The real data in the native layout of each data set, unpacked once per session."""
     folder = tmp_path_factory.mktemp("real")
     subprocess.run([sys.executable, shared / "data/unpack.py", folder], check=True, capture_output=True)
     return folder

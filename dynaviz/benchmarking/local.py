@@ -22,7 +22,10 @@ END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is 
 
 
 # A separate session (on Windows a process group): Ctrl-C reaches only the bench, which then ends its processes.
-DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP if sys.platform == "win32" else 0
+if sys.platform == "win32":
+    DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP
+else:
+    DETACHED = 0
 
 
 class LocalExecutor:

@@ -42,7 +42,9 @@ def check(
         Path | None, typer.Option(metavar="FILE", help="Write these results to a baseline file if all checks pass.")
     ] = None,
 ) -> None:
-    """Check results against limits or a baseline, for CI. Exit code 0: all passed, 1: a check failed.
+    """Check results against limits or a baseline.
+
+    Exit code 0: all checks passed, 1: a check failed, for use in CI.
 
     \b
     dynaviz check recordings/street/octomap/result.json --min AA=90 --min SA=95

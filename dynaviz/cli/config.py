@@ -30,7 +30,9 @@ def config(
         str | None, typer.Option(metavar="NAME", help="Also show this sensor; see 'dynaviz list sensors'.")
     ] = None,
 ) -> None:
-    """Show the parameters of a method, their values, and where each value is set.
+    """Show the parameters of a method.
+
+    Lists each value and where it is set: default, preset, file or --set.
 
     \b
     dynaviz config octomap_gf

@@ -32,9 +32,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def list_(
-    kind: Annotated[
-        Listing | None, typer.Argument(metavar="KIND", help=f"One of {', '.join(Listing)}. [default: all]")
-    ] = None,
+    kind: Annotated[Listing | None, typer.Argument(metavar="KIND", help="What to list. [default: all]")] = None,
 ) -> None:
     """List methods, datasets, sensors, presets and scenes.
 

@@ -31,12 +31,12 @@ def repair(
 ) -> None:
     """Recover a recording whose writer was killed.
 
-    The input file is not changed. Exit code 0: nothing to do, or no frame is missing, 3: frames are missing, 1: no
-    frame could be recovered.
+    The input file is not changed. Exit code 0: nothing to do, or no frame is missing, 3: frames are missing, 1:
+    nothing could be recovered.
 
     \b
     dynaviz repair recordings/demo/octomap/.run.rrd.part
-    dynaviz repair run.rrd -o salvaged.rrd
+    dynaviz repair run.rrd -o recovered.rrd
     """
     from dynaviz.viz.repair import repair as salvage
 

@@ -69,7 +69,7 @@ def run(
 ) -> None:
     """Run a method on a sequence.
 
-    Writes labels, the cleaned map, scores and a recording.
+    Writes labels, maps, scores and a recording.
 
     \b
     dynaviz run octomap_gf path/to/sequence

@@ -45,7 +45,7 @@ def score(
 ) -> None:
     """Score a cleaned map from another program.
 
-    Writes the same files as 'dynaviz run', including a recording.
+    Writes labels, maps, scores and a recording.
 
     \b
     dynaviz score erasor_output.pcd path/to/sequence

@@ -1,4 +1,4 @@
-"""Benches: which cells run, what becomes of those that fail or die, and what adds up."""
+"""Benches: which cells run, what happens to those that fail or die, and how sequences are combined."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from dynaviz.errors import DataError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.results.collect import combined
 from dynaviz.results.result import Result
+from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 from dynaviz.simulate import recording
 
 MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
@@ -44,13 +45,13 @@ def states(board: Leaderboard) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def mixed(toy: None, rooms: list[Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Leaderboard, Path]:
-    """A real bench of two workers: cells that go well, one that fails, and one that is killed."""
+    """A real bench with two workers: cells that succeed, one that fails, and one that is killed."""
     out = tmp_path_factory.mktemp("mixed")
     table = {"methods": ["beautymap", "toy"], "sequences": [str(rooms[0])], "record": "scores", "workers": 2}
     return bench({**table, "grid": {"toy": {"act": ["raise", "die"]}}}, out), out
 
 
-def test_a_cell_that_fails_or_dies_is_a_row_and_the_others_go_on(mixed: tuple[Leaderboard, Path]) -> None:
+def test_a_failed_or_killed_cell_is_a_row_and_the_others_continue(mixed: tuple[Leaderboard, Path]) -> None:
     board, out = mixed
     assert list(states(board).values()) == ["ran", "ran", "failed", "failed"]
     errors = {row.cell.parameter_set.variant: row.error for row in board.failed}
@@ -64,7 +65,7 @@ def test_a_cell_that_fails_or_dies_is_a_row_and_the_others_go_on(mixed: tuple[Le
     assert "this method cannot" in text
 
 
-def test_a_cell_holds_all_files_of_a_run(mixed: tuple[Leaderboard, Path]) -> None:
+def test_a_cell_has_all_files_of_a_run(mixed: tuple[Leaderboard, Path]) -> None:
     board, out = mixed
     files = {path.name for path in (out / "one/toy").iterdir()}
     assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
@@ -100,9 +101,7 @@ def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_a_bench_that_was_ended_goes_on_with_the_rest(
-    toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals
-) -> None:
+def test_an_interrupted_bench_resumes(toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals) -> None:
     out, gate = tmp_path / "out", tmp_path / "gate"
     typed = ["bench", "-m", "toy", "-s", rooms[0], "-o", out, "--record", "none", "--grid", f"toy.act=wait:{gate}"]
     begun = subprocess.Popen([*MAIN, *map(str, typed)], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
@@ -155,7 +154,7 @@ def test_only_what_changed_runs_again(in_process: type[InProcessExecutor], rooms
     assert len(in_process.ran) == 4
 
 
-def test_a_recording_that_is_asked_for_must_be_there(
+def test_a_cell_without_its_recording_runs_again(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     table = {"methods": ["toy"], "sequences": [str(rooms[0])], "record": "scores"}
@@ -174,7 +173,9 @@ def test_a_recording_that_is_asked_for_must_be_there(
     assert not (tmp_path / "one/toy/run.rrd").exists()
 
 
-def test_sequences_add_up_by_counts(in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path) -> None:
+def test_totals_add_the_counts_of_sequences(
+    in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
+) -> None:
     few = write_room(tmp_path / "few", frames=1, rays=50)
     board = bench(
         {**NONE, "sequences": [str(rooms[0]), str(few)], "grid": {"toy": {"act": ["raise"]}}}, tmp_path / "out"
@@ -197,17 +198,17 @@ def test_sequences_add_up_by_counts(in_process: type[InProcessExecutor], rooms: 
     assert "all 2" in shown(board)
 
 
-def test_runtimes_add_up_as_if_all_frames_were_one_run() -> None:
+def test_runtimes_combine_over_all_frames() -> None:
     frames = [np.array([0.1, 0.3, 0.2]), np.array([1.0, 2.0])]
     parts = [
-        Result("m", {}, {"name": str(k)}, {"counts": {}}, {"mean_s": f.mean(), "std_s": f.std(), "frames": len(f)})
+        Result("m", {}, SequenceInfo(str(k)), Sections(counts={"static_kept": 1}), Runtime(f.mean(), f.std(), len(f)))
         for k, f in enumerate(frames)
     ]
     total, whole = combined(parts).runtime, np.concatenate(frames)
-    assert total == pytest.approx({"mean_s": whole.mean(), "std_s": whole.std(), "frames": 5})
+    assert (total.mean_s, total.std_s, total.frames) == pytest.approx((whole.mean(), whole.std(), 5))
 
 
-def test_data_that_cannot_be_read_are_rows_and_what_is_not_there_is_told_at_once(
+def test_unreadable_data_are_rows_but_a_missing_sequence_is_an_error(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     far = write_room(tmp_path / "far", frames=2, rays=300)
@@ -241,25 +242,25 @@ def test_scenes_are_simulated_once(
     (tmp_path / "sequences/hall_vlp16-1/sequence.toml").write_text('name = "mine"')
     board = bench({**table, "sequences": [other]}, tmp_path)
     assert "not a simulated scene" in board.failed[0].error
-    assert (tmp_path / "sequences/hall_vlp16-1/pcd").exists(), "nobody's data are removed"
+    assert (tmp_path / "sequences/hall_vlp16-1/pcd").exists(), "the data of a user are kept"
 
 
-def test_a_runtime_counts_as_timed_only_with_all_cores_and_unrecorded(
+def test_a_timed_runtime_needs_all_cores_and_no_recording(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path
 ) -> None:
     row = bench({**NONE, "sequences": [str(rooms[0])]}, tmp_path).rows[0]
     assert row.result
     timed = replace(row.cell, timing=True)
-    for runtime, instrumented, says in (
-        ({"threads": os.cpu_count()}, False, None),
-        ({"threads": 999}, False, "threads is 999"),
-        ({"threads": os.cpu_count()}, True, "states recorded"),
+    for runtime, instrumented, expected in (
+        (Runtime(threads=os.cpu_count()), False, None),
+        (Runtime(threads=999), False, "threads is 999"),
+        (Runtime(threads=os.cpu_count()), True, "states recorded"),
     ):
         problem = difference(timed, replace(row.result, runtime=runtime, instrumented=instrumented), row.folder)
-        assert problem is None if says is None else says in str(problem)
+        assert problem is None if expected is None else expected in str(problem)
 
 
-def test_a_folder_that_cannot_be_made_is_named(rooms: list[Path], tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_named(rooms: list[Path], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match=r"file/bench: cannot create the folder .* Choose another folder with -o"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")

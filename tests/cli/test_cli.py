@@ -1,4 +1,4 @@
-"""Commands as a user types them: what they print, which files appear, and how they answer mistakes."""
+"""Commands: what they print, which files they write, and the errors they report."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_run_writes_all_files_and_shows_the_scores(run_command: Command, folder:
     assert result["runtime"]["threads"] == 1
 
 
-def test_feeding_back_the_configuration_gives_the_same_labels(
+def test_running_with_the_written_configuration_gives_the_same_labels(
     run_command: Command, folder: Path, tmp_path: Path
 ) -> None:
     assert run_command("run", "octomap_g", folder, "-o", tmp_path / "a", "--record", "none", "--set", "resolution=0.3",
@@ -66,10 +66,10 @@ def test_feeding_back_the_configuration_gives_the_same_labels(
     assert a["labels_sha256"] == b["labels_sha256"]
     assert (b["seed"], b["online"], b["parameters"]["resolution"]) == (4, True, 0.3)
     assert (a["instrumented"], a["recording_sha256"]) == (False, None)
-    assert not b["instrumented"], "a recording of scores holds no state"
+    assert not b["instrumented"], "a recording of scores has no states"
 
 
-def test_frames_and_stride_choose(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_frames_and_stride_select(run_command: Command, folder: Path, tmp_path: Path) -> None:
     assert (
         run_command("run", "octomap", folder, "-o", tmp_path, "--record", "none", "--frames", "1:5", "--stride", 2)[0]
         == 0
@@ -106,14 +106,14 @@ def test_frames_and_stride_choose(run_command: Command, folder: Path, tmp_path: 
         "bench",
     ],
 )
-def test_a_mistake_is_answered_in_one_line(run_command: Command, folder: Path, typed: str) -> None:
+def test_a_mistake_gives_one_line(run_command: Command, folder: Path, typed: str) -> None:
     code, _, err = run_command(*(word.format(folder) for word in typed.split()))
     assert code == 2, err
     assert 30 < len(one_line(err)) < 300
     assert err.startswith("dynaviz: ")
 
 
-def test_a_file_in_place_of_the_folder_is_told(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_an_error(run_command: Command, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     for out in ("file", "file/sub"):
         code, _, err = run_command("run", "octomap", folder, "-o", tmp_path / out)
@@ -122,14 +122,14 @@ def test_a_file_in_place_of_the_folder_is_told(run_command: Command, folder: Pat
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_nothing_typed_shows_what_there_is_and_where_to_start() -> None:
+def test_help_without_arguments_lists_commands_and_where_to_start() -> None:
     for words in ((), ("--help",)):
-        told = subprocess.run([sys.executable, "-m", "dynaviz", *words], capture_output=True, text=True, check=False)
-        assert "Start with: dynaviz demo" in told.stdout + told.stderr
-        assert all(f"\n  {command.name} " in told.stdout + told.stderr for command in app.registered_commands)
+        done = subprocess.run([sys.executable, "-m", "dynaviz", *words], capture_output=True, text=True, check=False)
+        assert "Start with: dynaviz demo" in done.stdout + done.stderr
+        assert all(f"\n  {command.name} " in done.stdout + done.stderr for command in app.registered_commands)
 
 
-def test_unusable_data_is_answered_in_one_line(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_invalid_data_give_one_line(run_command: Command, folder: Path, tmp_path: Path) -> None:
     whole = (folder / "pcd/000010.pcd").read_bytes()
     for name, content in {
         "truncated": whole[:-100],

@@ -24,7 +24,7 @@ def score(run_command: Command) -> Command:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A labelled sequence, the same without labels, and maps of it."""
+    """A labelled sequence, the same sequence without labels, and maps of it."""
     path = tmp_path_factory.mktemp("data")
     scans = room(frames=4, rays=1500).scans
     points, labels = (np.concatenate([getattr(scan, name) for scan in scans]) for name in ("points", "labels"))
@@ -79,14 +79,14 @@ def test_labels_of_every_other_frame(run_command: Command, folder: Path, tmp_pat
     assert first["labels_sha256"] == again["labels_sha256"]
 
 
-def test_without_ground_truth_no_failure_is_told(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_failures_need_ground_truth(run_command: Command, folder: Path, tmp_path: Path) -> None:
     assert run_command("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
     code, _, err = run_command("failures", tmp_path / "result.json")
     assert code == 2
     assert "has no ground truth" in err
 
 
-def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
     code, _, err = score(folder / "away.pcd", folder / "room", "-o", tmp_path, "--record", "none")
     warnings = [line for line in err.splitlines() if "warning" in line]
     assert code == 0
@@ -95,7 +95,7 @@ def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder:
 
 
 @pytest.mark.parametrize(
-    ("typed", "says"),
+    ("typed", "expected"),
     [
         ("clean.pcd bare", "no ground truth"),
         ("clean.pcd nowhere", "nowhere"),
@@ -108,12 +108,12 @@ def test_a_map_in_another_frame_is_warned_of_in_one_line(score: Command, folder:
         ("notes.txt room", "notes.txt"),
     ],
 )
-def test_a_mistake_is_answered_in_one_line(score: Command, folder: Path, tmp_path: Path, typed: str, says: str) -> None:
+def test_a_mistake_gives_one_line(score: Command, folder: Path, tmp_path: Path, typed: str, expected: str) -> None:
     map_, sequence, *options = typed.split()
     code, _, err = score(folder / map_, folder / sequence, "-o", tmp_path / "out", *options)
     assert code == 2
     assert err.count("\n") == 1, err
-    assert says in err
+    assert expected in err
     assert not list(tmp_path.rglob("*.*")), "nothing is written"
 
 
@@ -123,6 +123,6 @@ def test_help_begins_with_examples(score: Command) -> None:
     assert out.index("  dynaviz score erasor_output.pcd") < out.index("Options:")
 
 
-def test_a_broken_metric_is_told(broken_plugins: None, score: Command, folder: Path, tmp_path: Path) -> None:
+def test_a_broken_metric_gives_a_warning(broken_plugins: None, score: Command, folder: Path, tmp_path: Path) -> None:
     code, _, err = score(folder / "clean.pcd", folder / "room", "-o", tmp_path)
     assert (code, err.count("warning: metric 'a_broken_one'"), ".." in err.splitlines()[-1]) == (0, 1, False), err
