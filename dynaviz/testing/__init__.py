@@ -1,4 +1,4 @@
-"""The conformance kit: what every method must keep to, as checks that anybody runs on a method of their own.
+"""The conformance kit: checks that every method must pass. Run them on your own method in one test.
 
 from dynaviz.testing import check_method
 

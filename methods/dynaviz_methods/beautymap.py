@@ -1,24 +1,25 @@
-"""BeautyMap: columns of bits, one for each slice of height; what the map holds and a scan does not see has moved.
+"""BeautyMap: binary columns of height slices; slices that are in the map but not in a scan are dynamic.
 
 Jia et al. 2024. The algorithm:
 
-    the map's columns, xy_resolution wide, have their base at their lowest point, held near that of columns before them;
-    bit k of a column tells whether the map holds points in its slice k, h_res high, counted from the base
-    for each scan, in a square window of dis_range around the sensor
-        bits of the scan, on the map's bases; slices to be removed: in the map, not in the scan, but
-        near:      nothing within 2 m of the sensor
-        sight:     nothing of a column from 15 m on where the scan sees no ground
-        seen:      nothing from the highest slice on that the scan sees in the column
-        view:      where it sees none, nothing from the upper edge of its field of view on
-        ground:    not the lowest slice of a column
-        overhang:  nothing above a gap of two slices
-        blocked:   no slice before which, on the line from the sensor, the scan sees something
-        the slice below the lowest that is removed is split: its lowest fine bins, with 85 % of its points, are ground
-    a point is dynamic if its slice is removed by any scan, or if any splits it and the point lies above its ground
+    divide the map into columns of width xy_resolution
+    set the base of each column to its lowest point, bounded by the bases of the preceding columns
+    set bit k of a column if the map has points in slice k, h_res high, counted from the base
+    for each scan, in a square window of side dis_range around the sensor
+        encode the scan in the map's columns; remove the slices that are in the map but not in the scan, except
+        near:      slices within 2 m of the sensor
+        sight:     from 15 m on, slices of a column where the scan sees no ground
+        seen:      in a column, slices from the highest one that the scan sees upwards
+        view:      where the scan sees none, slices from the upper edge of its field of view upwards
+        ground:    the lowest slice of a column
+        overhang:  slices above a gap of two slices
+        blocked:   slices with scan points in front of them on the line from the sensor
+        split the slice below the lowest removed slice: its lowest fine bins, with 85 % of its points, are ground
+    label a point dynamic if any scan removes its slice, or splits its slice and the point is above the ground bins
 
-Slice 0 reaches as far below the base as above, and slice 30, the highest, holds everything above it. Kept unjudged are
-points deeper than slice 0, and those that are not finite, or lie more than 32768 columns or a thousand kilometres of
-height from the world's origin.
+Slice 0 extends as far below the base as above it, and slice 30, the highest, includes everything above it. Points
+below slice 0 are kept unjudged. So are points that are not finite, or more than 32768 columns or 1000 km of height
+from the world's origin.
 """
 
 from __future__ import annotations
@@ -38,12 +39,14 @@ from dynaviz.scan import Scan
 REACH = 32768  # columns to each side of the world's origin
 SLICES = 31
 BLIND = 2.0  # metres around the sensor where nothing is judged
-SIGHT = 15.0  # metres from where on a column is judged only if its ground is seen
-GAP = 2  # empty slices, or fine bins, above which things hang
-SKIP = 3  # columns in x and y together, up to which nothing blocks the sight
-FINE = 0.1  # metres: fine bins are at least as high
-GROUND_PART = 0.85  # of a split slice's points
-NEIGHBOURS, LEAST, DEVIATIONS = 5, 15, 3.0  # columns back, of them with points, and how far a base may lie from them
+SIGHT = 15.0  # metres; farther columns are judged only if the scan sees their ground
+GAP = 2  # empty slices or fine bins; everything above such a gap is an overhang
+SKIP = 3  # columns in x and y together, up to which nothing blocks the line of sight
+FINE = 0.1  # metres: smallest height of a fine bin
+GROUND_PART = 0.85  # share of a split slice's points that are ground
+# The base of a column is bounded by those of the columns up to NEIGHBOURS before it in x and y, if LEAST of them have
+# points: it may differ from their median by DEVIATIONS times their median absolute deviation.
+NEIGHBOURS, LEAST, DEVIATIONS = 5, 15, 3.0
 
 
 @dataclass(frozen=True)
@@ -72,35 +75,39 @@ UNJUDGED, NEVER_NEAR, ALWAYS_SEEN, FINE_GROUND, SLICE_GONE, ABOVE_GROUND = 0, 1,
 REASONS = (
     Reason(
         "unjudged",
-        "kept: not finite, too far from the world's origin, not of the map, or below slice 0",
+        "kept: not finite, too far from the world's origin, not in the map, or below slice 0",
         Cause.OUT_OF_RANGE,
     ),
     Reason("out_of_window", "kept: its column was never within the window around the sensor", Cause.OUT_OF_RANGE),
-    Reason("always_seen", "kept: each scan with its column in the window saw its slice", Cause.STANDING),
-    Reason("near_sensor", "kept: scans that missed its slice were too near to judge it", Cause.OUT_OF_RANGE),
+    Reason("always_seen", "kept: every scan with its column in the window saw its slice", Cause.STANDING),
+    Reason("near_sensor", "kept: the scans that missed its slice were too close to judge it", Cause.OUT_OF_RANGE),
     Reason(
         "ground_not_seen",
-        "kept: scans that missed its slice were far and saw no ground in its column",
+        "kept: the scans that missed its slice were far away and saw no ground in its column",
         Cause.SPARSE_RINGS,
     ),
     Reason(
         "above_highest_seen",
-        "kept: scans that missed its slice saw at most what is below it, and something there",
+        "kept: its slice is above the highest slice that the scans saw in its column",
         Cause.HEIGHT_LIMIT,
     ),
-    Reason("above_view", "kept: its slice is above the field of view of scans that missed it", Cause.HEIGHT_LIMIT),
-    Reason("ground_slice", "kept: the lowest slice of its column", Cause.TAKEN_FOR_GROUND),
-    Reason("overhang", "kept: above a gap of two empty slices, or of two fine bins of its slice", Cause.HEIGHT_LIMIT),
-    Reason("ray_blocked", "kept: whenever a scan missed its slice, something stood before it", Cause.NOTHING_BEHIND),
+    Reason("above_view", "kept: its slice is above the field of view of the scans that missed it", Cause.HEIGHT_LIMIT),
+    Reason("ground_slice", "kept: in the lowest slice of its column", Cause.TAKEN_FOR_GROUND),
+    Reason("overhang", "kept: above a gap of two empty slices, or of two empty fine bins", Cause.HEIGHT_LIMIT),
+    Reason(
+        "ray_blocked",
+        "kept: scans that missed its slice had their view of it blocked",
+        Cause.NOTHING_BEHIND,
+    ),
     Reason(
         "fine_ground",
-        "kept: in the slice below removed ones, among the lowest 85 % of the points",
+        "kept: in the slice below the removed slices, among its lowest 85 % of points",
         Cause.TAKEN_FOR_GROUND,
     ),
-    Reason("not_in_scan", "removed: a scan should have seen its slice, and did not", Cause.SPARSE_RINGS),
+    Reason("not_in_scan", "removed: a scan should have seen its slice but did not", Cause.SPARSE_RINGS),
     Reason(
         "above_fine_ground",
-        "removed: in the slice below removed ones, above the lowest 85 % of the points",
+        "removed: in the slice below the removed slices, above its lowest 85 % of points",
         Cause.SHARED_CELL,
     ),
 )
@@ -120,43 +127,55 @@ STATES = (
     State(
         "map_slices",
         Voxels,
-        "Slices that the map holds in this scan's window; slices above the base",
+        "Occupied slices of the map in this scan's window; slices above the base",
         value_range=HEIGHT,
     ),
-    State("scan_slices", Voxels, "Slices of them that this scan sees; slices above the base", value_range=HEIGHT),
+    State("scan_slices", Voxels, "Slices of the map that this scan sees; slices above the base", value_range=HEIGHT),
     State("near_sensor", Voxels, "Unseen slices kept: too near the sensor; slices above the base", value_range=HEIGHT),
     State(
-        "ground_not_seen", Voxels, "Unseen slices kept: far, and no ground is seen; above the base", value_range=HEIGHT
+        "ground_not_seen",
+        Voxels,
+        "Unseen slices kept: far away, and no ground is seen; slices above the base",
+        value_range=HEIGHT,
     ),
     State(
-        "above_highest_seen", Voxels, "Unseen slices kept: above the highest seen; above the base", value_range=HEIGHT
+        "above_highest_seen",
+        Voxels,
+        "Unseen slices kept: above the highest seen slice; slices above the base",
+        value_range=HEIGHT,
     ),
     State(
         "above_view", Voxels, "Unseen slices kept: above the field of view; slices above the base", value_range=HEIGHT
     ),
     State(
-        "ground_slice", Voxels, "Unseen slices kept: lowest of their columns; slices above the base", value_range=HEIGHT
+        "ground_slice",
+        Voxels,
+        "Unseen slices kept: the lowest of their columns; slices above the base",
+        value_range=HEIGHT,
     ),
     State("overhang", Voxels, "Unseen slices kept: above a gap; slices above the base", value_range=HEIGHT),
     State(
-        "ray_blocked", Voxels, "Unseen slices kept: something stands before them; above the base", value_range=HEIGHT
+        "ray_blocked",
+        Voxels,
+        "Unseen slices kept: view of them is blocked; slices above the base",
+        value_range=HEIGHT,
     ),
     State("removed", Voxels, "Unseen slices that this scan removes; slices above the base", value_range=HEIGHT),
-    State("fine_ground", Mask, "Points kept as ground of a slice that is split, as far as scans say until now"),
-    State("view_slope", Scalar, "Upper edge of the field of view: metres up for each metre away"),
+    State("fine_ground", Mask, "Points kept as the ground of a split slice, by the scans so far"),
+    State("view_slope", Scalar, "Upper edge of the field of view: metres of height per metre of distance"),
 )
 
 
 @dataclass(frozen=True)
 class _Window:
-    """Where a scan looks: ``first`` (2,) its lowest column, ``columns`` (W, W) their numbers, -1 without points."""
+    """The columns around the sensor: ``first`` (2,) is the lowest, ``columns`` (W, W) are their rows, -1 if empty."""
 
     first: I64
     columns: I64
 
 
 class BeautyMap:
-    """BeautyMap, with a label for every point of the map."""
+    """BeautyMap, with a label for every point."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "beautymap", "BeautyMap", "Jia et al., RA-L 2024", REASONS, STATES, needs_map=True
@@ -167,8 +186,8 @@ class BeautyMap:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Encode the raw map in columns; its points are not kept."""
-        assert context.raw_map is not None  # as info.needs_map asks
+        """Encode the raw map in columns; the points themselves are not stored."""
+        assert context.raw_map is not None  # because of info.needs_map
         self._probe, p = context.probe, self.params
         points, k = kernels.as_readonly(context.raw_map, np.float32), kernels.columns
         low, high = k.bounds(points, REACH * p.xy_resolution)
@@ -187,7 +206,7 @@ class BeautyMap:
         self._splits = np.zeros(len(self._base), np.int32)
 
     def observe(self, scan: Scan) -> None:
-        """Compare the scan's slices with the map's, and split the slices below those that are removed."""
+        """Compare the scan's slices with the map's; split the slices below the removed ones."""
         p, sensor = self.params, scan.position
         if not np.isfinite(sensor).all():
             return
@@ -198,18 +217,18 @@ class BeautyMap:
         under = window.columns[middle, middle]
         base = float(self._base[under]) if under >= 0 else math.nan
         if math.isnan(base):
-            base = self._lowest  # the map holds no point in the sensor's column
-        said = kernels.columns.judge(
+            base = self._lowest  # the map has no point in the sensor's column
+        outcome = kernels.columns.judge(
             *(window.columns, self._bits, self._base, self._raised, seen),
             *(float(sensor[2] - base) / p.h_res + 0.5, base, slope * p.xy_resolution / p.h_res),
             *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
         )
-        self._show(scan, window, seen, said, slope)
+        self._show(scan, window, seen, outcome, slope)
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the point's slice is removed, or split and the point above its ground.
+        """Label points dynamic whose slice is removed, or is split with the point above its ground.
 
-        The reason is that of the scan that came nearest to removing the slice.
+        The reason is that of the scan that came closest to removing the slice.
         """
         reasons = kernels.columns.reasons(
             *(scan.points, *self._grid, self._base, float(self.params.h_res), self._fine_step),
@@ -218,7 +237,7 @@ class BeautyMap:
         return Labels((reasons == SLICE_GONE) | (reasons == ABOVE_GROUND), reasons)
 
     def _window(self, sensor: F64) -> _Window:
-        """The columns around the sensor's; as many before it as from it on."""
+        """The columns around the sensor: half of them before the sensor's column, half from it on, along each axis."""
         half = max(int(self.params.dis_range / self.params.xy_resolution / 2), 1)
         tiles = self._grid[2]
         at = np.clip((sensor[:2] - self._corner) / self.params.xy_resolution, -(2**40), 2**40)
@@ -230,8 +249,8 @@ class BeautyMap:
         columns[(tile < 0) | ~(inside[0][:, None] & inside[1][None])] = -1
         return _Window(first, columns)
 
-    def _show(self, scan: Scan, window: _Window, seen: I32, said: I32, slope: float) -> None:
-        for name, bits in {**dict(zip(STEPS, np.moveaxis(said, 2, 0), strict=True)), "scan_slices": seen}.items():
+    def _show(self, scan: Scan, window: _Window, seen: I32, outcome: I32, slope: float) -> None:
+        for name, bits in {**dict(zip(STEPS, np.moveaxis(outcome, 2, 0), strict=True)), "scan_slices": seen}.items():
             if self._probe.wants(name):
                 self._probe.emit(name, self._cubes(window, bits))
         if self._probe.wants("fine_ground"):
@@ -239,17 +258,17 @@ class BeautyMap:
         self._probe.emit("view_slope", Scalar(float(slope)))
 
     def _cubes(self, window: _Window, bits: I32) -> Voxels:
-        """Slices as cubes: as many as fit side by side and above one another, at most half a cube from their place."""
+        """Slices as cubes of the world's grid, at most half a cube from their exact position."""
         p = self.params
         edge = min(p.xy_resolution, p.h_res)
-        aside, above = round(p.xy_resolution / edge), round(p.h_res / edge)
+        across, above = round(p.xy_resolution / edge), round(p.h_res / edge)
         i, j, k = np.nonzero(bits[:, :, None] >> np.arange(SLICES) & 1)
         base = self._base[window.columns[i, j]]
         corners = np.stack([(window.first[0] + i) * p.xy_resolution, (window.first[1] + j) * p.xy_resolution, base], 1)
         corners[:, :2] += self._corner
         corners[:, 2] += k * p.h_res
-        within = np.indices((aside, aside, above)).reshape(3, -1).T + 0.5
-        size = np.array([p.xy_resolution / aside] * 2 + [p.h_res / above])
+        within = np.indices((across, across, above)).reshape(3, -1).T + 0.5
+        size = np.array([p.xy_resolution / across] * 2 + [p.h_res / above])
         centres = corners[:, None] + within[None] * size
         keys = np.floor(centres / edge).astype(np.int32).reshape(-1, 3)
         return Voxels(keys, edge, np.repeat(k, len(within)).astype(np.float32))

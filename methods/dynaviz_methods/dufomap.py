@@ -1,18 +1,20 @@
-"""DUFOMap: what ever was void cannot be static.
+"""DUFOMap: points in voxels that were void in any scan are dynamic.
 
-Duberg, Zhang et al. 2024. Space that a scan surely saw empty was empty; a point that lies there at any time moved.
+Duberg, Zhang et al. 2024. Space that one scan reliably observes as empty is free; a point there at any time is dynamic.
 
     for each scan
-        hit:       voxels of points, and those up to hit_margin before them, as seen from the sensor
-        observed:  voxels from the sensor to the first hit one, and unknown_margin voxels beyond
-        void:      observed, not hit, and so is known all around: the cube of unknown_margin voxels to each side
-        seen free: every void voxel, from now on
-    a point is dynamic if its voxel was ever seen free
+        hit:       mark the voxels of points, and those up to hit_margin in front of them along the ray
+        observed:  mark the voxels from the sensor to the first hit voxel, and unknown_margin voxels beyond it
+        void:      select the observed voxels that are not hit and whose cube of unknown_margin voxels to each side is
+                   observed
+        seen free: add the void voxels, for good
+    label a point dynamic if its voxel was ever seen free
 
-One ray is cast for each occupied voxel, to its centre. ``hit_margin`` stands for the sensor's noise (d_s in the paper),
-``unknown_margin`` for errors of poses and voxels (d_p): next to unknown space no voxel is void, but next to hit ones it
-may be, which is why rays go on by so much. The order of scans does not matter, except in online mode (DUFOMap* in the
-paper), where a point is judged by the scans so far. Voxels near points alone have state, two bits each.
+One ray is cast for each occupied voxel, to its centre. ``hit_margin`` accounts for sensor noise (d_s in the paper),
+``unknown_margin`` for pose and discretisation errors (d_p). A voxel next to unknown space is not void, but a voxel
+next to a hit one may be, which is why rays continue beyond the hit. The order of the scans does not matter, except in
+online mode (DUFOMap* in the paper), where a point is judged by the scans so far. Only voxels near points have state,
+two bits each.
 """
 
 from __future__ import annotations
@@ -37,9 +39,9 @@ class DufoMapParams:
 
     Attributes:
         resolution: edge of a voxel, metres.
-        hit_margin: this far before a point, towards the sensor, counts as hit, metres; the paper's d_s.
-        unknown_margin: voxels around unknown space that cannot be void; the paper's d_p.
-        min_range: points nearer to the sensor are not integrated, metres; they would shut it in.
+        hit_margin: distance in front of a point, towards the sensor, that counts as hit, metres; the paper's d_s.
+        unknown_margin: distance from unknown space within which no voxel is void, voxels; the paper's d_p.
+        min_range: points closer to the sensor are not integrated, metres; they would enclose it.
         max_range: points farther from the sensor are not integrated, metres; 0 for no limit.
     """
 
@@ -65,16 +67,16 @@ class DufoMapParams:
 
 VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)
 REASONS = (
-    Reason("void_seen", "removed: its voxel was void in some scan", Cause.GRAZING_RAYS),
+    Reason("void_seen", "removed: its voxel was void in a scan", Cause.GRAZING_RAYS),
     Reason(
         "beside_unknown",
-        "kept: scans saw through its voxel, but always with unknown space beside it",
+        "kept: rays crossed its voxel, but always next to unknown space",
         Cause.SPARSE_RINGS,
     ),
-    Reason("never_crossed", "kept: no ray went through its voxel in a scan that did not hit it", Cause.NOTHING_BEHIND),
+    Reason("never_crossed", "kept: no ray crossed its voxel in a scan that did not hit it", Cause.NOTHING_BEHIND),
     Reason(
         "out_of_range",
-        "kept: too near to the sensor or too far to be integrated, and its voxel was never void",
+        "kept: closer than min_range or farther than max_range, and its voxel was never void",
         Cause.OUT_OF_RANGE,
     ),
     Reason(
@@ -84,10 +86,10 @@ REASONS = (
     ),
 )
 STATES = (
-    State("hit", Voxels, "Voxels of this scan's points, and those up to hit_margin before them"),
-    State("observed", Voxels, "Voxels with points of any scan that this scan saw without hitting them"),
-    State("void", Voxels, "Those of them with no unknown space around: seen free from this scan on"),
-    State("seen_free", Voxels, "Voxels with points that were void in any scan so far, where this scan looked"),
+    State("hit", Voxels, "Voxels of this scan's points, and those up to hit_margin in front of them"),
+    State("observed", Voxels, "Voxels with points of any scan that this scan observed without hitting them"),
+    State("void", Voxels, "Observed voxels without unknown space around them: seen free from this scan on"),
+    State("seen_free", Voxels, "Voxels with points that have been void in any scan, in the blocks this scan observed"),
 )
 
 
@@ -101,17 +103,17 @@ class DufoMap:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Lay out the map where points will lie, and around."""
+        """Allocate the grid where points will lie, and around it."""
         params, self._probe = self.params, context.probe
         self._grid = VoidGrid(context.extent, params.resolution, params.hit_margin, params.unknown_margin)
-        rows = len(self._grid) + 1  # points without a voxel, -1, read the last
-        self._seen_free = np.zeros((rows, 8), np.int64)  # bits as in Seen
+        rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
+        self._seen_free = np.zeros((rows, 8), np.int64)  # bits as in VoidMarks
         self._crossed = np.zeros((rows, 8), np.int64)
         self._listened = any(self._probe.wants(state.name) for state in STATES)
         self._with_points = np.zeros((rows if self._listened else 0, 8), np.int64)
 
     def observe(self, scan: Scan) -> None:
-        """Find the scan's void voxels; they are seen free for good."""
+        """Find the scan's void voxels and mark them as seen free."""
         voxels = self._grid.locate(scan.points)
         integrated = self._in_range(scan) & (voxels >= 0)
         seen = self._grid.see(scan, voxels, integrated)
@@ -120,7 +122,7 @@ class DufoMap:
             self._show(seen, voxels[voxels >= 0])
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the voxel was ever seen free."""
+        """Label points dynamic whose voxel was ever seen free."""
         voxels = self._grid.locate(scan.points)
         dynamic = read(self._seen_free, voxels)
         reasons = np.where(read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)

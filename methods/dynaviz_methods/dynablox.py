@@ -1,22 +1,23 @@
-"""Dynablox: a point in a voxel that was free for long is of something that moves.
+"""Dynablox: points that fall into ever-free voxels are dynamic.
 
 Schmid et al. 2023, as the benchmark runs it. The algorithm, online:
 
     for each scan
-        a  moving:     points in voxels that are free for ever; clusters grow from their voxels over those that touch at
-                       a side and hold points, as long as they are free; those nearer than cluster_distance are one;
-                       a dynamic one has at least min_cluster and at most max_cluster points
-        b  free:       a voxel is occupied that has a point, or that the last scan saw at less than occupied_distance;
-                       free for ever, once seen by the last scan and clear, as are its 26 neighbours: observed,
-                       not nearer than occupied_distance, and occupied last more than burn_in frames ago
-                       revoked, with its 26 neighbours, once occupied for revoke_after frames on end
-        c  distances:  the scan as a range image; each voxel in view is averaged with the difference of ranges along its
-                       ray, cut off at truncation; what is farther behind a surface is not seen
-    a point is dynamic if its voxel was free for ever when it came; with clusters, if it is in a dynamic one
+        a  detect:     seed clusters from ever-free voxels with points; grow them over occupied voxels that share a
+                       face, where only ever-free voxels keep growing; merge clusters closer than cluster_distance;
+                       call a cluster dynamic if it has from min_cluster to max_cluster points
+        b  ever-free:  call a voxel occupied if it has a point, or if the last scan observed it with a distance below
+                       occupied_distance
+                       set it ever-free if the last scan observed it and it and its 26 neighbours are clear: observed,
+                       with a distance of at least occupied_distance, last occupied more than burn_in frames ago
+                       revoke it and its 26 neighbours if it is occupied for revoke_after consecutive frames
+        c  TSDF:       project the scan into a range image; update each voxel in view by the average of the projective
+                       distances along its ray, truncated; skip voxels farther than truncation behind a surface
+    label a point dynamic if its voxel is ever-free when the point arrives; with clusters, if its cluster is dynamic
 
-Frames of occupancy are on end where the last was at most temporal_buffer frames before. Points nearer than min_range or
-farther than max_range, points that are not finite, and points more than 32768 voxels from the world's origin take no
-part and are kept. Labels are decided when a scan is observed, and kept as three bits a point.
+Consecutive means at most temporal_buffer frames apart. Points closer than min_range or farther than max_range, points
+that are not finite, and points more than 32768 voxels from the world's origin are ignored and kept. Labels are decided
+when a scan is observed, and stored with three bits per point.
 """
 
 from __future__ import annotations
@@ -37,32 +38,32 @@ from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 
-SHOWN = 25.0  # metres around the sensor
+SHOWN = 25.0  # metres around the sensor: range of the voxels to show
 
 
 @dataclass(frozen=True)
 class DynabloxParams:
-    """Parameters of Dynablox; the defaults are the benchmark's for KITTI, but for the range image's.
+    """Parameters of Dynablox; the defaults are the benchmark's for KITTI, except those of the range image.
 
     Attributes:
         resolution: edge of a voxel, metres.
-        min_range: nearer points take no part, metres.
-        max_range: farther points take no part, metres; 0: all do.
-        image_rows: rows of the range image; 0: one for each ring of the sensor. A sensor without rings gets square
-            pixels, one for each point of a sweep.
-        image_columns: columns of the range image, all around, at most.
-        field_of_view: height of the range image, degrees, half of it above the horizon; 0: from the sensor's lowest
-            to its highest ring.
-        truncation: largest distance that is averaged; also how far behind a surface voxels are seen, metres.
-        max_weight: most observations that a voxel's average stands for.
-        occupied_distance: voxels nearer to a surface than this are occupied, metres.
-        burn_in: frames since a voxel and its neighbours were last occupied before it is free for ever.
-        temporal_buffer: frames since a voxel was last occupied for its occupancy to count on.
-        revoke_after: frames of occupancy after which a voxel and its neighbours are free no more.
-        cluster_distance: clusters nearer than this are one, metres.
-        min_cluster: fewer points are no dynamic cluster.
-        max_cluster: more points are no dynamic cluster.
-        clusters: whether points of dynamic clusters are removed, and no others; else all in voxels free for ever.
+        min_range: closer points are ignored, metres.
+        max_range: farther points are ignored, metres; 0 for no limit.
+        image_rows: rows of the range image; 0 for one row per ring of the sensor. For a sensor without rings, pixels
+            are square, one per point of a sweep.
+        image_columns: maximum number of columns of the range image, which covers 360 degrees.
+        field_of_view: vertical field of view of the range image, degrees, symmetric about the horizon; 0 for the range
+            from the sensor's lowest to its highest ring.
+        truncation: truncation distance of the TSDF, metres; also how far behind a surface voxels are updated.
+        max_weight: maximum number of observations that a voxel's average represents.
+        occupied_distance: voxels closer to a surface than this are occupied, metres.
+        burn_in: frames without occupancy of a voxel and its neighbours before it becomes ever-free.
+        temporal_buffer: maximum gap between frames of occupancy that count as consecutive, frames.
+        revoke_after: consecutive frames of occupancy after which a voxel and its neighbours are no longer ever-free.
+        cluster_distance: clusters closer than this are merged, metres.
+        min_cluster: minimum number of points of a dynamic cluster.
+        max_cluster: maximum number of points of a dynamic cluster.
+        clusters: remove the points of dynamic clusters only; by default, all points in ever-free voxels are removed.
     """
 
     resolution: float = 0.1
@@ -86,7 +87,7 @@ class DynabloxParams:
         for name in ("resolution", "truncation", "occupied_distance", "cluster_distance"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
-        if self.cluster_distance < self.resolution / 32:  # keys of its cells have the room of so many a voxel
+        if self.cluster_distance < self.resolution / 32:  # the keys of its cells have five bits more than voxel keys
             least = f"{self.resolution / 32:g} m, a 32nd of resolution"
             raise ValueError(f"cluster_distance = {self.cluster_distance}: give at least {least}")
         for name in ("min_range", "max_range", "field_of_view", "image_rows", "temporal_buffer", "burn_in"):
@@ -101,18 +102,18 @@ class DynabloxParams:
             raise ValueError(f"image_rows = {self.image_rows}: give fewer rows or columns, at most 2^24 pixels in all")
         if self.image_rows == 1 or self.field_of_view >= 180:
             raise ValueError(
-                f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows, "
-                "in less than 180 degrees"
+                f"image_rows = {self.image_rows}, field_of_view = {self.field_of_view}: give at least two rows and "
+                "less than 180 degrees"
             )
         if self.occupied_distance > self.truncation:
             raise ValueError(
-                f"occupied_distance = {self.occupied_distance}: no distance exceeds truncation = {self.truncation}, so "
+                f"occupied_distance = {self.occupied_distance}: distances end at truncation = {self.truncation}; "
                 "give at most that"
             )
         if self.temporal_buffer > self.burn_in:
             raise ValueError(
-                f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}, or a voxel may "
-                "count on while it becomes free"
+                f"temporal_buffer = {self.temporal_buffer}: give at most burn_in = {self.burn_in}; otherwise a voxel "
+                "can become free in the middle of consecutive occupancy"
             )
         if self.max_cluster < self.min_cluster:
             raise ValueError(f"max_cluster = {self.max_cluster}: give at least min_cluster = {self.min_cluster}")
@@ -120,29 +121,27 @@ class DynabloxParams:
 
 NEVER_FREE, FREE, FREE_SMALL, FREE_LARGE, BESIDE, REVOKED, OUT_OF_RANGE, OUT_OF_REACH = range(8)
 REASONS = (
-    Reason("never_free", "kept: its voxel had not been free for long", Cause.NOT_YET_FREE),
-    Reason(
-        "ever_free", "removed: its voxel was free for long before something came, a dynamic cluster", Cause.SPARSE_RINGS
-    ),
+    Reason("never_free", "kept: its voxel was not ever-free", Cause.NOT_YET_FREE),
+    Reason("ever_free", "removed: in an ever-free voxel, part of a dynamic cluster", Cause.SPARSE_RINGS),
     Reason(
         "ever_free_small_cluster",
-        "removed, but kept with clusters: its voxel was free for long; few points cluster",
+        "removed, but kept with clusters: in an ever-free voxel, but the cluster is too small",
         Cause.SPARSE_RINGS,
     ),
     Reason(
         "ever_free_large_cluster",
-        "removed, but kept with clusters: its voxel was free for long; a huge cluster",
+        "removed, but kept with clusters: in an ever-free voxel, but the cluster is too large",
         Cause.SPARSE_RINGS,
     ),
     Reason(
         "beside_ever_free",
-        "kept, but removed with clusters: of a dynamic cluster, in a voxel not free for long",
+        "kept, but removed with clusters: part of a dynamic cluster, in a voxel that is not ever-free",
         Cause.SHARED_CELL,
     ),
-    Reason("revoked", "kept: its voxel was free for long, but then something stayed in or beside it", Cause.STANDING),
+    Reason("revoked", "kept: its voxel was ever-free until it or a neighbour stayed occupied", Cause.STANDING),
     Reason(
         "out_of_range",
-        "kept unjudged: nearer than min_range, farther than max_range, or not finite",
+        "kept unjudged: closer than min_range, farther than max_range, or not finite",
         Cause.OUT_OF_RANGE,
     ),
     Reason("out_of_reach", "kept unjudged: more than 32768 voxels from the world's origin", Cause.OUT_OF_RANGE),
@@ -151,21 +150,21 @@ STATES = (
     State(
         "clusters",
         PointClasses,
-        "Points by cluster: in free voxels of a dynamic one, what it touches, and of too few or too many points",
+        "Points by cluster: ever-free voxels of dynamic clusters, voxels these touch, clusters of a wrong size",
         legend=("none", "dynamic", "touched", "too small", "too large"),
     ),
-    State("intruded", Voxels, "Free voxels with points of this scan; number of points", value_range=(1.0, 50.0)),
-    State("became_free", Voxels, "Voxels near the sensor that are free for ever from this scan on"),
-    State("revoked", Voxels, "Voxels near the sensor that are free no more: something stayed"),
+    State("intruded", Voxels, "Ever-free voxels with points of this scan; number of points", value_range=(1.0, 50.0)),
+    State("became_free", Voxels, "Voxels near the sensor that become ever-free with this scan"),
+    State("revoked", Voxels, "Voxels near the sensor that are no longer ever-free: they stayed occupied"),
     State("range_image", RangeImage, "Range of the nearest point in each pixel, metres", value_range=(0.0, 50.0)),
-    State("free_voxels", Scalar, "How many voxels are free for ever, of those where points can lie"),
+    State("free_voxels", Scalar, "Number of ever-free voxels, among those where points can lie"),
 )
-CLASS = np.zeros(len(REASONS), np.uint8)  # of a reason, in the legend
+CLASS = np.zeros(len(REASONS), np.uint8)  # reason code to class of the legend
 CLASS[[FREE, BESIDE, FREE_SMALL, FREE_LARGE]] = 1, 2, 3, 4
 
 
 class Dynablox:
-    """Dynablox, asked for each point when it comes."""
+    """Dynablox; each point is labelled when it arrives."""
 
     info: ClassVar[MethodInfo] = MethodInfo("dynablox", "Dynablox", "Schmid et al., RA-L 2023", REASONS, STATES)
     Params: ClassVar[type[Any]] = DynabloxParams
@@ -174,35 +173,35 @@ class Dynablox:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Lay out the map where points will lie."""
+        """Allocate the map where points will lie."""
         self._probe = context.probe
         self._map = FreeSpace(context.extent, self.params, view_of(self.params, context.sensor))
-        self._reasons: dict[int, U8] = {}  # three bits a point, packed: the decision is per point
+        self._reasons: dict[int, U8] = {}  # by scan index: three bits per point, packed
         removed = (FREE, BESIDE) if self.params.clusters else (FREE, FREE_SMALL, FREE_LARGE)
         self._removed = np.isin(np.arange(len(REASONS)), removed)
 
     def observe(self, scan: Scan) -> None:
-        """Decide on the scan's points by the scans before; then learn from it."""
+        """Label the scan's points by the scans before it, then integrate the scan."""
         inside = self._map.look(scan)
         voxels = np.where(inside, self._map.locate(scan.points), -1)
-        why = self._judge(scan, inside, voxels)
-        self._reasons[scan.index] = np.packbits(why[:, None] >> np.arange(3, dtype=np.uint8) & 1)
+        reasons = self._judge(scan, inside, voxels)
+        self._reasons[scan.index] = np.packbits(reasons[:, None] >> np.arange(3, dtype=np.uint8) & 1)
         new, lost = self._map.learn(voxels)
         self._map.integrate()
-        self._show(why, voxels, new, lost)
+        self._show(reasons, voxels, new, lost)
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the point's voxel was ever-free when the scan was observed, or as clusters decide."""
+        """Label points dynamic whose voxel was ever-free when the scan was observed, or whose cluster is dynamic."""
         bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
         reasons = bits @ np.array([1, 2, 4], np.uint8)
         return Labels(self._removed[reasons], reasons)
 
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
-        """(N,) uint8, codes of ``REASONS``."""
-        why = np.full(len(scan), NEVER_FREE, np.uint8)
-        why[read(self._map.revoked, voxels)] = REVOKED
-        why[voxels < 0] = OUT_OF_REACH
-        why[~inside] = OUT_OF_RANGE
+        """Reason code of each point, (N,) uint8."""
+        reasons = np.full(len(scan), NEVER_FREE, np.uint8)
+        reasons[read(self._map.revoked, voxels)] = REVOKED
+        reasons[voxels < 0] = OUT_OF_REACH
+        reasons[~inside] = OUT_OF_RANGE
         free = read(self._map.free, voxels)
         if free.any():
             clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
@@ -210,14 +209,14 @@ class Dynablox:
             merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
             size = np.bincount(merged)[merged]
             of_free = free[members]
-            why[members[of_free]] = FREE
-            why[members[of_free & (size < self.params.min_cluster)]] = FREE_SMALL
-            why[members[of_free & (size > self.params.max_cluster)]] = FREE_LARGE
+            reasons[members[of_free]] = FREE
+            reasons[members[of_free & (size < self.params.min_cluster)]] = FREE_SMALL
+            reasons[members[of_free & (size > self.params.max_cluster)]] = FREE_LARGE
             dynamic = (size >= self.params.min_cluster) & (size <= self.params.max_cluster)
-            why[members[~of_free & dynamic]] = BESIDE
-        return why
+            reasons[members[~of_free & dynamic]] = BESIDE
+        return reasons
 
-    def _show(self, why: U8, voxels: I64, new: Bits, lost: Bits) -> None:
+    def _show(self, reasons: U8, voxels: I64, new: Bits, lost: Bits) -> None:
         wants, emit = self._probe.wants, self._probe.emit
         if wants("free_voxels"):
             emit("free_voxels", Scalar(int(np.bitwise_count(self._map.free).sum())))
@@ -227,18 +226,18 @@ class Dynablox:
             if wants(name):
                 emit(name, self._map.near(bits, SHOWN))
         if wants("intruded"):
-            intruded, counts = np.unique(voxels[(why >= FREE) & (why <= FREE_LARGE)], return_counts=True)
+            intruded, counts = np.unique(voxels[(reasons >= FREE) & (reasons <= FREE_LARGE)], return_counts=True)
             keys, size = self._map.grid.keys(intruded), self.params.resolution
             emit("intruded", Voxels(keys, size, counts.astype(np.float32)))
         if wants("clusters"):
-            emit("clusters", PointClasses(CLASS[why]))
+            emit("clusters", PointClasses(CLASS[reasons]))
 
 
 def view_of(params: DynabloxParams, sensor: Sensor) -> SensorView:
-    """The range image that parameters and sensor make.
+    """The range image that follows from the parameters and the sensor.
 
     Raises:
-        UsageError: where neither tells its rows or its height.
+        UsageError: if neither gives its rows or its vertical field of view.
     """
     rows, columns, half = params.image_rows or sensor.rings, params.image_columns, params.field_of_view / 2
     low, high = (-half, half) if half else sensor.elevation or (0.0, 0.0)
@@ -247,7 +246,7 @@ def view_of(params: DynabloxParams, sensor: Sensor) -> SensorView:
         rows, columns = round((high - low) / pixel), min(columns, round(360 / pixel))
     if not rows or rows < 2 or not low < high:
         raise UsageError(
-            f"dynablox needs the rows and the height of a range image, which the sensor '{sensor.name}' does not tell: "
-            "give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
+            f"dynablox needs the rows and the vertical field of view of a range image, but sensor '{sensor.name}' has "
+            "none: give --sensor NAME, or --set image_rows=NUMBER --set field_of_view=DEGREES"
         )
     return SensorView(rows, columns, high, low)

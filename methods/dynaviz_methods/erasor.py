@@ -1,15 +1,15 @@
-"""ERASOR: a map that stands higher than a scan, where both are seen from above, held something that moved.
+"""ERASOR: in polar bins around the sensor, map points are dynamic where the map spans more height than the scan.
 
 Lim et al. 2021; the parameters are those of the benchmark (Zhang et al. 2023). The algorithm:
 
-    the map is the raw map, thinned to the centroids of voxels; heights count from the foot of the sensor
-    for every removal_interval-th scan, thinned as well
-        bins:    rings and sectors around the sensor; points beyond max_range or outside the band of heights are in none
-        heights: in each bin the difference between highest and lowest point, of the map and of the scan
-        flagged: bins with min_points of the scan where scan / map < scan_ratio, and map > min_difference
-        ground:  of each flagged bin (R-GPF): a plane through its lowest points, fitted again and again to what is near
-        the map loses the points of flagged bins that are not ground
-    a point is dynamic if the map lost its voxel
+    downsample the raw map to the centroids of its voxels; measure heights from the ground below the sensor
+    for every removal_interval-th scan, downsampled as well
+        bins:    assign the points within max_range and within the height band to rings and sectors (R-POD)
+        heights: compute the difference between the highest and the lowest point of each bin, for map and scan
+        flagged: flag bins with at least min_points scan points where scan / map < scan_ratio and map > min_difference
+        ground:  fit a plane to the lowest points of each flagged bin, and refine it iteratively (R-GPF)
+        remove the points of flagged bins that are not ground from the map
+    label a point dynamic if its voxel was removed from the map
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from dynaviz.scan import Scan
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.tiles import laid_out, thinned
 
-NEAR = 0.05  # metres: the port's map stands for the points this near to one of its own
-PILLAR = 0.5  # metres: the cubes that show flagged bins
+NEAR = 0.05  # metres: with ``port``, a point is static if a point of the map is within this distance
+PILLAR = 0.5  # metres: edge of the cubes that show flagged bins
 
 
 @dataclass(frozen=True)
@@ -37,25 +37,25 @@ class ErasorParams:
     """Parameters of ERASOR; the defaults are the benchmark's for KITTI 00.
 
     Attributes:
-        max_range: reach of the bins around the sensor in x and y, metres.
-        rings: bins along a radius.
-        sectors: bins around the sensor.
-        min_height: points lower than this above the ground are left alone, metres.
-        max_height: points higher than this above the ground are left alone, metres.
-        sensor_height: of the sensor above the ground, metres; 0: as the sensor's file says.
-        scan_ratio: a bin is flagged where the scan's height is less than this part of the map's.
-        min_difference: a bin is only flagged where the map's height is more than this, metres.
-        min_points: fewer points of the scan in a bin say nothing.
+        max_range: radius of the bins around the sensor in x and y, metres.
+        rings: number of bins along a radius.
+        sectors: number of bins around the sensor.
+        min_height: points lower than this above the ground are not judged, metres.
+        max_height: points higher than this above the ground are not judged, metres.
+        sensor_height: height of the sensor above the ground, metres; 0 for the height in the sensor's file.
+        scan_ratio: a bin is flagged if the height of the scan is less than this fraction of the height of the map.
+        min_difference: a bin is flagged only if the height of the map exceeds this, metres.
+        min_points: minimum number of scan points in a bin; bins with fewer are not judged.
         ground_distance: points less than this above the plane are ground, metres.
-        ground_iterations: planes fitted one after another.
-        ground_skip: lowest points of a bin that are passed over.
-        ground_lowest: points after them whose mean height is the lowest ground.
-        ground_seed: points less than this above the lowest ground begin the fit, metres.
-        map_voxel: edge of the voxels that thin the map, metres; 0: every point counts.
-        query_voxel: edge of the voxels that thin a scan, metres; 0: every point counts.
-        removal_interval: of so many scans, the last is compared with the map.
-        port: as the benchmark's port: a flagged bin also gets the scan's points, normals are not turned up, and a
-            point is static if a point of the map that is left is within 0.05 m.
+        ground_iterations: number of iterations of the plane fit.
+        ground_skip: number of lowest points of a bin to skip.
+        ground_lowest: number of points after them whose mean height is the lowest ground.
+        ground_seed: points less than this above the lowest ground seed the fit, metres.
+        map_voxel: edge of the voxels that downsample the map, metres; 0 for no downsampling.
+        query_voxel: edge of the voxels that downsample a scan, metres; 0 for no downsampling.
+        removal_interval: compare every N-th scan with the map.
+        port: behave as the benchmark's port: insert the scan's points into flagged bins, do not orient normals
+            upwards, and call a point static if a remaining map point is within 0.05 m.
     """
 
     max_range: float = 80.0
@@ -90,20 +90,20 @@ class ErasorParams:
             raise ValueError(f"min_height = {self.min_height}: give less than max_height = {self.max_height}")
 
 
-# Of several scans, the highest code counts; those from UNJUDGED on are told apart only when asked for.
+# If several scans judge a voxel, the highest code counts. The codes from UNJUDGED on are assigned per point.
 BEYOND, OUTSIDE, TOO_FEW, MAP_NOT_HIGHER, LOW_BIN, GROUND, REMOVED, UNJUDGED, FAR_FROM_MAP, NEAR_MAP = range(10)
 REASONS = (
     Reason("beyond_range", "kept: never within range of a scan that was compared with the map", Cause.OUT_OF_RANGE),
     Reason("outside_height_band", "kept: too low or too high above the ground to be judged", Cause.HEIGHT_LIMIT),
     Reason("too_few_points", "kept: no scan had enough points in its bin", Cause.SPARSE_RINGS),
-    Reason("map_not_higher", "kept: the scan stands about as high in its bin as the map does", Cause.SHARED_CELL),
-    Reason("low_bin", "kept: the map stands higher than the scan, but no higher than a kerb", Cause.HEIGHT_LIMIT),
+    Reason("map_not_higher", "kept: in its bin, the scan spans about as much height as the map", Cause.SHARED_CELL),
     Reason(
-        "ground_of_flagged_bin",
-        "kept: the map stands higher than the scan in its bin, but this is ground",
-        Cause.TAKEN_FOR_GROUND,
+        "low_bin",
+        "kept: in its bin, the map spans more height than the scan, but not more than a kerb",
+        Cause.HEIGHT_LIMIT,
     ),
-    Reason("bin_ratio", "removed: the map stands higher than the scan in its bin", Cause.SHARED_CELL),
+    Reason("ground_of_flagged_bin", "kept: ground of a flagged bin", Cause.TAKEN_FOR_GROUND),
+    Reason("bin_ratio", "removed: in its bin, the map spans more height than the scan", Cause.SHARED_CELL),
     Reason("unjudged", "kept: not finite, or more than a million voxels from the world's origin", Cause.OUT_OF_RANGE),
     Reason(
         "far_from_map", "removed: its voxel was kept, but the port's map has no point within 0.05 m", Cause.SHARED_CELL
@@ -114,14 +114,14 @@ HEIGHTS = (-1.3, 3.0)
 STATES = (
     State("map_height", PolarGrid, "Height that the map spans in each bin, metres", value_range=(0.0, 4.3)),
     State("scan_height", PolarGrid, "Height that the scan spans in each bin, metres", value_range=(0.0, 4.3)),
-    State("ratio", PolarGrid, "The scan's height over the map's, or its inverse; at most 1", value_range=(0.0, 1.0)),
+    State("ratio", PolarGrid, "Smaller of both heights divided by the larger; at most 1", value_range=(0.0, 1.0)),
     State(
         "status",
         PolarGrid,
         "2 too few points, 3 map not higher, 4 map higher but low, 6 map higher: flagged",
         value_range=(2.0, 6.0),
     ),
-    State("flagged", Voxels, "Where the map stands in flagged bins; ratio", value_range=(0.0, 0.3)),
+    State("flagged", Voxels, "Cubes with map points of flagged bins; ratio", value_range=(0.0, 0.3)),
     State("removed", Points, "Map points removed because of this scan; metres above ground", value_range=HEIGHTS),
     State("ground", Points, "Map points kept as ground of flagged bins; metres above ground", value_range=HEIGHTS),
 )
@@ -129,20 +129,22 @@ STATES = (
 
 @dataclass(frozen=True)
 class _Comparison:
-    """What one scan says of the map near it.
+    """The comparison of one scan with the map around it.
 
     Attributes:
         foot: (3,) float64, metres, world frame: the ground below the sensor.
-        rows: (K,) int32: map points within range, ``bins`` (K,) int32 and ``why`` (K,) uint8: their bins and reasons.
+        rows: (K,) int32: map points within range.
+        bins: (K,) int32: the bin of each of these points.
+        reasons: (K,) uint8: the reason code of each of these points.
         inserted: (I, 3) float32, metres, world frame: the scan's points in flagged bins.
         map_height, scan_height: (rings * sectors,) float64, metres; NaN for an empty bin.
-        verdict: (rings * sectors,) uint8: reasons of the points of each bin.
+        verdict: (rings * sectors,) uint8: the reason code of each bin.
     """
 
     foot: F64
     rows: I32
     bins: I32
-    why: U8
+    reasons: U8
     inserted: F32
     map_height: F64
     scan_height: F64
@@ -161,39 +163,39 @@ class Erasor:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Thin the raw map and lay it out in tiles."""
+        """Downsample the raw map and sort it into tiles."""
         self._probe, self._height = context.probe, self.params.sensor_height or context.sensor.height
         if not self._height:
             raise UsageError(
-                f"erasor needs the height of the sensor above the ground, which the sensor '{context.sensor.name}' "
-                "does not tell: give --sensor NAME or --set sensor_height=METRES"
+                f"erasor needs the height of the sensor above the ground, but sensor '{context.sensor.name}' has none: "
+                "give --sensor NAME or --set sensor_height=METRES"
             )
-        assert context.raw_map is not None  # as info.needs_map asks
+        assert context.raw_map is not None  # because of info.needs_map
         p = self.params
         self._bins = PolarBins(p.max_range, p.rings, p.sectors, p.min_height, p.max_height)
-        # The map, (V, 3) float32, metres, to which ``port`` adds; and the voxel of each raw point, (M,), -1 for none.
+        # The map, (V, 3) float32, metres, to which ``port`` adds; and the map row of each raw point, (M,), -1 for none.
         self._tiles, self._map, self._voxel = laid_out(*thinned(context.raw_map, p.map_voxel))
         self._gone = np.zeros(len(self._map), np.bool_)
-        self._why = np.zeros(len(self._map) + 1, np.uint8)  # the last entry is of raw points without a voxel
-        self._why[-1] = UNJUDGED
-        self._first: dict[int, int] = {}  # of each scan by its index: its first raw point
-        self._seen = self._end = 0
+        self._codes = np.zeros(len(self._map) + 1, np.uint8)  # the last entry is for raw points without a voxel
+        self._codes[-1] = UNJUDGED
+        self._first: dict[int, int] = {}  # by scan index: its first raw point
+        self._observed = self._end = 0
         self._tree: Any = None
-        # Kernels compile here, not in the first scan that is compared.
+        # Compile the kernels here, not in the first scan that is compared.
         self._compare(np.zeros((0, 3), np.float32), np.zeros(3))
 
     def observe(self, scan: Scan) -> None:
-        """Note where the scan's points are in the raw map; compare every ``removal_interval``-th scan with the map."""
+        """Record the scan's rows in the raw map; compare every ``removal_interval``-th scan with the map."""
         self._first[scan.index] = self._end
         self._end += len(scan)
-        self._seen += 1
-        if self._seen % self.params.removal_interval == 0:
-            said = self._compare(scan.points, scan.position)
-            self._show(said)
-            self._remove(said)
+        self._observed += 1
+        if self._observed % self.params.removal_interval == 0:
+            comparison = self._compare(scan.points, scan.position)
+            self._show(comparison)
+            self._remove(comparison)
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the map lost the point's voxel; as ``port``, where no point of the map is near."""
+        """Label points dynamic whose voxel was removed; with ``port``, points without a map point nearby."""
         reasons = self._reasons(scan)
         if not self.params.port:
             return Labels(reasons == REMOVED, reasons)
@@ -203,11 +205,11 @@ class Erasor:
         return Labels(dynamic, reasons)
 
     def cleaned_map(self) -> F32:
-        """(K, 3) float32, metres, world frame: centroids of the voxels that are left, and what ``port`` inserted."""
+        """(K, 3) float32, metres, world frame: centroids of the remaining voxels, and points inserted by ``port``."""
         return self._map[~self._gone]
 
     def _compare(self, points: F32, position: F64) -> _Comparison:
-        """Steps "bins" to "ground" for one scan; changes nothing."""
+        """Run the steps "bins" to "ground" for one scan; the map is not changed."""
         foot = position - np.array((0, 0, self._height))
         query, _ = thinned(points, self.params.query_voxel)
         rows, bins = self._bins.locate(self._map, foot, self._tiles.spans(foot, self.params.max_range), self._gone)
@@ -215,17 +217,17 @@ class Erasor:
         map_height, _ = self._bins.heights(self._map, rows, bins)
         scan_height, scan_points = self._bins.heights(query, query_rows, query_bins)
         verdict = self._judge(map_height, scan_height, scan_points)
-        of_bin = np.append(verdict, np.uint8(OUTSIDE))  # bin -1, the last, is outside the band of heights
-        why = of_bin[bins]
-        flagged = np.flatnonzero(why == REMOVED)
+        of_bin = np.append(verdict, np.uint8(OUTSIDE))  # bin -1, the last, is outside the height band
+        reasons = of_bin[bins]
+        flagged = np.flatnonzero(reasons == REMOVED)
         flagged = flagged[np.argsort(bins[flagged], kind="stable")]
         ground = self._fit_ground(self._map[rows[flagged]] - foot, bins[flagged])
-        why[flagged[ground]] = GROUND
+        reasons[flagged[ground]] = GROUND
         inserted = query[query_rows[of_bin[query_bins] == REMOVED]]
-        return _Comparison(foot, rows, bins, why, inserted, map_height, scan_height, verdict)
+        return _Comparison(foot, rows, bins, reasons, inserted, map_height, scan_height, verdict)
 
     def _judge(self, map_height: F64, scan_height: F64, scan_points: I64) -> U8:
-        """The scan ratio test."""
+        """Scan ratio test: reason code of each bin."""
         ratio = _ratio(map_height, scan_height)
         verdict = np.full(len(ratio), MAP_NOT_HIGHER, np.uint8)
         higher = (ratio < self.params.scan_ratio) & (map_height >= scan_height)
@@ -234,7 +236,7 @@ class Erasor:
         return verdict
 
     def _fit_ground(self, points: F64, bins: I32) -> Bool:
-        """Region-wise ground plane fitting ; the points of a bin follow each other."""
+        """Region-wise ground plane fitting; points are sorted by bin."""
         p = self.params
         starts = np.flatnonzero(np.diff(bins, prepend=-1, append=-1))
         ground: Bool = kernels.region_ground.fit(
@@ -244,11 +246,12 @@ class Erasor:
         )
         return ground
 
-    def _remove(self, said: _Comparison) -> None:
-        self._why[said.rows] = np.maximum(self._why[said.rows], said.why)
-        self._gone[said.rows[said.why == REMOVED]] = True
+    def _remove(self, comparison: _Comparison) -> None:
+        rows, reasons = comparison.rows, comparison.reasons
+        self._codes[rows] = np.maximum(self._codes[rows], reasons)
+        self._gone[rows[reasons == REMOVED]] = True
         if self.params.port:
-            self._insert(said.inserted)
+            self._insert(comparison.inserted)
         self._tree = None
 
     def _insert(self, points: F32) -> None:
@@ -257,14 +260,14 @@ class Erasor:
         self._tiles.append(points)
         self._map = np.concatenate([self._map, points])
         self._gone = np.append(self._gone, np.zeros(len(points), np.bool_))
-        self._why = np.insert(self._why, -1, np.full(len(points), BEYOND, np.uint8))
+        self._codes = np.insert(self._codes, -1, np.full(len(points), BEYOND, np.uint8))
 
     def _reasons(self, scan: Scan) -> U8:
-        why: U8 = self._why[self._voxel[self._first[scan.index] :][: len(scan)]]
-        return why
+        reasons: U8 = self._codes[self._voxel[self._first[scan.index] :][: len(scan)]]
+        return reasons
 
     def _far_from_map(self, scan: Scan) -> Bool:
-        """As the benchmark scores a map of centroids: is its nearest point farther than ``NEAR``?"""
+        """Points whose nearest map point is farther than ``NEAR``, as the benchmark scores a map of centroids."""
         from scipy.spatial import cKDTree
 
         if self._tree is None:
@@ -277,26 +280,28 @@ class Erasor:
         far[judged] = np.isinf(nearest)
         return far
 
-    def _show(self, said: _Comparison) -> None:
-        ratio = _ratio(said.map_height, said.scan_height)
-        status = np.where(np.isnan(said.map_height), np.nan, said.verdict)
-        grids = {"map_height": said.map_height, "scan_height": said.scan_height, "ratio": ratio, "status": status}
+    def _show(self, comparison: _Comparison) -> None:
+        map_height, scan_height = comparison.map_height, comparison.scan_height
+        rows, reasons = comparison.rows, comparison.reasons
+        ratio = _ratio(map_height, scan_height)
+        status = np.where(np.isnan(map_height), np.nan, comparison.verdict)
+        grids = {"map_height": map_height, "scan_height": scan_height, "ratio": ratio, "status": status}
         for name, values in grids.items():
             self._probe.emit(name, self._bins.grid(values))
         for name, code in (("removed", REMOVED), ("ground", GROUND)):
             if self._probe.wants(name):
-                points = self._map[said.rows[said.why == code]]
-                self._probe.emit(name, Points(points, (points[:, 2] - said.foot[2]).astype(np.float32)))
+                points = self._map[rows[reasons == code]]
+                self._probe.emit(name, Points(points, (points[:, 2] - comparison.foot[2]).astype(np.float32)))
         if self._probe.wants("flagged"):
-            chosen = (said.why == GROUND) | (said.why == REMOVED)
-            cubes = np.floor(self._map[said.rows[chosen]] / np.float32(PILLAR)).astype(np.int32)
+            chosen = (reasons == GROUND) | (reasons == REMOVED)
+            cubes = np.floor(self._map[rows[chosen]] / np.float32(PILLAR)).astype(np.int32)
             keys, first = np.unique(cubes, axis=0, return_index=True)
-            values = ratio[said.bins[chosen][first]].astype(np.float32)
+            values = ratio[comparison.bins[chosen][first]].astype(np.float32)
             self._probe.emit("flagged", Voxels(keys, PILLAR, values))
 
 
 def _ratio(a: F64, b: F64) -> F64:
-    """The smaller over the larger; NaN where both are 0 or either is NaN."""
+    """The smaller value divided by the larger; NaN where both are 0 or either is NaN."""
     with np.errstate(invalid="ignore"):
         ratio: F64 = np.minimum(a, b) / np.maximum(a, b)
     return ratio

@@ -1,4 +1,4 @@
-"""Voxels that were free for long, learned scan by scan from a projective signed distance field: Dynablox' map."""
+"""The map of Dynablox: ever-free voxels, learned scan by scan from a projective TSDF."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from dynaviz.spatial.grid import SHIFTS
 
 Bits = tuple[I32, U64]
 
-AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # in the order of a block's neighbours
-KEY = 1 << SHIFTS  # blocks as one number each, in the order of the grid
+AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # offsets, in the order of a block's neighbours
+KEY = 1 << SHIFTS  # packs the indices of a block into one number; the order is that of the grid
 LONG_AGO = -(2**30)
 
 
 @dataclass(frozen=True)
 class SensorView:
-    """The range image: rows from the highest elevation to the lowest, columns all around the sensor.
+    """The layout of the range image: rows from the highest to the lowest elevation, columns over 360 degrees.
 
     Attributes:
-        rows, columns: pixels.
+        rows, columns: size, pixels.
         top, bottom: elevation of the centres of the first and the last row, degrees.
     """
 
@@ -40,21 +40,22 @@ class SensorView:
 
     @property
     def numbers(self) -> tuple[float, float, float, float, float]:
-        """As the kernels take them."""
+        """Rows, columns, top elevation (radians), rows per radian, columns per radian, as the kernels take them."""
         per_row = math.degrees((self.rows - 1) / (self.top - self.bottom))
         return float(self.rows), float(self.columns), math.radians(self.top), per_row, self.columns / (2 * math.pi)
 
 
 class FreeSpace:
-    """Signed distances, and which voxels they and the points leave free; state only where points can lie, and beside.
+    """Truncated signed distances and ever-free flags of the voxels where points can lie and of their neighbours.
 
-    Per scan: ``look``, ``locate`` points, ``learn`` what is free from the scans before and those points, ``integrate``.
+    Call per scan: ``look``, ``locate`` its points, ``learn`` (ever-free voxels from earlier scans and these points),
+    ``integrate``.
 
     Attributes:
-        free: (B, 8) uint64: bits of the voxels that are free for ever.
-        revoked: (B, 8) uint64: bits of those that were, until something stayed.
-        neighbours: (B, 27) int32: numbers of the blocks around each block; -1: none.
-        image: (rows, columns) float32, metres: the last scan's range image, 0 where nothing returned.
+        free: (B, 8) uint64: bits of the ever-free voxels.
+        revoked: (B, 8) uint64: bits of the voxels that were ever-free until they stayed occupied.
+        neighbours: (B, 27) int32: numbers of the blocks around each block; -1 if absent.
+        image: (rows, columns) float32, metres: the last scan's range image, 0 for pixels without return.
     """
 
     def __init__(self, extent: Extent, params: Any, view: SensorView) -> None:
@@ -68,12 +69,12 @@ class FreeSpace:
         )
         self._recent = np.zeros((n, params.burn_in + 1, 8), np.uint64)
         self._stamps = np.full((n, params.burn_in + 1), LONG_AGO, np.int32)
-        self._seen: list[I32] = []  # blocks looked at in each of the last frames
+        self._seen: list[I32] = []  # blocks visited in each of the last frames
         self._in_view = np.empty(0, np.int32)
         self.image = np.zeros((view.rows, view.columns), np.float32)
 
     def _lay_out(self, extent: Extent) -> int:
-        """Blocks where points can lie, and blocks around them for the sake of the voxels beside; their number."""
+        """Allocate the blocks where points can lie and the blocks around them; return their number."""
         size = self._params.resolution
         reach = math.ceil(size / CELL)
         shifts = np.array(list(product(range(-reach, reach + 1), repeat=3)), np.int32)
@@ -82,7 +83,7 @@ class FreeSpace:
         self._blocks, inner = _blocks_of(self.grid), _blocks_of(BlockGrid(extent, size))
         keys = self._blocks @ KEY
         self._inner = np.isin(keys, inner @ KEY)
-        self._outer = np.append(~self._inner, True)  # the last is none
+        self._outer = np.append(~self._inner, True)  # the last entry is for points without a block
         self.neighbours = np.stack([_find(keys, keys + shift @ KEY) for shift in AROUND], 1).reshape(-1, 27)
         full = np.where(self._inner, ~np.uint64(0), np.uint64(0))
         self._needed = kernels.ever_free.spread(np.repeat(full[:, None], 8, 1), self.neighbours)
@@ -90,25 +91,29 @@ class FreeSpace:
         return len(keys)
 
     def locate(self, points: F32) -> I64:
-        """(N,) int64: the voxel of each point, metres, world frame; -1 where there is none."""
+        """(N,) int64: the voxel of each point, -1 if none.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+        """
         voxels = self.grid.locate(points)
         voxels[self._outer[voxels // VOXELS]] = -1
         return voxels
 
     def learn(self, voxels: I64) -> tuple[Bits, Bits]:
-        """One more frame: what is occupied, for how long, and what is free therefore.
+        """Update occupancy counts and ever-free voxels by one frame.
 
         Args:
             voxels: (K,) int64: voxels with points of this scan; -1 for none.
 
         Returns:
-            Voxels that became free, and voxels that are free no more; each as blocks and their bits.
+            Voxels that became ever-free, and voxels that are no longer ever-free; each as blocks and their bits.
         """
         p, k, lanes = self._params, kernels.ever_free, kernels.threads_in_use()
         self._frame += 1
         now = self._union(self._in_view, k.put(voxels, self._hit))
-        # What was last occupied more than burn_in frames ago may be clear now. So may be all at the end of the first
-        # burn-in: what was never occupied counts as occupied just before the first frame.
+        # Voxels last occupied more than burn_in frames ago may be clear now. At the end of the first burn-in this
+        # holds for all voxels: those never occupied count as occupied just before the first frame.
         forgotten = self._seen if self._frame == p.burn_in else self._seen[: self._frame > p.burn_in]
         active = self._union(now, *forgotten)
         reached = k.occupy(
@@ -133,7 +138,7 @@ class FreeSpace:
         return (inner, new), (losing, lost)
 
     def look(self, scan: Scan) -> Bool:
-        """Make the range image of a scan; (N,) bool: points within range."""
+        """Make the range image of a scan; return the points within range, (N,) bool."""
         p = self._params
         self._position, self._axes = scan.position.copy(), np.ascontiguousarray(scan.T_world_sensor[:3, :3].T)
         farthest = p.max_range or math.inf
@@ -146,7 +151,7 @@ class FreeSpace:
         return within
 
     def integrate(self) -> None:
-        """Average the signed distances of all voxels in view with those that the range image tells."""
+        """Update the TSDF of all voxels in view with the distances from the range image."""
         p, view, k = self._params, self._view.numbers, kernels.signed_distance
         pose = self._position, self._axes
         edge = 8 * p.resolution
@@ -162,31 +167,31 @@ class FreeSpace:
         )
 
     def _union(self, *blocks: I32) -> I32:
-        """Blocks of several lists, each once; those numbered -1 are none."""
+        """The union of several lists of blocks, sorted; -1 is ignored."""
         chosen = np.zeros(len(self._blocks) + 1, np.bool_)
-        for some in blocks:
-            chosen[some] = True
+        for numbers in blocks:
+            chosen[numbers] = True
         return np.flatnonzero(chosen[:-1]).astype(np.int32)
 
     def near(self, bits: Bits, distance: float) -> Voxels:
-        """Of voxels given by blocks and their bits those within a distance of the sensor, metres, to show."""
+        """The voxels (blocks and bits) within a distance of the sensor, metres, as a state to show."""
         keys, size = self.grid.keys(voxels_of(bits[0], bits[1].view(np.int64))), self.grid.resolution
-        away = (keys + 0.5) * size - self._position
-        return Voxels(keys[np.einsum("ij,ij->i", away, away) < distance**2], size)
+        offset = (keys + 0.5) * size - self._position
+        return Voxels(keys[np.einsum("ij,ij->i", offset, offset) < distance**2], size)
 
     def _offsets(self) -> F32:
-        """(3, 512) float32, metres, the sensor's axes: from a block's corner to the centres of its voxels."""
+        """(3, 512) float32, metres, sensor axes: from a block's corner to the centres of its voxels."""
         places = np.stack(np.unravel_index(np.arange(VOXELS), (8, 8, 8)))
         return np.ascontiguousarray(self._axes @ (places + 0.5) * self._params.resolution, np.float32)
 
 
 def _blocks_of(grid: BlockGrid) -> I64:
-    """(B, 3) int64: indices of a grid's blocks from the world's origin, in its order."""
+    """(B, 3) int64: indices of a grid's blocks from the world's origin, in the order of the grid."""
     return grid.keys(VOXELS * np.arange(len(grid))).astype(np.int64) >> 3
 
 
 def _find(keys: I64, wanted: I64) -> I32:
-    """Where wanted keys are among sorted ones; -1 where they are not."""
+    """Positions of the wanted keys among sorted keys; -1 if absent."""
     if not len(keys):
         return np.empty(0, np.int32)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)

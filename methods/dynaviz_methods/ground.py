@@ -1,4 +1,4 @@
-"""One ground plane a scan, as PCL finds it: RANSAC among planes across the vertical, then a fit to its inliers."""
+"""One ground plane per scan, as in PCL: RANSAC for planes perpendicular to the vertical, then a fit to the inliers."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, Bool
 from dynaviz.probe import Plane
 
-LEAST = 50  # points; fewer are not searched for a plane
-SAMPLES = 50  # at most, PCL's default
-CONFIDENCE = 0.99  # of having met the best plane, PCL's default
+LEAST = 50  # minimum number of points
+SAMPLES = 50  # maximum number of RANSAC iterations, PCL's default
+CONFIDENCE = 0.99  # of having found the best plane, PCL's default
 
 
 def ground_plane(points: F32, distance: float, angle: float, random: np.random.Generator) -> tuple[Bool, Plane | None]:
-    """Points near the one plane across the world's z axis that holds most of them.
+    """Find the near-horizontal plane with the most points, and its points.
 
     Args:
         points: (N, 3) float32, metres, world frame; finite.
-        distance: metres; points nearer than this to the plane belong to it.
-        angle: radians; the plane's normal is at most this far from the vertical.
-        random: draws the samples.
+        distance: inlier distance from the plane, metres.
+        angle: maximum angle between the plane's normal and the world's z axis, radians.
+        random: generator of the samples.
 
     Returns:
-        (N,) bool, and the plane; nothing and None for fewer than ``LEAST`` points, and where the fitted plane is too
-        steep.
+        (N,) bool: points on the plane; and the plane. All False and None for fewer than ``LEAST`` points, and if the
+        fitted plane is too steep.
     """
     none = np.zeros(len(points), np.bool_)
     if len(points) < LEAST:
@@ -48,14 +48,14 @@ def ground_plane(points: F32, distance: float, angle: float, random: np.random.G
 
 
 def _near(points: F32, normal: F64, offset: float, distance: float) -> Bool:
-    # Not by @: its last bits depend on the machine and on threads.
+    # Not with @, whose last bits depend on the machine and on the number of threads.
     x, y, z = points.T.astype(np.float64)
     near: Bool = np.abs(normal[0] * x + normal[1] * y + normal[2] * z - offset) < distance
     return near
 
 
 def _fit(points: F32) -> Plane:
-    """The plane of least squared distances: across the direction in which the points spread least."""
+    """Least-squares plane: its normal is the direction in which the points spread least."""
     centre = points.mean(0, dtype=np.float64)
     spread = points - centre
     moments = np.array([[(a * b).sum() for b in spread.T] for a in spread.T])

@@ -1,4 +1,4 @@
-"""The ground under a map that grows scan by scan, column by column."""
+"""Ground height under a map that grows scan by scan, column by column."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64
 
-SLOPE = 0.2  # metres a metre: steeper is no ground but a thing that stands on it
-WIDE = 1024  # columns to each side of the sensor: beyond them nothing is told, for a stray return may be anywhere
-PIT = 0.3  # metres: what lies so far below most around it is no ground but a reflection
+SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
+WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
+PIT = 0.3  # metres: columns this far below most of those around them are reflections, not ground
 
 
 class GroundHeight:
-    """Heights above the ground, which is what is densest near the lowest points, and nowhere steeper than ``SLOPE``.
+    """Heights above the ground: the densest layer near the lowest points, with a slope of at most ``SLOPE``.
 
-    A column is 8 voxels a side and as high as the map; where all of it stands on no ground that was seen, as inside a
-    car, the ground beside it counts. Few points far below do no harm: ground holds a share of
-    a column's points, and is no pit among the columns around.
+    A column is 8 x 8 voxels wide and as high as the map. A column without visible ground, for example under a car,
+    gets the ground of its neighbours. A few points far below the ground do not matter: ground must contain a minimum
+    share of a column's points, and must not be a pit among the surrounding columns.
 
     Args:
         blocks: (B, 3) int64, keys of a grid's blocks of 8^3 voxels, sorted.
@@ -26,31 +26,38 @@ class GroundHeight:
 
     def __init__(self, blocks: I64, resolution: float) -> None:
         self._blocks, self._edge, self._step = blocks, 8 * resolution, SLOPE * 8 * resolution
-        turns = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
-        self._starts = np.append(turns, len(blocks))
-        self._columns = blocks[turns, :2].astype(np.int64)
-        self._column = np.append(np.repeat(np.arange(len(turns)), np.diff(self._starts)), len(turns))  # the last: none
+        firsts = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
+        n = len(firsts)
+        self._starts = np.append(firsts, len(blocks))
+        self._columns = blocks[firsts, :2].astype(np.int64)
+        self._column = np.append(np.repeat(np.arange(n), np.diff(self._starts)), n)  # of each block; the last is for -1
         self._number, self._height = np.zeros((len(blocks), 8), np.int32), np.zeros((len(blocks), 8), np.int64)
-        self._floor, self._stale = np.full(len(turns), np.inf), np.zeros(len(turns) + 1, np.bool_)
+        self._floor, self._stale = np.full(n, np.inf), np.zeros(n + 1, np.bool_)
 
     def __len__(self) -> int:
         """Number of columns."""
         return len(self._columns)
 
     def add(self, points: F32, voxels: I64) -> None:
-        """Learn from the points of a scan, (N, 3) float32, metres, in their voxels, (N,) int64, -1 for none."""
+        """Add the points of a scan.
+
+        Args:
+            points: (N, 3) float32, metres, world frame.
+            voxels: (N,) int64, the voxel of each point, -1 for none.
+        """
         kernels.ground_height.add(voxels, kernels.as_readonly(points, np.float32), self._number, self._height)
         self._stale[self._column[voxels >> 9]] = True
 
     def height(self, points: F32, voxels: I64, position: F64) -> F32:
-        """(N,) float32: metres above the ground.
+        """(N,) float32, metres: height of each point above the ground.
 
-        Infinite where no ground is known around the scan, for points without a voxel, and ``WIDE`` from the sensor.
+        Infinite if no ground is known around the scan, for points without a voxel, and beyond ``WIDE`` columns from the
+        sensor.
 
         Args:
             points: (N, 3) float32, metres, world frame.
             voxels: (N,) int64, -1 for none.
-            position: (3,) float64, metres, world frame: the sensor.
+            position: (3,) float64, metres, world frame: position of the sensor.
         """
         stale = np.flatnonzero(self._stale[:-1])
         kernels.ground_height.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
@@ -72,6 +79,6 @@ class GroundHeight:
         return height
 
     def quarters(self, voxels: I64) -> I64:
-        """(N,) int64: which of four quarters of which column each voxel is in; those of -1 are after all others."""
+        """(N,) int64: number of the quarter column that contains each voxel; the last numbers are for voxels -1."""
         quarters: I64 = self._column[voxels >> 9] * 4 + (voxels >> 8 & 1) * 2 + (voxels >> 5 & 1)
         return quarters

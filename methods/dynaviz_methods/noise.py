@@ -9,15 +9,15 @@ from dynaviz.arrays import F32, Bool
 
 
 def outliers(points: F32, neighbours: int, stddev: float) -> Bool:
-    """Points whose mean distance to their nearest neighbours is far above that of the others.
+    """Find points whose mean distance to their nearest neighbours is far above average.
 
     Args:
         points: (N, 3) float32, metres; finite.
-        neighbours: how many nearest neighbours, the point itself not counted; all others where there are fewer.
-        stddev: how many standard deviations above the mean of all points.
+        neighbours: number of nearest neighbours, not counting the point itself; all others if there are fewer.
+        stddev: threshold above the mean over all points, standard deviations.
 
     Returns:
-        (N,) bool.
+        (N,) bool: outliers.
     """
     neighbours = min(neighbours, len(points) - 1)
     if neighbours < 1:

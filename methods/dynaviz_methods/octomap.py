@@ -1,19 +1,19 @@
-"""OctoMap and its two improvements: ``octomap``, ``octomap_g`` (ground) and ``octomap_gf`` (ground and noise filter).
+"""OctoMap and its two variants: ``octomap``, ``octomap_g`` (ground) and ``octomap_gf`` (ground and noise filter).
 
-Hornung et al. 2013; the improvements are those of the benchmark (Zhang et al. 2023, Section III-C). One algorithm:
+Hornung et al. 2013; the variants are those of the benchmark (Zhang et al. 2023, Section III-C). One algorithm:
 
     for each scan
-        F  noise:   points far from their neighbours
-        G  ground:  points near one plane, among those that are no noise
-        free:       voxels that rays cross, once each: log-odds += logit(prob_miss), clamped
-        occupied:   voxels of all points but the ground's, once each: log-odds += logit(prob_hit), clamped
-    a point is static if its voxel's log-odds are at least 0, or if it is ground
+        F  noise:   find points far from their neighbours (statistical outlier removal)
+        G  ground:  fit one plane to the other points (RANSAC); points near it are ground
+        free:       find the voxels that rays cross; for each, once: log-odds += logit(prob_miss), clamp
+        occupied:   find the voxels of all points except ground; for each, once: log-odds += logit(prob_hit), clamp
+    label a point static if the log-odds of its voxel are at least 0, or if it is ground
 
-Noise casts no ray. A ray crosses the voxels from the sensor's to the last before its point's. A voxel may be crossed
-and hit by the same scan; both then count. Log-odds are float32; only voxels near points have any
+Noise casts no ray. A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. If a
+scan both crosses and hits a voxel, both updates count. Log-odds are float32; only voxels near points store them
 (``dynaviz.spatial.blocks``).
-Keys have 16 bit per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
-are not finite, are kept unjudged; from a sensor beyond that reach no ray is cast, but its points hit.
+Keys have 16 bits per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
+are not finite, are kept unjudged. A sensor beyond that reach casts no rays, but its points still hit.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class OctoMapParams:
 
     Attributes:
         resolution: edge of a voxel, metres.
-        prob_hit: probability that a voxel is occupied in which a ray ends.
-        prob_miss: probability that a voxel is occupied which a ray crosses.
-        clamp_min: lowest probability a voxel can reach.
-        clamp_max: highest probability a voxel can reach.
+        prob_hit: occupancy probability of a voxel in which a ray ends.
+        prob_miss: occupancy probability of a voxel that a ray crosses.
+        clamp_min: minimum occupancy probability.
+        clamp_max: maximum occupancy probability.
     """
 
     resolution: float = 0.1
@@ -61,13 +61,13 @@ class OctoMapParams:
 
 @dataclass(frozen=True)
 class OctoMapGParams(OctoMapParams):
-    """Parameters of OctoMap with ground estimation, further to OctoMap's.
+    """Parameters of OctoMap with ground estimation, in addition to OctoMap's.
 
     Attributes:
-        ground_distance: points nearer than this to the ground plane are ground, metres.
-        ground_angle: largest angle between the plane's normal and the vertical, radians.
-        cast_ground_rays: whether rays to ground points mark the voxels they cross; the paper's text says no, its public
-            program, from which its tables come, says yes.
+        ground_distance: points closer than this to the ground plane are ground, metres.
+        ground_angle: maximum angle between the plane's normal and the vertical, radians.
+        cast_ground_rays: cast rays to ground points, as the public program does, from which the paper's tables come;
+            the paper's text excludes these rays.
     """
 
     ground_distance: float = 0.04
@@ -81,11 +81,12 @@ class OctoMapGParams(OctoMapParams):
 
 @dataclass(frozen=True)
 class OctoMapGFParams(OctoMapGParams):
-    """Parameters of OctoMap with ground estimation and noise filter, further to those of both.
+    """Parameters of OctoMap with ground estimation and noise filter, in addition to those of both.
 
     Attributes:
-        noise_neighbours: nearest neighbours over which a point's mean distance is taken, points.
-        noise_stddev: noise is farther than the mean of all points by this many standard deviations.
+        noise_neighbours: number of nearest neighbours over which a point's mean distance is computed.
+        noise_stddev: a point is noise if its mean distance exceeds the mean over all points by this many standard
+            deviations.
     """
 
     noise_neighbours: int = 50
@@ -109,9 +110,9 @@ def _positive(params: OctoMapParams, *names: str) -> None:
 
 HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)
 REASONS = (
-    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh them", Cause.STANDING),
-    Reason("crossed_by_rays", "removed: rays that crossed the voxel outweigh its hits", Cause.GRAZING_RAYS),
-    Reason("never_crossed", "kept: no ray ever crossed the voxel", Cause.NOTHING_BEHIND),
+    Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh misses", Cause.STANDING),
+    Reason("crossed_by_rays", "removed: rays crossed the voxel, and misses outweigh hits", Cause.GRAZING_RAYS),
+    Reason("never_crossed", "kept: no ray crossed the voxel", Cause.NOTHING_BEHIND),
     Reason(
         "out_of_reach",
         "kept unjudged: not finite, or more than 32768 voxels from the world's origin",
@@ -125,14 +126,14 @@ STATES = (
     State("crossed", Voxels, "Voxels with points that rays of this scan crossed; log-odds", value_range=ODDS_RANGE),
     State("hit", Voxels, "Voxels that this scan marked occupied; log-odds", value_range=ODDS_RANGE),
     State("log_odds", Voxels, "Voxels with points that this scan crossed or hit; log-odds", value_range=ODDS_RANGE),
-    State("ground", Mask, "Points on the ground plane: static by decision"),
-    State("ground_plane", Plane, "The ground plane fitted to this scan"),
+    State("ground", Mask, "Points on the ground plane: always static"),
+    State("ground_plane", Plane, "Ground plane fitted to this scan"),
     State("noise", Mask, "Points far from their neighbours: they mark their voxel occupied but cast no ray"),
 )
 
 
 class OctoMap:
-    """OctoMap, asked for each point's voxel at the end."""
+    """OctoMap; a point gets the label of its voxel."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "octomap", "OctoMap", "Hornung et al., Autonomous Robots 2013", REASONS[:4], STATES[:3]
@@ -143,19 +144,19 @@ class OctoMap:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Lay out the map where points will lie."""
+        """Allocate the map where points will lie."""
         self._seed, self._probe = context.seed, context.probe
         self._grid = BlockGrid(context.extent, self.params.resolution)
-        rows = len(self._grid) + 1  # points without a voxel, -1, read the last
+        rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._log_odds = np.zeros((rows, VOXELS), np.float32)
-        self._ever = np.zeros((rows, 16), np.int64)  # bits as in Marks, of all scans so far
+        self._ever = np.zeros((rows, 16), np.int64)  # voxels crossed or hit by any scan so far; bits as in Marks
         probabilities = (self.params.prob_miss, self.params.prob_hit, self.params.clamp_min, self.params.clamp_max)
         self._logits = tuple(np.float32(logit(p)) for p in probabilities)
-        self._ground: dict[int, U8] = {}  # packed bits of each scan: the decision is per point
+        self._ground: dict[int, U8] = {}  # by scan index: the mask of its ground points, packed
         self._noise: dict[int, U8] = {}
 
     def observe(self, scan: Scan) -> None:
-        """Mark what the scan's rays cross and hit, then update each marked voxel once."""
+        """Mark the voxels that the scan's rays cross and hit, then update each marked voxel once."""
         noise = self._find_noise(scan)
         ground = self._find_ground(scan, ~noise)
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
@@ -164,9 +165,9 @@ class OctoMap:
             self._show(marks)
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the voxel's log-odds are below 0 and the point is not ground.
+        """Label points dynamic whose voxel has log-odds below 0, unless they are ground.
 
-        Noise that is kept has ``NOISE`` as its reason, whatever happened to its voxel.
+        The reason of noise points that are kept is always ``NOISE``.
         """
         voxels, ground = self._grid.locate(scan.points), _unpack(self._ground, scan)
         dynamic = (self._log_odds.ravel()[voxels] < 0) & ~ground
@@ -198,7 +199,7 @@ class OctoMap:
 
 
 class OctoMapG(OctoMap):
-    """OctoMap with ground estimation: ground points are static, and do not mark their voxels."""
+    """OctoMap with ground estimation: ground points are static and do not mark their voxels occupied."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "octomap_g", "OctoMap w G", "Zhang et al., ITSC 2023", REASONS[:5], STATES[:5]
@@ -222,7 +223,7 @@ class OctoMapG(OctoMap):
 
 
 class OctoMapGF(OctoMapG):
-    """OctoMap with ground estimation and noise filter: noise marks its voxels, but casts no rays."""
+    """OctoMap with ground estimation and noise filter: noise marks its voxels occupied, but casts no rays."""
 
     info: ClassVar[MethodInfo] = MethodInfo("octomap_gf", "OctoMap w GF", "Zhang et al., ITSC 2023", REASONS, STATES)
     Params: ClassVar[type[Any]] = OctoMapGFParams
@@ -238,7 +239,7 @@ class OctoMapGF(OctoMapG):
 
 
 def _unpack(masks: dict[int, U8], scan: Scan) -> Bool:
-    """A scan's mask from its packed bits; nothing where none was kept."""
+    """The mask of a scan from its packed bits; all False if none is stored."""
     if scan.index not in masks:
         return np.zeros(len(scan), np.bool_)
     return np.unpackbits(masks[scan.index], count=len(scan)).astype(np.bool_)

@@ -1,4 +1,4 @@
-"""Bins around a sensor, and the heights that points span in them: the region-wise pseudo occupancy of ERASOR."""
+"""Polar bins around a sensor and the heights that points span in them: the pseudo occupancy (R-POD) of ERASOR."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from dynaviz.probe import PolarGrid
 
 @dataclass(frozen=True)
 class PolarBins:
-    """Rings of equal width times sectors of equal angle, within a band of heights.
+    """Rings of equal width and sectors of equal angle, within a height band.
 
     Attributes:
-        max_range: metres in x and y; a point there or beyond is in no bin.
-        rings: from the sensor outwards.
-        sectors: counter-clockwise from the world's x axis.
-        low, high: metres above the foot of the sensor; a point in a bin is strictly between.
+        max_range: radius in x and y, metres, exclusive; farther points are in no bin.
+        rings: number of rings, from the sensor outwards.
+        sectors: number of sectors, counter-clockwise from the world's x axis.
+        low, high: height band above the ground below the sensor, metres, both ends exclusive.
     """
 
     max_range: float
@@ -30,17 +30,17 @@ class PolarBins:
     high: float
 
     def locate(self, points: F32, foot: F64, spans: I64 | None = None, gone: Bool | None = None) -> tuple[I32, I32]:
-        """Points within range, and their bins.
+        """Find the points within range and their bins.
 
         Args:
             points: (N, 3) float32, metres, world frame; finite.
             foot: (3,) float64, metres, world frame: the ground below the sensor.
-            spans: (S, 2) int64: rows to look at, from the first to before the second; all by default.
-            gone: (N,) bool: rows to pass over; none by default.
+            spans: (S, 2) int64: rows to search, as [first, end); all by default.
+            gone: (N,) bool: rows to skip; none by default.
 
         Returns:
-            rows: (K,) int32.
-            bins: (K,) int32: ring * sectors + sector; -1 outside the band of heights.
+            rows: (K,) int32: rows of the points.
+            bins: (K,) int32: ring * sectors + sector; -1 outside the height band.
         """
         spans = np.array([[0, len(points)]]) if spans is None else spans
         gone = np.zeros(len(points), np.bool_) if gone is None else gone
@@ -52,16 +52,16 @@ class PolarBins:
         return rows, bins
 
     def heights(self, points: F32, rows: I32, bins: I32) -> tuple[F64, I64]:
-        """The difference between the highest and the lowest of the points that ``locate`` found in each bin.
+        """The height that the points found by ``locate`` span in each bin.
 
         Returns:
-            heights: (rings * sectors,) float64, metres; NaN without points.
-            counts: (rings * sectors,) int64: points.
+            heights: (rings * sectors,) float64, metres: highest minus lowest point; NaN without points.
+            counts: (rings * sectors,) int64: number of points.
         """
         n = self.rings * self.sectors
         heights, counts = kernels.polar.heights(kernels.as_readonly(points, np.float32), rows, bins, n)
         return heights, counts
 
     def grid(self, values: NDArray[np.floating]) -> PolarGrid:
-        """A value per bin as a picture."""
+        """One value per bin, (rings * sectors,), as a state to show."""
         return PolarGrid(values.reshape(self.rings, self.sectors).astype(np.float32), self.max_range)

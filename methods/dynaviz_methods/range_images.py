@@ -1,7 +1,7 @@
-"""Range images around a sensor, several resolutions at once: the layout that ``dynaviz.kernels.range_image`` fills.
+"""Layout of range images at several resolutions, as filled by ``dynaviz.kernels.range_image``.
 
-Rows count downwards from the highest elevation, columns with growing azimuth, and whole numbers are the centres of
-pixels (Kim and Kim, IROS 2020). All images lie one after the other in one flat array.
+Rows run downwards from the highest elevation, columns with increasing azimuth; integer coordinates are pixel centres
+(Kim and Kim, IROS 2020). All images are stored one after another in one flat array.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from dynaviz.probe import RangeImage
 
 
 def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], azimuth: tuple[float, ...]) -> F64:
-    """Lay out images of the same view.
+    """Lay out images of the same field of view.
 
     Args:
-        resolutions: pixels per degree of each image.
+        resolutions: resolution of each image, pixels per degree.
         elevation: (lowest, highest), degrees above the horizon.
         azimuth: (from, to), degrees, within -180 ... 180.
 
     Returns:
         (K, 7) float64: rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, and
-        the place of the first pixel in the flat array.
+        the index of the first pixel in the flat array.
     """
     views, start = [], 0
     (low, high), (begin, end) = np.radians(elevation), np.radians(azimuth)
@@ -37,7 +37,7 @@ def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], az
 
 
 def chunks(spans: I64) -> I64:
-    """Spans of points, (S, 2) int64, each from the first to before the second number, in pieces as the kernels take."""
+    """Split spans of points, (S, 2) int64, each [first, end), into pieces of the size that the kernels take."""
     most, (first, last) = kernels.range_image.CHUNK, spans.T
     pieces = -(-(last - first) // most)
     start = np.repeat(first - most * (np.cumsum(pieces) - pieces), pieces) + most * np.arange(pieces.sum())
@@ -45,17 +45,17 @@ def chunks(spans: I64) -> I64:
 
 
 def whole(points: int) -> tuple[I64, np.float32]:
-    """All of so many points, however far: their chunks, and the reach, metres."""
+    """All points, without a range limit: the chunks of that many points, and an infinite reach, metres."""
     return chunks(np.array([[0, points]])), np.float32(np.inf)
 
 
 def slices(views: F64) -> list[slice]:
-    """Where each image is in the flat array."""
+    """The slice of each image in the flat array."""
     return [slice(int(view[6]), int(view[6] + view[0] * view[1])) for view in views]
 
 
 def picture(flat: F32, view: F64) -> RangeImage:
-    """One of the images as it is seen from the sensor, what is on the left to the left; NaN where not finite."""
+    """One of the images as seen from the sensor, with the left on the left; NaN where not finite."""
     (pixels,) = slices(view[None])
     image = flat[pixels].reshape(int(view[0]), int(view[1]))[:, ::-1]
     return RangeImage(np.where(np.isfinite(image), image, np.float32(np.nan)))

@@ -1,20 +1,20 @@
-"""Removert: what stands nearer in the map's range image than in a scan's was not there when the scan was taken.
+"""Removert: map points that are closer than a scan's return in the same pixel of a range image are dynamic.
 
-Kim and Kim, IROS 2020. An offline method: the map of all scans comes first.
+Kim and Kim, IROS 2020. An offline method, which needs the map of all scans first.
 
-    map: centroids of 0.05 m cells of the raw map
+    downsample the raw map to the centroids of 0.05 m voxels
     for each scan
         for each resolution
-            range image of the scan: the nearest return of each pixel
-            a map point is dynamic if it is nearer than its pixel's return by more than the threshold times that range
-    a map point that was found dynamic, but not so in the coarser images of a revert step, is static after all
-    a raw point gets the label of its map point
+            project the scan into a range image; keep the nearest return of each pixel
+            flag each map point that is closer than its pixel's return by more than the threshold times that range
+    revert: unflag map points that are not flagged again in the coarser images of the revert step
+    label each raw point as its map point
 
-A map point is judged by its own range, whatever else falls into its pixel. It thus makes no difference that the paper
-takes one resolution after the other and goes on with what is left of the map: all are done in one pass.
+Each map point is judged by its own range, independent of the other points in its pixel. It therefore makes no
+difference that the paper processes one resolution after another on the remaining map: here all are done in one pass.
 
-The public benchmark's port differs (preset ``port``): of each pixel only the nearest map point is judged, and by the
-absolute difference, so that a scan's nearer return accuses what stands behind it, too.
+The public benchmark's port differs (preset ``port``): it judges only the nearest map point of each pixel, by the
+absolute difference, so a closer return of the scan also flags the map point behind it.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-SHOWN = 3  # resolutions with reasons and states of their own
-LARGEST = 200.0  # metres; the port takes a larger difference for a pixel without return
-FINEST = 50.0  # pixels per degree: an image of hundreds of megabytes
+SHOWN = 3  # number of resolutions with reasons and states of their own
+LARGEST = 200.0  # metres; the port treats a larger difference as a pixel without return
+FINEST = 50.0  # pixels per degree; an image then takes hundreds of megabytes
 
 
 @dataclass(frozen=True)
@@ -47,20 +47,21 @@ class RemovertParams:
     """Parameters of Removert.
 
     Attributes:
-        resolutions: of the range images, pixels per degree; the first fits the sensor: one row for each of its rings.
-        revert_resolutions: of the images in which a dynamic point must be found dynamic again, pixels per degree; none
-            for no revert step. LT-mapper's step at 2.2 uses images of 0.95 * 2.2.
-        threshold: fraction of the scan's range by which a map point must be nearer.
-        voxel: edge of the map's cells, metres; 0 judges every raw point.
-        elevation: (lowest, highest) of the range images, degrees above the horizon; empty: the sensor's.
-        azimuth: (from, to) of the range images, degrees; empty: the sensor's.
-        port: the rule of the benchmark's port: images have the axes of the world, what is above or below them falls
-            into their first or last row, and the nearest map point of each pixel alone is judged, by the absolute
+        resolutions: resolutions of the range images, pixels per degree; the first should give one row per ring of the
+            sensor.
+        revert_resolutions: resolutions of the images in which a flagged point must be flagged again, pixels per degree;
+            empty for no revert step. LT-mapper's step at 2.2 uses images of 0.95 * 2.2.
+        threshold: a map point must be closer than the scan's return by this fraction of the return's range.
+        voxel: edge of the voxels that downsample the map, metres; 0 judges every raw point.
+        elevation: (lowest, highest) elevation of the range images, degrees above the horizon; empty for the sensor's.
+        azimuth: (from, to) azimuth of the range images, degrees; empty for the sensor's.
+        port: apply the rule of the benchmark's port: images have the axes of the world, points above or below them go
+            to the first or last row, and only the nearest map point of each pixel is judged, by the absolute
             difference.
-        scan_neighbours: nearest neighbours over which the step on the scan's side averages squared distances, the point
-            itself among them; 0 for no such step. With it, a point is static where the average in its scan and that in
-            the cleaned map differ by less than ``scan_difference``, whatever became of its map point.
-        scan_difference: square metres.
+        scan_neighbours: number of nearest neighbours, including the point itself, over which the scan-side step
+            averages squared distances; 0 for no such step. With this step, a point is static if the averages in its
+            scan and in the cleaned map differ by less than ``scan_difference``, regardless of its map point.
+        scan_difference: maximum difference between the averages of the scan-side step, square metres.
     """
 
     resolutions: tuple[float, ...] = (2.5, 2.0, 1.5)
@@ -76,7 +77,10 @@ class RemovertParams:
     def __post_init__(self) -> None:
         every = (*self.resolutions, *self.revert_resolutions)
         if not self.resolutions or len(every) > 8 or not all(0 < r <= FINEST for r in every):
-            raise ValueError(f"resolutions = {every}: give one to eight from 0 to {FINEST:g}, those to revert included")
+            raise ValueError(
+                f"resolutions = {every}: give one to eight numbers above 0 and at most {FINEST:g}, "
+                "including revert_resolutions"
+            )
         if not 0 < self.threshold < 1:
             raise ValueError(f"threshold = {self.threshold}: give a fraction between 0 and 1")
         for name in ("voxel", "scan_neighbours", "scan_difference"):
@@ -87,51 +91,49 @@ class RemovertParams:
             if span and not (len(span) == 2 and -limit <= span[0] < span[1] <= limit):
                 raise ValueError(f"{name} = {span}: give two ascending numbers from {-limit} to {limit}")
         if self.port and self.revert_resolutions:
-            raise ValueError("port knows no revert step: give no revert_resolutions with it")
+            raise ValueError("revert_resolutions: the port has no revert step; give either port or revert_resolutions")
 
 
 AGREES, NEARER, REVERTED, HIDDEN, OUT_OF_VIEW, LEFT_ALONE, SURROUNDED = 0, 1, 4, 5, 6, 7, 8
 REASONS = (
-    Reason("agrees", "kept: two scans or more see a surface there, and none looks past it", Cause.STANDING),
-    Reason("nearer_than_scan_at_res_1", "removed: a scan looks past it at the first resolution", Cause.GRAZING_RAYS),
+    Reason("agrees", "kept: at least two scans see a surface there, and no scan sees past it", Cause.STANDING),
+    Reason("nearer_than_scan_at_res_1", "removed: a scan sees past it at the first resolution", Cause.GRAZING_RAYS),
     Reason(
         "nearer_than_scan_at_res_2",
-        "removed: a scan looks past it, at the second resolution and not at the first",
+        "removed: a scan sees past it at the second resolution, but none at the first",
         Cause.GRAZING_RAYS,
     ),
     Reason(
         "nearer_than_scan_at_res_3",
-        "removed: a scan looks past it, but only at the third resolution or later",
+        "removed: a scan sees past it, but only at the third resolution or later",
         Cause.GRAZING_RAYS,
     ),
-    Reason(
-        "reverted", "kept: a scan looks past it, but none does at a resolution of the revert step", Cause.SHARED_CELL
-    ),
+    Reason("reverted", "kept: a scan sees past it, but none at a resolution of the revert step", Cause.SHARED_CELL),
     Reason(
         "hidden",
-        "kept: at most one scan sees a surface there; others see something nearer, or nothing",
+        "kept: at most one scan sees a surface there; the others see something closer, or nothing",
         Cause.NOTHING_BEHIND,
     ),
     Reason(
         "out_of_view",
-        "kept unjudged: in no image, in no pixel with a return, beyond all returns, or without a place in the map",
+        "kept unjudged: outside all images, in no pixel with a return, beyond all returns, or not in the map",
         Cause.OUT_OF_RANGE,
     ),
     Reason(
         "left_alone",
-        "removed on the scan's side: its neighbours in the scan are gone from the cleaned map",
+        "removed by the scan-side step: its neighbours in the scan are missing in the cleaned map",
         Cause.SPARSE_RINGS,
     ),
     Reason(
-        "surrounded", "kept on the scan's side: the cleaned map around it is as dense as the scan", Cause.SHARED_CELL
+        "surrounded", "kept by the scan-side step: the cleaned map around it is as dense as the scan", Cause.SHARED_CELL
     ),
 )
 
 IMAGES = (
     ("scan", "Range of the nearest return of the scan", (0.0, 80.0)),
     ("map", "Range of the nearest map point", (0.0, 80.0)),
-    ("difference", "Range of the scan less that of the map", (-5.0, 5.0)),
-    ("flagged", "The same difference, where it says that the nearest map point moved", (-5.0, 5.0)),
+    ("difference", "Range of the scan minus range of the map", (-5.0, 5.0)),
+    ("flagged", "The same difference, for pixels whose nearest map point is dynamic", (-5.0, 5.0)),
 )
 STATES = (
     *(
@@ -139,12 +141,12 @@ STATES = (
         for k in range(1, SHOWN + 1)
         for name, meaning, value_range in IMAGES
     ),
-    State("accused", Points, "Map points that this scan is the first to judge dynamic; range, metres", (), (0.0, 80.0)),
+    State("accused", Points, "Map points that this scan is the first to flag dynamic; range, metres", (), (0.0, 80.0)),
 )
 
 
 class Removert:
-    """Removert; raw points get the label of their map point."""
+    """Removert; a raw point gets the label of its map point."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "removert", "Removert", "Kim and Kim, IROS 2020", REASONS, STATES, needs_map=True
@@ -156,31 +158,31 @@ class Removert:
         self._verdicts = verdicts(len(params.resolutions), len(params.revert_resolutions))
 
     def begin(self, context: Context) -> None:
-        """Build the map.
+        """Downsample the raw map and sort it into tiles.
 
         Raises:
-            UsageError: where neither the sensor nor a parameter tells the vertical field of view.
+            UsageError: if neither the sensor nor a parameter gives the vertical field of view.
         """
         params, sensor = self.params, context.sensor
         elevation = params.elevation or sensor.elevation
         if elevation is None:
             raise UsageError(
-                f"removert needs the vertical field of view, which the sensor '{sensor.name}' does not tell: "
+                f"removert needs the vertical field of view, but sensor '{sensor.name}' has none: "
                 "give --sensor NAME or --set elevation=[LOWEST,HIGHEST], degrees"
             )
         self._probe = context.probe
         resolutions = (*params.resolutions, *params.revert_resolutions)
         self._views = image_views(resolutions, elevation, params.azimuth or sensor.azimuth)
-        assert context.raw_map is not None  # as info.needs_map asks
+        assert context.raw_map is not None  # because of info.needs_map
         self._tiles, points, self._map_points = laid_out(*thinned(context.raw_map, params.voxel))
         self._map = kernels.as_readonly(points.T, np.float32)
-        # An entry more than there are map points: raw points without one are at -1.
-        self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan looks past the point at resolution k
-        self._met = np.zeros(len(points) + 1, np.uint8)  # IN_VIEW, ONCE, AGAIN
-        self._met[:-1] = IN_VIEW if params.port else 0  # there each is judged, or not the nearest of its pixel
-        self._places: dict[int, slice] = {}  # of each scan in the raw map
-        self._end = 0  # in the raw map, of the scans observed so far
-        self._tree: cKDTree | None = None  # of the cleaned map
+        # One entry more than map points: raw points without a map point (-1) read the last.
+        self._past = np.zeros(len(points) + 1, np.uint8)  # bit k: a scan sees past the point at resolution k
+        self._met = np.zeros(len(points) + 1, np.uint8)  # bits IN_VIEW, ONCE, AGAIN
+        self._met[:-1] = IN_VIEW if params.port else 0  # the port judges only the nearest point of a pixel
+        self._places: dict[int, slice] = {}  # by scan index: its rows in the raw map
+        self._end = 0  # row in the raw map after the last observed scan
+        self._tree: cKDTree | None = None  # k-d tree of the cleaned map
 
     def observe(self, scan: Scan) -> None:
         """Compare the scan's range images with the map, at all resolutions."""
@@ -204,7 +206,7 @@ class Removert:
             self._draw_accused(scan, self._map[:, accused].T)
 
     def label(self, scan: Scan) -> Labels:
-        """Dynamic where the map point is, or where the scan-side step finds the point dynamic."""
+        """Label points as their map points; with the scan-side step, as that step finds them."""
         past, met = self._of(scan, self._past), self._of(scan, self._met)
         by_map, reasons = self._dynamic(past), self._verdicts[past]
         dynamic = self._scan_side(scan) if self.params.scan_neighbours else by_map
@@ -216,19 +218,19 @@ class Removert:
         return Labels(dynamic, reasons)
 
     def _within_reach(self, scan: Scan, scan_ranges: F32) -> tuple[I64, np.float32]:
-        """Chunks of the map near the scan, and the range, metres, beyond which it has nothing to say of a map point."""
+        """Chunks of the map near the scan, and the range, metres, beyond which the scan cannot judge map points."""
         farthest = scan_ranges[np.isfinite(scan_ranges)].max(initial=0)
         reach = farthest + LARGEST if self.params.port else farthest * (1 + self.params.threshold)
         return chunks(self._tiles.spans(scan.position, 1.001 * float(reach))), np.float32(1.0001 * reach)
 
     def _nearest(self, scan: Scan, xyz: F32, which: I64, reach: np.float32) -> tuple[F32, I32]:
-        """Ranges and indices of the points nearest to the scan's sensor, in all pixels of all images."""
+        """Range and index of the nearest point in each pixel of all images."""
         xyz, lanes = kernels.as_readonly(xyz, np.float32), kernels.threads_in_use()
         ranges, indices = kernels.range_image.nearest(xyz, which, reach, *self._camera(scan), lanes)
         return ranges, indices
 
     def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:
-        """Of the images: their centre, their axes, their views, and whether border rows hold what is beyond them."""
+        """Centre, axes and views of the images, and whether points above or below them go to their border rows."""
         axes = np.eye(3) if self.params.port else scan.T_world_sensor[:3, :3].T
         centre = kernels.as_readonly(scan.position, np.float64)
         return centre, kernels.as_readonly(axes, np.float64), self._views, self.params.port
@@ -239,11 +241,11 @@ class Removert:
         surface = np.where(np.isfinite(scan_ranges), scan_ranges, np.float32(0))
         limits = kernels.as_readonly(surface - threshold * surface, np.float32)
         spread = (1 + threshold) / (1 - threshold)
-        camera, notes = self._camera(scan), (self._past, self._met)
-        kernels.range_image.judge(self._map, which, reach, *camera, limits, spread, *notes)
+        camera, flags = self._camera(scan), (self._past, self._met)
+        kernels.range_image.judge(self._map, which, reach, *camera, limits, spread, *flags)
 
     def _judge_nearest(self, nearest: I32, flagged: Bool, seen: Bool) -> None:
-        """Judge the map point that is nearest in its pixel, and no other."""
+        """Judge only the nearest map point of each pixel."""
         images = slices(self._views)
         for k, image in enumerate(images):
             self._past[nearest[image][flagged[image]]] |= np.uint8(1 << k)
@@ -251,7 +253,7 @@ class Removert:
         self._met[agreeing] |= ONCE | (self._met[agreeing] & ONCE) << 1
 
     def _flagged(self, scan_ranges: F32, map_ranges: F32) -> Bool:
-        """(P,) bool: pixels whose nearest map point is judged dynamic; ranges are infinite where there is nothing."""
+        """(P,) bool: pixels whose nearest map point is dynamic; ranges are infinite in empty pixels."""
         with np.errstate(invalid="ignore"):
             difference = scan_ranges - map_ranges
         if self.params.port:
@@ -266,12 +268,12 @@ class Removert:
         return dynamic
 
     def _of(self, scan: Scan, of_map: U8) -> U8:
-        """(N,) uint8: what is noted of the map points of a scan's points."""
-        noted: U8 = of_map[self._map_points[self._places[scan.index]]]
-        return noted
+        """(N,) uint8: the entries of an array over map points for the points of a scan."""
+        entries: U8 = of_map[self._map_points[self._places[scan.index]]]
+        return entries
 
     def _scan_side(self, scan: Scan) -> Bool:
-        """(N,) bool: points around which the cleaned map is not as dense as the scan."""
+        """(N,) bool: points around which the density of the cleaned map differs from that of the scan."""
         from scipy.spatial import cKDTree
 
         dynamic = np.zeros(len(scan), np.bool_)
@@ -302,11 +304,11 @@ class Removert:
         self._probe.emit("accused", Points(np.ascontiguousarray(accused), ranges))
 
 
-IN_VIEW, ONCE, AGAIN = 1, 2, 4  # bits of kernels.range_image.judge: a pixel with a return; a surface, a second time
+IN_VIEW, ONCE, AGAIN = 1, 2, 4  # bits of kernels.range_image.judge: pixel with a return; on a surface; on a second one
 
 
 def verdicts(resolutions: int, revert_resolutions: int) -> U8:
-    """(256,) uint8: the reason that follows from the resolutions, as bits, at which scans look past a point."""
+    """(256,) uint8: reason code by the resolutions, as bits, at which scans see past a point."""
     past = np.arange(256)
     revert = ((1 << revert_resolutions) - 1) << resolutions
     reasons = np.full(256, AGREES, np.uint8)
@@ -322,7 +324,7 @@ def _rows(which: I64) -> I64:
 
 
 def _mean_square(tree: cKDTree, points: F32, neighbours: int) -> F64:
-    """(N,) float64, square metres: of the distances to the nearest neighbours; infinite where there are too few."""
+    """(N,) float64, square metres: mean squared distance to the nearest neighbours; infinite if there are too few."""
     distances, _ = tree.query(points, list(range(1, neighbours + 1)), workers=kernels.threads_in_use())
     mean: F64 = np.square(distances).mean(1)
     return mean

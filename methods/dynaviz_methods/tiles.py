@@ -1,4 +1,4 @@
-"""A thinned map, in the order of tiles so that a scan touches only those within its reach."""
+"""A downsampled map, sorted by tile so that a scan reads only the tiles within its reach."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64
 
 TILE = 8.0  # metres
-FARTHEST = 2.0**30  # tiles from the world's origin; those beyond are one
+FARTHEST = 2.0**30  # tiles from the world's origin; everything beyond is in the outermost tiles
 
 
 def thinned(points: F32, size: float) -> tuple[F32, I32]:
-    """A cloud of one point per voxel.
+    """Downsample a cloud to one centroid per voxel.
 
     Args:
         points: (N, 3) float32, metres.
         size: edge of a voxel, metres; 0 keeps every point.
 
     Returns:
-        centroids: (V, 3) float32, metres, of the points in each voxel.
-        voxels: (N,) int32: the centroid that stands for each point; -1 where it is not finite, or more than a million
+        centroids: (V, 3) float32, metres: centroid of the points in each voxel.
+        voxels: (N,) int32: row of the centroid of each point; -1 for points that are not finite, or more than a million
             voxels from the world's origin.
     """
     points = kernels.as_readonly(points, np.float32)
@@ -32,28 +32,28 @@ def thinned(points: F32, size: float) -> tuple[F32, I32]:
 
 
 def laid_out(points: F32, voxels: I32) -> tuple[Tiles, F32, I32]:
-    """A thinned map in the order of square tiles over x and y.
+    """Sort a downsampled map by square tiles in x and y.
 
     Args:
         points: (V, 3) float32, metres, world frame; finite.
-        voxels: (N,) int32: the point that stands for each raw point; -1 for none.
+        voxels: (N,) int32: the map point of each raw point; -1 for none.
 
     Returns:
-        tiles: which rows are in which tile.
-        points: (V, 3) float32, tile by tile.
-        rows: (N,) int32: where what stands for each raw point went; -1 for none.
+        tiles: the rows of each tile.
+        points: (V, 3) float32, metres, world frame, tile by tile.
+        rows: (N,) int32: the row of each raw point's map point after sorting; -1 for none.
     """
     of_point = np.clip(np.floor(points[:, :2] / np.float32(TILE)), -FARTHEST, FARTHEST).astype(np.int64)
     keys = (of_point[:, 0] << 32) + of_point[:, 1]
     order = np.argsort(keys, kind="stable")
-    rank = np.full(len(points) + 1, np.int32(-1))  # the last is of none
+    rank = np.full(len(points) + 1, np.int32(-1))  # the last entry is for -1
     rank[order] = np.arange(len(points), dtype=np.int32)
     points = points[order]
     return Tiles(points, np.flatnonzero(np.diff(keys[order], prepend=np.iinfo(np.int64).min))), points, rank[voxels]
 
 
 class Tiles:
-    """Which rows of a map are in which tile.
+    """The rows of a map in each tile.
 
     Args:
         points: (V, 3) float32, metres, world frame; tile by tile.
@@ -66,18 +66,18 @@ class Tiles:
         self._extend(points, starts)
 
     def spans(self, centre: F64, reach: float) -> I64:
-        """(S, 2) int64: rows, from the first to before the second, of the tiles within reach of a place in x and y."""
-        away = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
-        near = np.concatenate([[False], (away**2).sum(1) < reach**2, [False]])
-        borders = np.flatnonzero(near[1:] != near[:-1])  # tiles after one another are one span
+        """(S, 2) int64: rows [first, end) of the tiles within a horizontal distance ``reach`` of a centre, metres."""
+        distance = np.maximum(np.maximum(self._low - centre[:2], centre[:2] - self._high), 0)
+        near = np.concatenate([[False], (distance**2).sum(1) < reach**2, [False]])
+        borders = np.flatnonzero(near[1:] != near[:-1])  # consecutive tiles form one span
         return self._ends[borders].reshape(-1, 2)
 
     def append(self, points: F32) -> None:
-        """Note points after the last row as a tile of their own, however far they spread: for few points."""
+        """Register points after the last row as one tile, regardless of their extent; meant for few points."""
         self._extend(points, np.zeros(min(len(points), 1), np.int64))
 
     def _extend(self, points: F32, starts: I64) -> None:
-        """Note points after the last row, of which tiles begin at ``starts``."""
+        """Register points after the last row; their tiles begin at ``starts``."""
         if not len(points):
             return
         self._ends = np.concatenate([self._ends, self._ends[-1] + np.append(starts[1:], len(points))])

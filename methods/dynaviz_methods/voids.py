@@ -1,4 +1,4 @@
-"""Void space of a scan: voxels its rays went through, far enough from all that they hit or left unknown."""
+"""Void voxels of a scan: crossed by rays, not hit, and away from unknown space."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from dynaviz.spatial.grid import SHIFTS, unpack
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VoidMarks:
-    """What one scan saw, in the blocks of a grid.
+    """Hit, observed and void voxels of one scan, by block of a grid.
 
     Attributes:
-        blocks: (B,) int32, numbers of blocks, each once.
-        hit, observed, void: (B, 8) int64, a bit a voxel: bit v of word w is voxel 64 w + v of the block.
+        blocks: (B,) int32, block numbers, without duplicates.
+        hit, observed, void: (B, 8) int64, one bit per voxel: bit v of word w is voxel 64 w + v of the block.
     """
 
     blocks: I32
@@ -31,32 +31,32 @@ class VoidMarks:
 
 
 class VoidGrid(BlockGrid):
-    """A block grid that also covers the space around points which decides about them.
+    """A block grid that also covers the space around points that decides their labels.
 
     Args:
         extent: where points will lie.
         resolution: edge of a voxel, metres.
-        hit_margin: metres before a point that count as hit.
-        unknown_margin: voxels around unknown space that are not void.
+        hit_margin: distance in front of a point that counts as hit, metres.
+        unknown_margin: distance from unknown space within which no voxel is void, voxels.
     """
 
     def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
-        # Voxels hit by a point, and those next to it that it must not be void without, are at most so far from it.
+        # The largest distance from a point to a voxel that it hits, or that decides whether its own voxel is void.
         around = max(hit_margin, unknown_margin * resolution) + resolution
         super().__init__(_widened(extent, around), resolution)
         self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
-        # Of the present scan, and empty between scans: whether a block is hit, where, and its row in the marks.
+        # Scratch memory, cleared after each scan: whether a block is hit, its hit voxels, and its row in the marks.
         self._struck = np.zeros(len(self) + 1, np.bool_)
         self._hits = np.zeros((len(self) + 1, 8), np.int64)
         self._rows = np.zeros(len(self) + 1, np.int32)
 
     def see(self, scan: Scan, voxels: I64, integrated: Bool) -> VoidMarks:
-        """Hit, observed and void voxels of a scan.
+        """Find the hit, observed and void voxels of a scan.
 
         Args:
-            scan: where rays start.
-            voxels: (N,) int64, the voxel of each point, as ``locate`` tells.
-            integrated: (N,) bool, points that count; they need a voxel.
+            scan: gives the origins of the rays.
+            voxels: (N,) int64, the voxel of each point, from ``locate``.
+            integrated: (N,) bool, points to integrate; each must have a voxel.
         """
         goals, starts, origins = self._rays(scan, voxels, integrated)
         place, scratch = (self._blocks, *self._place), self._scratch
@@ -70,15 +70,21 @@ class VoidGrid(BlockGrid):
         self._struck[struck], self._hits[struck] = False, 0
 
         self._rows[blocks] = np.arange(1, len(blocks) + 1, dtype=np.int32)
-        beside = kernels.voids.sides(blocks, self._rows, *place)
+        adjacent = kernels.voids.sides(blocks, self._rows, *place)
         self._rows[blocks] = 0
         padded = np.zeros((len(blocks) + 1, 8), np.uint64)
         padded[:-1] = observed.view(np.uint64)
-        known = kernels.voids.erode(padded, beside, self._unknown_margin)[:-1].view(np.int64)
+        known = kernels.voids.erode(padded, adjacent, self._unknown_margin)[:-1].view(np.int64)
         return VoidMarks(blocks, hit, observed, known & ~hit)
 
     def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, I64, F64]:
-        """Rays to the centres of occupied voxels, one for each place that rays start from: goals, starts, places."""
+        """Rays to the centres of occupied voxels, without duplicates.
+
+        Returns:
+            goals: (R,) int64, the voxel in which each ray ends.
+            starts: (R,) int64, the row of its origin.
+            origins: (P, 3) float64, distinct origins, in voxels, world frame.
+        """
         if len(scan.origins) == 1:
             goals = kernels.voids.distinct(voxels, integrated, self._hits)
             return kernels.as_readonly(goals, np.int64), np.zeros(len(goals), np.int64), scan.origins * self._per_metre
@@ -89,9 +95,9 @@ class VoidGrid(BlockGrid):
 
 
 def _widened(extent: Extent, around: float) -> Extent:
-    """An extent that reaches farther by ``around`` metres on all sides."""
+    """The extent, enlarged by ``around`` metres on all sides."""
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
     packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
-    for shift in SHIFTS:  # one axis after the other, so that no list is much longer than the answer
+    for shift in SHIFTS:  # one axis at a time, so that no intermediate list is much longer than the result
         packed = np.unique((packed[:, None] + (steps << shift)).ravel())
     return Extent(extent.low - around, extent.high + around, unpack(packed))

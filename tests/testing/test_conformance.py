@@ -1,4 +1,4 @@
-"""Every installed method keeps to the contract; and the checks do catch one that does not."""
+"""Every installed method passes the conformance kit, and the kit catches methods that break the contract."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dynaviz.probe import Mask, Scalar, State
 from dynaviz.scan import Label, Scan
 from dynaviz.testing import CHECKS, check_method, crossing
 
-# Bases of BeautyMap's columns lean on columns at lower x and y, so a turned world has others.
+# The base of a BeautyMap column depends on columns at lower x and y, so it changes in a rotated world.
 NOT_MET = {("beautymap", "scores_alike_in_a_moved_world")}
 
 
@@ -43,12 +43,12 @@ def labels(dynamic: Any) -> Labels:
 
 
 class Farthest:
-    """Removes what is farther than a limit from the sensor; keeps to the contract."""
+    """Removes points farther than a limit from the sensor; conforms to the contract."""
 
     info = MethodInfo(
         "farthest",
         "Farthest",
-        "nobody, 2000",
+        "unpublished",
         (Reason("near", "kept"), Reason("far", "removed")),
         (State("limit", Scalar, "the limit"), State("far", Mask, "far points")),
     )
@@ -75,43 +75,43 @@ class Farthest:
 
 
 @pytest.mark.boundscheck
-def test_a_method_that_keeps_to_the_contract_passes() -> None:
+def test_a_conforming_method_passes() -> None:
     check_method(Farthest)
 
 
-class LooksAtTheWorldsAxes(Farthest):
+class UsesWorldAxes(Farthest):
     def label(self, scan: Scan) -> Labels:
         return labels(np.nan_to_num(scan.points[:, 0], posinf=0) > 5)
 
 
-class Counts(Farthest):
+class DependsOnCalls(Farthest):
     def label(self, scan: Scan) -> Labels:
         self.asked = getattr(self, "asked", 0) + 1
         return labels(super().label(scan).dynamic & (self.asked % 2 == 0))
 
 
-class Talks(Farthest):
+class EmitsUndeclared(Farthest):
     def observe(self, scan: Scan) -> None:
         self.probe.emit("secret", Scalar(1.0))
 
 
-class Silent(Farthest):
+class NeverEmits(Farthest):
     def observe(self, scan: Scan) -> None:
         return None
 
 
-class Changes(Farthest):
+class ModifiesInput(Farthest):
     def observe(self, scan: Scan) -> None:
         super().observe(scan)
         scan.points[:] = 0
 
 
-class Changed(Farthest):
+class DependsOnProbe(Farthest):
     def label(self, scan: Scan) -> Labels:
         return labels(super().label(scan).dynamic ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1)))
 
 
-class ShortOfOne(Farthest):
+class OneLabelShort(Farthest):
     def label(self, scan: Scan) -> Labels:
         return labels(super().label(scan).dynamic[1:])
 
@@ -121,7 +121,7 @@ class RemovesNan(Farthest):
         return labels(super().label(scan).dynamic | np.isnan(scan.points).any(1))
 
 
-class OneReason(Farthest):
+class OneReasonForBoth(Farthest):
     def label(self, scan: Scan) -> Labels:
         return Labels(super().label(scan).dynamic, np.zeros(len(scan), np.uint8))
 
@@ -130,15 +130,15 @@ class OneReason(Farthest):
 @pytest.mark.parametrize(
     ("method", "complaint"),
     [
-        (LooksAtTheWorldsAxes, "scores_alike_in_a_moved_world: SA, DA were"),
-        (Counts, "answers_in_any_order|answers_for_every_point|leaves_its_input_alone"),
-        (Talks, "emitted but not declared: {'secret'}"),
-        (Silent, "declared but never emitted"),
-        (Changes, "read-only"),
-        (Changed, "answers_alike_when_watched: a probe changed answers|given for kept and for removed"),
-        (ShortOfOne, "answers_for_every_point: 9600 points got 9599 answers"),
-        (RemovesNan, "keeps_points_without_a_place: a point that is not finite was removed"),
-        (OneReason, "reason 'near' is given for kept and for removed points"),
+        (UsesWorldAxes, "scores_alike_in_a_moved_world: SA and DA change from"),
+        (DependsOnCalls, "answers_in_any_order|answers_for_every_point|leaves_its_input_alone"),
+        (EmitsUndeclared, "emitted but not declared in info.emits: {'secret'}"),
+        (NeverEmits, "declared in info.emits but never emitted"),
+        (ModifiesInput, "read-only"),
+        (DependsOnProbe, "answers_alike_when_watched: labels change with a probe|used for both kept and removed"),
+        (OneLabelShort, r"answers_for_every_point: label\(\) returned 9599 labels for 9600 points"),
+        (RemovesNan, "keeps_points_without_a_place: a point that is not finite is removed"),
+        (OneReasonForBoth, "reason 'near' is used for both kept and removed points"),
     ],
 )
 def test_the_checks_catch(method: Any, complaint: str) -> None:
@@ -147,7 +147,7 @@ def test_the_checks_catch(method: Any, complaint: str) -> None:
 
 
 @pytest.mark.boundscheck
-def test_the_world_has_something_to_find() -> None:
+def test_the_world_has_dynamic_points_and_is_reproducible() -> None:
     scans = crossing()
     assert all((scan.labels == Label.DYNAMIC).sum() > 50 for scan in scans)
     assert crossing(2)[1].points.tobytes() == scans[1].points.tobytes()
