@@ -1,4 +1,4 @@
-"""The lossless part of a recording: each point's answer, truth, reason and range band, packed small, frame by frame."""
+"""The lossless part of a recording: label, ground truth, reason and range band of each point, compressed by frame."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ ARCHETYPE = "dynaviz.Answers"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
-    """The answers of one frame, in the order of the scan's points.
+    """The labels of one frame, in the order of the scan's points.
 
     Attributes:
         frame: position in the run.
         index: number of the frame in its data set.
-        dynamic: (N,) bool, the method's answer.
+        dynamic: (N,) bool, the method's labels.
         truth: (N,) uint8, a ``Label`` per point.
         reasons: (N,) uint8, the method's reason codes.
         bands: (N,) uint8, range from the sensor as an index into ``BAND_NAMES``.
@@ -47,20 +47,20 @@ class Answers:
 
     @classmethod
     def of(cls, labelled: Labelled) -> Answers:
-        """The answers of a labelled scan."""
+        """From a labelled scan."""
         scan = labelled.scan
         truth = np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels
         return cls(labelled.frame, scan.index, labelled.dynamic, truth, labelled.reasons, range_bands(scan))
 
     def packed(self) -> dict[str, NDArray[np.generic]]:
-        """Components of the recording: two numbers, and four (bytes,) uint8 arrays as compressed by zlib."""
+        """Components of the recording: two numbers, and four (bytes,) uint8 arrays compressed with zlib."""
         return {
             "index": np.array([self.index], np.int64),
             "points": np.array([len(self)], np.int64),
-            "predicted": _squeeze(np.packbits(self.dynamic)),
-            "truth": _squeeze(self.truth),
-            "reasons": _squeeze(self.reasons),
-            "bands": _squeeze(self.bands),
+            "predicted": _compress(np.packbits(self.dynamic)),
+            "truth": _compress(self.truth),
+            "reasons": _compress(self.reasons),
+            "bands": _compress(self.bands),
         }
 
     @classmethod
@@ -68,11 +68,11 @@ class Answers:
         """The inverse of ``packed``.
 
         Raises:
-            ValueError, zlib.error: where the components do not fit together.
+            ValueError, zlib.error: if the components are damaged.
         """
         n = int(components["points"][0])
-        bits = np.unpackbits(_swell(components["predicted"], (n + 7) // 8), count=n)
-        truth, reasons, bands = (_swell(components[name], n) for name in ("truth", "reasons", "bands"))
+        bits = np.unpackbits(_decompress(components["predicted"], (n + 7) // 8), count=n)
+        truth, reasons, bands = (_decompress(components[name], n) for name in ("truth", "reasons", "bands"))
         return cls(frame, int(components["index"][0]), bits.astype(np.bool_), truth, reasons, bands)
 
 
@@ -81,17 +81,17 @@ def range_bands(scan: Scan) -> U8:
     squared = scan.squared_ranges()
     bands = np.zeros(len(squared), np.uint8)
     for limit in RANGE_EDGES:
-        bands += ~(squared < limit * limit)  # written so that NaN counts as far
+        bands += ~(squared < limit * limit)  # NaN falls into the last band
     return bands
 
 
-def _squeeze(array: U8) -> U8:
-    """Neighbours mostly agree, so runs are all that is worth looking for; that is small, and a few times faster."""
+def _compress(array: U8) -> U8:
+    """Neighbouring points mostly have equal values, so run lengths suffice; that is also several times faster."""
     packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
     return np.frombuffer(packer.compress(array.tobytes()) + packer.flush(), np.uint8)
 
 
-def _swell(blob: NDArray[np.generic], n: int) -> U8:
+def _decompress(blob: NDArray[np.generic], n: int) -> U8:
     array = np.frombuffer(zlib.decompress(blob.tobytes()), np.uint8)
     if len(array) != n:
         raise ValueError(f"{len(array)} values instead of {n}")

@@ -33,14 +33,14 @@ def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
         assert getattr(back, name).dtype == getattr(answers, name).dtype
 
 
-def test_a_cut_blob_is_an_error() -> None:
+def test_truncated_data_is_an_error() -> None:
     answers = Answers(0, 0, np.ones(50, bool), *(np.zeros(50, np.uint8) for _ in range(3)))
     short = answers.packed() | {"truth": Answers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]}
     with pytest.raises(ValueError, match="9 values instead of 50"):
         Answers.unpacked(0, short)
 
 
-def test_bands_measure_from_where_each_ray_started() -> None:
+def test_range_bands_use_the_origin_of_each_ray() -> None:
     ranges = np.array([0, 9.9, 10, 19.9, 20, 29.9, 30, 49.9, 50, 500, np.nan], np.float32)
     points = np.zeros((len(ranges), 3), np.float32)
     points[:, 1] = ranges

@@ -1,4 +1,4 @@
-"""A method that shows every kind of state, and a recording of it."""
+"""A method that emits every kind of state, and recordings of it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from dynaviz.viz.recorder import Recorder
 
 @dataclass(frozen=True)
 class GuessParams:
-    """A box and a band: what lies in either is called dynamic."""
+    """Points below a height, in a band, are labelled dynamic."""
 
     height: float = 1.0
     note: str = "a|b"
 
 
 class Guess:
-    """Removes what lies below a height and right of the sensor's track: right about the box, wrong about the floor."""
+    """Removes points below a height in a band beyond the track: right about the box, wrong about the floor."""
 
     info: ClassVar[MethodInfo] = MethodInfo(
         "guess",
@@ -79,7 +79,7 @@ class Guess:
 
 
 class Numbers:
-    """Answers what the real metrics do: scores, undefined ones, reasons, and a histogram with an open last bin."""
+    """Returns what real metrics return: scores, undefined scores, reasons, and a histogram with an open last bin."""
 
     def __init__(self, info: MethodInfo):
         self.frames: list[np.ndarray] = []
@@ -111,7 +111,7 @@ def guess_run(sequence: Sequence, **changes: Any) -> RunSpec:
 
 
 def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any) -> Path:
-    """Record it; bad data is an error, not a warning."""
+    """Record a run; in strict mode, bad data is an error instead of a warning."""
     rr.set_strict_mode(True)
     with Recorder(path, mode) as recorder:
         execute(guess_run(sequence, **changes), [recorder], recorder)

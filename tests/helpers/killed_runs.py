@@ -1,8 +1,8 @@
-"""Runs that are killed: a warm process forks one after the other and kills each at its moment.
+"""Runs that are killed: a warmed-up process forks them one after the other and kills each.
 
-Reads lines ``FOLDER STEPS SECONDS``: a run into that folder is killed so many seconds after so many steps, of which
-each frame has three: surveyed, observed, labelled. Answers with a line of JSON: how many frames the run had said were
-labelled, and how it ended.
+Reads lines ``FOLDER STEPS SECONDS``: the run into FOLDER is killed SECONDS after it reported STEPS steps. Each frame
+has three: summarised, observed, labelled. Prints one line of JSON per run: the number of labelled frames it reported,
+and its exit status.
 """
 
 from __future__ import annotations
@@ -25,46 +25,46 @@ from helpers.worlds import room
 FRAMES = 10
 
 
-def live(folder: Path, said: int) -> None:
-    """Be a run that says each frame once it was flushed."""
+def run_and_report(folder: Path, pipe: int) -> None:
+    """A run that reports each step to a pipe, after it was flushed."""
 
-    def tell(phase: str, done: int, total: int) -> None:
-        os.write(said, b"." if phase == "label" else b"-")
+    def report(phase: str, done: int, total: int) -> None:
+        os.write(pipe, b"." if phase == "label" else b"-")
 
-    _run_into(folder, folder / "run.rrd", "errors", guess_run(room(FRAMES, 1000), threads=1), False, tell)
+    _run_into(folder, folder / "run.rrd", "errors", guess_run(room(FRAMES, 1000), threads=1), False, report)
 
 
-def raised(folder: Path, steps: int, seconds: float) -> dict[str, int]:
-    """Fork a run, and kill it at its moment."""
-    heard, said = os.pipe()
+def fork_and_kill(folder: Path, steps: int, seconds: float) -> dict[str, int]:
+    """Fork a run, and kill it."""
+    reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            live(folder, said)
+            run_and_report(folder, writer)
             os._exit(0)
         finally:
             os._exit(1)
-    os.close(said)
-    words = b""
-    while len(words) < steps and (more := os.read(heard, 1)):
-        words += more
+    os.close(writer)
+    steps_seen = b""
+    while len(steps_seen) < steps and (more := os.read(reader, 1)):
+        steps_seen += more
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)
     _, status = os.waitpid(child, 0)
-    while more := os.read(heard, 4096):
-        words += more
-    os.close(heard)
-    return {"frames": words.count(b"."), "status": os.waitstatus_to_exitcode(status)}
+    while more := os.read(reader, 4096):
+        steps_seen += more
+    os.close(reader)
+    return {"frames": steps_seen.count(b"."), "status": os.waitstatus_to_exitcode(status)}
 
 
 def main() -> None:
-    """Load what a run needs, without any thread that a fork would lose."""
+    """Load everything a run needs, without threads, which a fork would lose."""
     run = guess_run(room(2, 300), threads=1)
     execute(run)
     layout(run.labeller.info, Extent.of(run.sequence[0]), geometry=True)
     for line in sys.stdin:
         folder, steps, seconds = line.split()
-        print(json.dumps(raised(Path(folder), int(steps), float(seconds))), flush=True)
+        print(json.dumps(fork_and_kill(Path(folder), int(steps), float(seconds))), flush=True)
 
 
 if __name__ == "__main__":

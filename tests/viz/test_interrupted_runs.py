@@ -1,4 +1,4 @@
-"""What is on disk and what is said when a run is killed, interrupted, or has no room left."""
+"""Files and messages of a run that is killed, interrupted, or runs out of disk space."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HELPERS = Path(__file__).parents[1] / "helpers"
 FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
 
 
-def expected(recording: RunRecording, scans: list[Any]) -> None:
+def check_answers(recording: RunRecording, scans: list[Any]) -> None:
     """Answers are the method's, frame by frame from the first."""
     for frame, answers in enumerate(recording.answers()):
         scan = scans[frame]
@@ -51,19 +51,19 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
         moments.randint(2 * FRAMES, 3 * FRAMES) for _ in range(12)
     ]
     orders = "".join(f"{tmp_path / str(i)} {n} {moments.uniform(0, 0.01)}\n" for i, n in enumerate(steps))
-    quiet = {**os.environ, "PYTHONPATH": str(HELPERS.parent)}
-    said = subprocess.run(
+    environment = {**os.environ, "PYTHONPATH": str(HELPERS.parent)}
+    done = subprocess.run(
         [sys.executable, HELPERS / "killed_runs.py"],
         input=orders,
         capture_output=True,
         text=True,
         check=True,
-        env=quiet,
+        env=environment,
     )
     scans, salvaged = room(FRAMES, 1000).scans, []
-    for i, line in enumerate(said.stdout.splitlines()):
+    for i, line in enumerate(done.stdout.splitlines()):
         run, folder = json.loads(line), tmp_path / str(i)
-        assert run["status"] in (0, -signal.SIGKILL), said.stderr
+        assert run["status"] in (0, -signal.SIGKILL), done.stderr
         names = {path.name for path in folder.iterdir()}
         if "result.json" in names:  # the last file of a run
             assert names == FINAL
@@ -78,14 +78,14 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
             assert found
             assert found.path == folder / "run.rrd"
             assert run["frames"] <= found.answered <= found.frames == FRAMES
-            expected(RunRecording(found.path), scans)
+            check_answers(RunRecording(found.path), scans)
             assert part.read_bytes() == before
         salvaged.append(found.answered if found else 0)
-    assert len(said.stdout.splitlines()) == 20
+    assert len(done.stdout.splitlines()) == 20
     assert len(set(salvaged)) >= 5, salvaged  # killed at many different frames
 
 
-def test_an_error_leaves_the_part_that_was_written(little_room: InMemory, tmp_path: Path) -> None:
+def test_an_error_leaves_a_part_that_opens(little_room: InMemory, tmp_path: Path) -> None:
     class Torn(InMemory):
         reads = 0
 
@@ -124,7 +124,7 @@ with Recorder({path!r}) as recorder:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_kill_leaves_every_frame_that_was_flushed(tmp_path: Path) -> None:
+def test_a_killed_run_leaves_every_flushed_frame(tmp_path: Path) -> None:
     here = Path(__file__).parent
     code = KILLED.format(folders=[str(here.parent), str(here)], path=str(tmp_path / "run.rrd"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -183,7 +183,7 @@ def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: in
 
 
 @pytest.mark.parametrize("missing", [2_000, 110_000, 150_000, 190_000])
-def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing: int) -> None:
+def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(tmp_path: Path, missing: int) -> None:
     sequence = room(6, 500)
     size = record(sequence, tmp_path / "whole.rrd", "scores").stat().st_size
     (tmp_path / "run.rrd").write_bytes(b"of an earlier run")
@@ -201,13 +201,13 @@ def test_a_full_disk_gives_no_broken_recording_its_name(tmp_path: Path, missing:
 
 
 @pytest.mark.parametrize("limit", [0, 2_000, 40_000])
-def test_a_full_disk_leaves_nothing_under_a_final_name(tmp_path: Path, limit: int) -> None:
+def test_on_a_full_disk_no_file_gets_its_final_name(tmp_path: Path, limit: int) -> None:
     with pytest.raises(DataError, match="cannot be written"), files_end_at(limit):
         _run_into(tmp_path / "out", tmp_path / "out/run.rrd", "errors", guess_run(room(6, 500)), False, lambda *_: None)
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 
 
-def test_places_that_cannot_be_written(tmp_path: Path, run_command: Command) -> None:
+def test_unwritable_paths(tmp_path: Path, run_command: Command) -> None:
     whole = record(room(3, 200), tmp_path / "run.rrd", "scores")
     (tmp_path / "file").touch()
     for out in (tmp_path / "file/run.rrd", Path("/proc/dynaviz/run.rrd")):

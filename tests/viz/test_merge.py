@@ -22,7 +22,7 @@ from dynaviz.viz.reader import RunRecording, read
 README = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
 
 
-def test_the_merged_recording(runs: dict[str, Path], merged: dict[str, Path]) -> None:
+def test_entities_curves_and_properties(runs: dict[str, Path], merged: dict[str, Path]) -> None:
     recorded = read(merged["two"])
     comparison = dv.compare(*pair(runs, "errors"))
     assert (recorded.kind, recorded.frames) == ("comparison", 6)

@@ -28,7 +28,7 @@ def test_every_byte_reaches_the_file(tmp_path: Path) -> None:
 def test_a_full_disk_raises_an_error_and_does_not_block() -> None:
     writer = PipeWriter(Path("/dev/full"))
     with open(writer.inlet, "wb", buffering=0) as inlet:
-        for _ in range(40):  # more than the pipe holds
+        for _ in range(40):  # more than the capacity of the pipe
             inlet.write(bytes(100_000))
     with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
         writer.settle()

@@ -43,7 +43,7 @@ def cut(path: Path) -> None:
     ],
     ids=["missing", "folder", "empty", "cloud", "foreign", "cut"],
 )
-def test_files_that_are_no_recording(tmp_path: Path, make: Any, problem: str) -> None:
+def test_files_that_are_not_readable_recordings(tmp_path: Path, make: Any, problem: str) -> None:
     path = tmp_path / "run.rrd"
     make(path)
     with pytest.raises(DataError, match=problem) as caught:
@@ -77,7 +77,7 @@ def older(folder: Path) -> bytes:
     return (folder / "old.rrd").read_bytes()
 
 
-def test_the_recording_of_a_killed_run_is_named(tmp_path: Path, run_command: Command) -> None:
+def test_errors_name_the_part_of_a_killed_run(tmp_path: Path, run_command: Command) -> None:
     shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
     for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
         code, _, err = run_command(*words)

@@ -1,4 +1,4 @@
-"""What a recording holds in each mode, and what is on disk whatever happens."""
+"""What a recording contains in each mode."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ STATES = {
 
 
 def expected(sequence: InMemory) -> list[Labelled]:
-    """What the test's method answers, computed here."""
+    """The labels of the test's method, computed here."""
     answers = []
     for frame, scan in enumerate(sequence.scans):
         dynamic = (scan.points[:, 2] < 1.0) & (scan.points[:, 1] > 2.2)
@@ -55,14 +55,14 @@ def expected(sequence: InMemory) -> list[Labelled]:
 @pytest.mark.parametrize(
     ("mode", "entities"), [(MODES[0], WORLD | STATES), (MODES[1], WORLD | STATES), (MODES[2], set())]
 )
-def test_every_entity_is_there(little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]) -> None:
+def test_every_entity_is_recorded(little_room: InMemory, tmp_path: Path, mode: str, entities: set[str]) -> None:
     found = set(RunRecording(record(little_room, tmp_path / "run.rrd", mode)).entities())
     assert found - {"", "world"} == NUMBERS | entities
 
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("online", [False, True])
-def test_all_answers_survive(little_room: InMemory, tmp_path: Path, mode: str, online: bool) -> None:
+def test_all_labels_are_recorded(little_room: InMemory, tmp_path: Path, mode: str, online: bool) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", mode, online=online))
     answers = list(recording.answers())
     assert [a.index for a in answers] == [10, 11, 12, 13, 14, 15]
@@ -82,7 +82,7 @@ def test_full_draws_every_point(little_room: InMemory, tmp_path: Path) -> None:
         assert drawn.stands_for.tolist() == [1] * len(truth.scan)
 
 
-def test_errors_draws_all_that_moves_and_thins_false_positives(little_room: InMemory, tmp_path: Path) -> None:
+def test_errors_draws_dynamic_points_and_downsamples_false_positives(little_room: InMemory, tmp_path: Path) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", "errors"))
     for drawn, truth in zip(recording.drawn(), expected(little_room), strict=True):
         np.testing.assert_array_equal(drawn.xyz, truth.scan.points[drawn.point])
@@ -99,7 +99,7 @@ def test_errors_draws_all_that_moves_and_thins_false_positives(little_room: InMe
         assert moving.sum() == truth.scan.labels.sum()  # type: ignore[union-attr]
 
 
-def test_the_map_keeps_what_was_kept_one_per_voxel(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_map_contains_one_kept_point_per_voxel(little_room: InMemory, tmp_path: Path) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd"))
     kept = np.concatenate([e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)])
     xyz = recording.static(paths.MAP)["Points3D:positions"]
@@ -111,13 +111,13 @@ def test_the_map_keeps_what_was_kept_one_per_voxel(little_room: InMemory, tmp_pa
     assert set(recording.static(paths.REMOVED_WRONG)["Points3D:class_ids"]) == {Outcome.FALSE_POSITIVE}
 
 
-def test_properties_tell_everything(little_room: InMemory, tmp_path: Path) -> None:
+def test_properties_describe_the_run(little_room: InMemory, tmp_path: Path) -> None:
     recording = RunRecording(record(little_room, tmp_path / "run.rrd", "scores", seed=7, command="typed"))
     p, result = recording.properties, recording.result
     assert result is not None
     assert recording.complete
-    told = {"method": "guess", "sequence": "room", "frames": 6, "mode": "scores", "seed": 7, "online": False}
-    assert {name: p[name] for name in told} == told
+    properties = {"method": "guess", "sequence": "room", "frames": 6, "mode": "scores", "seed": 7, "online": False}
+    assert {name: p[name] for name in properties} == properties
     assert p["digest"] == result.sequence.digest
     assert p["points"] == sum(len(s) for s in little_room.scans)
     assert recording.parameters == {"height": 1.0, "note": "a|b"}
@@ -190,14 +190,14 @@ def far_away(scan: Scan) -> np.ndarray:
     return T_world_sensor
 
 
-def test_labels_do_not_depend_on_who_looks(little_room: InMemory, tmp_path: Path) -> None:
+def test_labels_do_not_depend_on_the_probe(little_room: InMemory, tmp_path: Path) -> None:
     run = guess_run(little_room)
     with Recorder(tmp_path / "run.rrd") as recorder:
         recorded = execute(run, [recorder], recorder)
     assert recorded.labels_sha256 == execute(run).labels_sha256 == execute(run, probe=MemoryProbe()).labels_sha256
 
 
-def test_the_file_appears_when_whole(little_room: InMemory, tmp_path: Path) -> None:
+def test_the_file_appears_when_complete(little_room: InMemory, tmp_path: Path) -> None:
     seen: list[list[str]] = []
 
     class Watching(InMemory):
@@ -216,7 +216,7 @@ def test_digest_of_the_file(little_room: InMemory, tmp_path: Path) -> None:
     assert recorder.sha256() == hashlib.sha256((tmp_path / "deep/run.rrd").read_bytes()).hexdigest()
 
 
-def test_modes_and_places_that_do_not_work(little_room: InMemory, tmp_path: Path) -> None:
+def test_unknown_modes_and_unwritable_paths(little_room: InMemory, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="choose from full, errors, scores"):
         Recorder(tmp_path / "run.rrd", "all")  # type: ignore[arg-type]
     (tmp_path / "file").touch()
@@ -225,9 +225,7 @@ def test_modes_and_places_that_do_not_work(little_room: InMemory, tmp_path: Path
 
 
 @pytest.mark.parametrize(("mode", "wanted"), [("errors", [True, False]), ("scores", [False, False])])
-def test_a_recorder_wants_what_is_declared(
-    little_room: InMemory, tmp_path: Path, mode: Any, wanted: list[bool]
-) -> None:
+def test_a_recorder_wants_declared_states(little_room: InMemory, tmp_path: Path, mode: Any, wanted: list[bool]) -> None:
     with Recorder(tmp_path / "run.rrd", mode) as recorder:
 
         class Asking(Listener):

@@ -1,4 +1,4 @@
-"""The page on recordings says what is so."""
+"""The page on recordings matches the code."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def test_the_example_works(
 
 
 def test_every_constant_path_and_every_property_is_described(little_room: InMemory, tmp_path: Path) -> None:
-    told = set(re.findall(r"`([^`]+)`", PAGE))
+    named = set(re.findall(r"`([^`]+)`", PAGE))
     for name in ("SCAN", "MAP", "MAP_WRONG", "REMOVED", "REMOVED_WRONG", "TRAJECTORY", "SENSOR", "RINGS"):
-        assert getattr(paths, name) in told
+        assert getattr(paths, name) in named
     for name in ("FAILURES", "CASES", "ANSWERS", "WORST", "REPORT", "FAILURE_LIST", "LOG"):
-        assert getattr(paths, name) in told
-    assert set(RunRecording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= told
+        assert getattr(paths, name) in named
+    assert set(RunRecording(record(little_room, tmp_path / "run.rrd", command="typed")).properties) <= named

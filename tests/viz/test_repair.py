@@ -1,4 +1,4 @@
-"""What becomes of recordings that are whole, cut off anywhere, or no recordings; and how the command answers."""
+"""Repairing recordings that are complete, truncated anywhere, or not recordings; and the command."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def cut(whole: Path, folder: Path, size: int, name: str = "run.rrd") -> Path:
     return folder / name
 
 
-def test_a_whole_recording_is_left_alone(whole: Path, run_command: Command) -> None:
+def test_a_complete_recording_is_not_changed(whole: Path, run_command: Command) -> None:
     before = whole.stat().st_mtime_ns
     found = repair(whole)
     assert (found.path, found.whole, found.finished, found.frames) == (whole, True, True, 6)
@@ -73,7 +73,7 @@ def test_the_layout_and_every_frame_before_the_cut_are_kept(whole: Path, tmp_pat
 
 @settings(max_examples=15, deadline=None)
 @given(share=st.floats(0, 1))
-def test_it_may_be_cut_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+def test_a_recording_truncated_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
     folder = tmp_path_factory.mktemp("cut")
     broken = cut(whole, folder, int(share * whole.stat().st_size))
     before = broken.read_bytes()
@@ -84,7 +84,7 @@ def test_it_may_be_cut_anywhere(whole: Path, tmp_path_factory: pytest.TempPathFa
     assert {path.name for path in folder.iterdir()} <= {"run.rrd", "run-repaired.rrd"}
 
 
-def test_nothing_that_is_there_is_overwritten(whole: Path, tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten(whole: Path, tmp_path: Path) -> None:
     part = cut(whole, tmp_path, whole.stat().st_size - 5000, ".run.rrd.part")
     (tmp_path / "run.rrd").write_bytes(b"a")
     assert repair(part).path == tmp_path / "run-repaired.rrd"
@@ -95,7 +95,7 @@ def test_nothing_that_is_there_is_overwritten(whole: Path, tmp_path: Path) -> No
     assert (tmp_path / "run.rrd").read_bytes() == b"a"
 
 
-def test_what_is_no_recording(tmp_path: Path) -> None:
+def test_files_that_are_not_recordings(tmp_path: Path) -> None:
     (tmp_path / "x.rrd").write_bytes(b"hello")
     with pytest.raises(DataError, match="not a recording"):
         repair(tmp_path / "x.rrd")
@@ -110,7 +110,7 @@ def test_names_of_parts() -> None:
     assert [of_part(Path(name)) for name in ("run.rrd", "run.rrd.part", ".run.rrd")] == [None] * 3
 
 
-def test_scores_alone_are_salvaged_too(little_room: InMemory, tmp_path: Path) -> None:
+def test_a_recording_of_scores_is_salvaged(little_room: InMemory, tmp_path: Path) -> None:
     whole = record(little_room, tmp_path / "run.rrd", "scores")
     found = repair(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"))
     assert (found.path, found.answered) == (tmp_path / "cut-repaired.rrd", 6)

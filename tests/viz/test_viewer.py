@@ -19,8 +19,10 @@ from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.view import view
 
 
-def test_a_viewer_may_look_on_and_go(little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever becomes of the viewer, the file is the same and the run does not fail."""
+def test_a_viewer_may_be_closed_during_the_run(
+    little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file stays the same and the run does not fail."""
     gone: list[int] = []
 
     class Closing(Listener):
@@ -46,7 +48,7 @@ def test_a_viewer_may_look_on_and_go(little_room: InMemory, tmp_path: Path, monk
     assert len(list(RunRecording(tmp_path / "run.rrd").answers())) == 6
 
 
-def test_a_viewer_that_is_not_there_is_done_without(
+def test_a_run_does_not_need_the_viewer_it_was_given(
     little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewer, "open_window", viewer.free_port)
