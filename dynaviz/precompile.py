@@ -1,4 +1,4 @@
-"""Compile the kernels of all methods ahead of their first use: ``python -m dynaviz.precompile``."""
+"""Compile the kernels of all methods before their first use: ``python -m dynaviz.precompile``."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def compiling() -> Iterator[None]:
-    """Have the kernels compiled by all cores meanwhile, the first time; one core would take minutes."""
+    """Compile the kernels on all cores in the background if none are compiled yet; one core would take minutes."""
     from dynaviz import kernels, registry
 
     if kernels.compiled():
         yield
         return
     print(kernels.COMPILING, file=sys.stderr, flush=True)
-    families: dict[str, list[str]] = {}  # methods of one file share kernels, which two cores would compile twice
+    families: dict[str, list[str]] = {}  # methods of one file share kernels; two cores would compile these twice
     for handle in registry.handles("methods"):
         families.setdefault(handle.target.partition(":")[0], []).append(handle.name)
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as cores:
-        # What fails here is no loss: it fails again where it runs, and is told there.
+        # Errors are ignored here: they occur again, and are reported, when the kernel runs.
         cores.submit(_score)
         for names in families.values():
-            cores.submit(_clean, names)
+            cores.submit(_label, names)
         yield
 
 
-def _clean(names: list[str]) -> None:
-    """Have methods see a few scans, and show their states."""
+def _label(names: list[str]) -> None:
+    """Run methods on a few scans, with all their states."""
     from dynaviz import registry
     from dynaviz.engine.loop import RunSpec, execute
     from dynaviz.probe import MemoryProbe
@@ -46,7 +46,7 @@ def _clean(names: list[str]) -> None:
 
 
 def _score() -> None:
-    """Score and record a map that lacks some points."""
+    """Score and record a map that lacks half of the points."""
     import numpy as np
 
     from dynaviz import api

@@ -1,11 +1,14 @@
-"""Numba kernels, loaded when first used: ``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py`` then.
+"""Numba kernels, loaded on first use: ``kernels.voxels.pack(...)`` imports numba and ``kernels/voxels.py``.
 
-Rules for a file here: leaf functions only, no call into another file (the cache on disk does not see its changes);
-``cache=True``; the same answer on any number of threads, so threads store only equal values or integers of their own.
-Parallel kernels run on the main thread only.
+Rules for a file in this folder:
 
-Compiling is what a newcomer waits for: an array assigned to a slice brings three seconds of text formatting for its
-error, and a counter that begins as a bare 0 compiles those who take it twice.
+- It calls no function of another file, because numba's cache on disk does not notice changes there.
+- Its functions are compiled with ``cache=True``.
+- Results do not depend on the number of threads: threads write either equal values, or integers of their own.
+- Parallel kernels run on the main thread only.
+
+The first run is dominated by compilation. Do not assign an array to a slice: the formatting of its error message takes
+three seconds to compile. Give counters that are passed to other functions a type: a bare 0 compiles these twice.
 """
 
 from __future__ import annotations
@@ -20,25 +23,25 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 COMPILING = "compiling kernels, first run only ..."
-_heard = False
+_listening = False
 
 
 def __getattr__(name: str) -> ModuleType:
     if name.startswith("_"):
         raise AttributeError(name)
-    _tell_when_compiling()
+    _announce_compilation()
     return importlib.import_module(f"dynaviz.kernels.{name}")
 
 
 def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
-    """A read-only, C-contiguous view or copy: kernels then see one type each and are compiled once."""
+    """A read-only, C-contiguous view or copy of an array, so that each kernel is compiled for one type only."""
     view = np.ascontiguousarray(array, dtype).view()
     view.flags.writeable = False
     return view
 
 
 def set_threads(threads: int | None) -> int:
-    """Use at most this many threads in kernels (None: all); returns the number in use."""
+    """Set the maximum number of threads of kernels (None for all); return the number in use."""
     import numba
 
     most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # set when numba starts
@@ -47,32 +50,32 @@ def set_threads(threads: int | None) -> int:
 
 
 def threads_in_use() -> int:
-    """How many threads kernels use: as many lanes of scratch memory serve them all."""
+    """The number of threads that kernels use, which is the number of lanes of scratch memory that they need."""
     import numba
 
     return int(numba.get_num_threads())
 
 
 def compiled() -> bool:
-    """Whether there are compiled kernels on disk, from an earlier process."""
-    folders = [elsewhere] if (elsewhere := os.environ.get("NUMBA_CACHE_DIR")) else __path__
+    """Whether an earlier process has stored compiled kernels on disk."""
+    folders = [folder] if (folder := os.environ.get("NUMBA_CACHE_DIR")) else __path__
     return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
 
 
-def _tell_when_compiling() -> None:
-    """Say once, on the first compilation of this process, what the wait is for."""
-    global _heard
-    if _heard:
+def _announce_compilation() -> None:
+    """Print a message on the first compilation of this process."""
+    global _listening
+    if _listening:
         return
-    _heard = True
+    _listening = True
     from numba.core import event
 
-    class Teller(event.Listener):
-        told = False
+    class Announcer(event.Listener):
+        announced = False
 
         def on_start(self, event: Any) -> None:
-            if not Teller.told:
-                Teller.told = True
+            if not Announcer.announced:
+                Announcer.announced = True
                 from rich.console import Console
 
                 Console(stderr=True).print(f"[dim]{COMPILING}[/]")
@@ -80,4 +83,4 @@ def _tell_when_compiling() -> None:
         def on_end(self, event: Any) -> None:
             return None
 
-    event.register("numba:compile", Teller())
+    event.register("numba:compile", Announcer())

@@ -1,7 +1,8 @@
-"""The directory of a block grid: super-blocks of 16^3 blocks of 8^3 voxels, present only where points lie.
+"""The directory of a block grid: super-blocks of 16^3 blocks of 8^3 voxels, allocated only where points lie.
 
-``top`` is dense over the bounds, one int32 a super-block: 0 where empty, else the row of ``children``. A row of
-``children`` holds for each of its 4096 blocks 0, or the block's number plus one. Zeros cost no memory until written.
+``top`` is dense over the bounds, with one int32 per super-block: 0 if empty, else its row in ``children``. Each row of
+``children`` has 4096 entries, one per block: 0 if absent, else the block's number plus one. Zeros take no memory until
+written.
 """
 
 import math
@@ -14,7 +15,17 @@ REACH = 1 << 15  # voxels to each side of the world's origin, as in OctoMap's ke
 
 @njit(cache=True, nogil=True)
 def directory(blocks, base, shape):
-    """Number the blocks (B, 3), indices from the world's origin, in their order; base: first super-block."""
+    """Build the directory of a grid.
+
+    Args:
+        blocks: (B, 3), indices of the blocks from the world's origin; a block's number is its row.
+        base: (3,), index of the first super-block.
+        shape: (3,), number of super-blocks along each axis.
+
+    Returns:
+        top: (shape[0] * shape[1] * shape[2],) int32.
+        children: (rows, 4096) int32; row 0 is empty.
+    """
     top = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
     rows = 1
     for n in range(len(blocks)):
@@ -33,7 +44,12 @@ def directory(blocks, base, shape):
 
 @njit(cache=True, nogil=True)
 def voxels_of(blocks, bits):
-    """Voxels whose bit is set; bits (B, 8), bit v of word w is voxel 64 w + v of its block."""
+    """(N,) int64: voxels whose bit is set.
+
+    Args:
+        blocks: (B,) int32, numbers of the blocks.
+        bits: (B, 8), 64-bit words; bit v of word w is voxel 64 w + v of its block.
+    """
     count = 0
     for n in range(len(blocks)):
         for w in range(8):
@@ -56,7 +72,7 @@ def voxels_of(blocks, bits):
 
 @njit(cache=True, nogil=True)
 def keys_of(voxels, blocks):
-    """Indices (N, 3) from the world's origin of voxels, of the grid's blocks (B, 3)."""
+    """(N, 3) int32: indices of voxels (N,) from the world's origin; blocks: (B, 3), indices of the grid's blocks."""
     keys = np.empty((len(voxels), 3), np.int32)
     for i in range(len(voxels)):
         block, place = voxels[i] >> 9, voxels[i] & 511
@@ -68,7 +84,13 @@ def keys_of(voxels, blocks):
 
 @njit(cache=True, nogil=True)
 def locate(points, per_metre, base, shape, top, children):
-    """Voxel of each point: block number * 512 + place in the block; -1 where the grid has no block."""
+    """(N,) int64: voxel of each point, block number * 512 + index in the block; -1 if the grid has no block there.
+
+    Args:
+        points: (N, 3), metres, world frame.
+        per_metre: voxels per metre.
+        base, shape, top, children: the directory.
+    """
     found = np.full(len(points), np.int64(-1))
     for i in range(len(points)):
         fx, fy, fz = points[i, 0] * per_metre, points[i, 1] * per_metre, points[i, 2] * per_metre
@@ -89,7 +111,7 @@ def locate(points, per_metre, base, shape, top, children):
 
 @njit(cache=True, nogil=True)
 def read(voxels, bits):
-    """(N,) bool: whether the bits of voxels are set, in (B, 8 or more) uint64; never for -1."""
+    """(N,) bool: whether the bits of voxels (N,) are set in words (B, 8 or more); False for -1."""
     found = np.zeros(len(voxels), np.bool_)
     for i in range(len(voxels)):
         if voxels[i] >= 0:

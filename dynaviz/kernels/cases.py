@@ -1,4 +1,4 @@
-"""Cells of many frames joined into cases: what touches in space, within some frames, is one case."""
+"""Cells of many frames joined into cases: cells that touch within a few frames belong to one case."""
 
 import numpy as np
 from numba import njit
@@ -6,12 +6,12 @@ from numba import njit
 from dynaviz.arrays import I32, I64, Bool
 from dynaviz.kernels.keys import BITS, MASK, REACH, X_SHIFT, Y_SHIFT
 
-GROUP, CASE, LAST = 0, 1, 2  # of a remembered cell
+GROUP, CASE, LAST = 0, 1, 2  # columns of a remembered cell
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(key: np.int64, mask: int) -> np.int64:
-    """Four cells above each other begin side by side, for neighbours are looked up together."""
+    """First slot of a key; four cells in a vertical row get adjacent slots, since neighbours are looked up together."""
     h = np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)
     h = (h ^ (h >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     return (np.int64(h >> np.uint64(32)) << 2 | key & 3) & mask
@@ -27,7 +27,7 @@ def _root(parent: I32, label: int) -> int:
 
 @njit(cache=True, nogil=True, inline="always")
 def _find(table: I64, cells: I64, key: np.int64, group: np.int64) -> np.int64:
-    """The row of a cell, or the free one where it belongs."""
+    """The row of a cell, or the free row where it would be inserted."""
     mask = len(table) - 1
     s = _slot(key, mask)
     while table[s] >= 0 and (table[s] != key or cells[s, GROUP] != group):
@@ -37,7 +37,7 @@ def _find(table: I64, cells: I64, key: np.int64, group: np.int64) -> np.int64:
 
 @njit(cache=True, nogil=True, inline="always")
 def _fits(low: I32, high: I32, a: int, b: int, limit: int) -> bool:
-    """Whether two cases together span at most ``limit`` cells along each axis."""
+    """Whether the union of two cases spans at most ``limit`` cells along each axis."""
     longest = 0
     for axis in range(3):
         longest = max(longest, max(high[a, axis], high[b, axis]) - min(low[a, axis], low[b, axis]))
@@ -58,36 +58,36 @@ def link(
     high: I32,
     used: int,
 ) -> tuple[I32, Bool, int, int]:
-    """Give the points of a frame their case: that of a cell of the same group which their own touches, or a new one.
+    """Assign the points of a frame to cases: the case of an adjacent cell of the same group, or a new one.
 
     Args:
         keys: (N,) int64 packed cell of each point.
         groups: (N,) int64: points of different groups never join.
         frame: number of the frame.
-        gap: frames back that a cell is remembered.
-        limit: cells that a case may span along an axis.
-        table: (2^k,) int64: key of each remembered cell (-1: free); twice as many as come to lie in it. Changed.
-        cells: (2^k, 3) int64: its group, case and last frame. Changed.
-        parent: (L,) int32, low, high: (L, 3) int32: a forest of cases that were joined, and what each spans, in cells;
-            room for N more. Changed.
-        used: how many cases there were.
+        gap: number of frames for which a cell is remembered.
+        limit: maximum extent of a case along an axis, cells.
+        table: (2^k,) int64: key of each remembered cell, -1 if free; at most half full. Modified.
+        cells: (2^k, 3) int64: group, case and last frame of each remembered cell. Modified.
+        parent: (L,) int32: union-find forest of the cases; room for N more. Modified.
+        low, high: (L, 3) int32: bounds of each case, cells. Modified.
+        used: number of cases before the call.
 
     Returns:
         cases: (N,) int32, to be looked up in ``parent``.
-        first: (N,) bool: whether the point is its cell's first in this frame.
-        fresh: how many cells were added to the table.
-        used: how many cases there are now.
+        first: (N,) bool: whether the point is the first of its cell in this frame.
+        fresh: number of cells added to the table.
+        used: number of cases after the call.
     """
     cases, first, fresh = np.empty(len(keys), np.int32), np.zeros(len(keys), np.bool_), 0
     for i in range(len(keys)):
         key, group = keys[i], groups[i]
         own = _find(table, cells, key, group)
         known = table[own] >= 0
-        if known and frame - cells[own, LAST] <= gap:  # then it was joined to what it touches already
+        if known and frame - cells[own, LAST] <= gap:  # then it is already joined to the adjacent cells
             cases[i], first[i] = cells[own, CASE], cells[own, LAST] != frame
             cells[own, LAST] = frame
             continue
-        case = used  # a new one, until a neighbour takes it in
+        case = used  # a new case, until it is joined to a neighbour's
         parent[case] = case
         for axis in range(3):
             at = np.int32((key >> np.int64(X_SHIFT - BITS * axis) & MASK) - REACH)
@@ -116,7 +116,7 @@ def link(
 
 @njit(cache=True, nogil=True)
 def roots(parent: I32, used: int) -> I32:
-    """(used,) int32: the case that each was joined to."""
+    """(used,) int32: the root of each case."""
     found = np.empty(used, np.int32)
     for label in range(used):
         found[label] = _root(parent, label)
@@ -125,7 +125,7 @@ def roots(parent: I32, used: int) -> I32:
 
 @njit(cache=True, nogil=True)
 def remember(keys: I64, cells: I64, size: int) -> tuple[I64, I64]:
-    """A table of so many rows, a power of two, that holds the cells whose key is not -1."""
+    """A new table of ``size`` rows, a power of two, with the cells whose key is not -1."""
     table, filled = np.full(size, np.int64(-1)), np.empty((size, 3), np.int64)
     for i in range(len(keys)):
         if keys[i] >= 0:

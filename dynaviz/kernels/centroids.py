@@ -1,4 +1,4 @@
-"""A cloud thinned to one centroid per voxel, in the order in which the voxels are first met."""
+"""A cloud downsampled to one centroid per voxel, in the order in which the voxels first occur."""
 
 import math
 
@@ -10,14 +10,23 @@ from dynaviz.kernels.keys import BITS, REACH
 
 @njit(cache=True, nogil=True)
 def number(points, size):
-    """Number the voxels of (N, 3) points: (N,) int32, -1 where not finite or beyond reach; and how many voxels.
+    """Number the voxels of a cloud.
 
-    Indices are taken of float32 products, as PCL's VoxelGrid does, so that both put a point on a border into one voxel.
+    Indices are computed from float32 products, as in PCL's VoxelGrid, so that points on a border fall into the same
+    voxel as there.
+
+    Args:
+        points: (N, 3) float32, metres.
+        size: edge of a voxel, metres.
+
+    Returns:
+        (N,) int32: number of each point's voxel; -1 for points that are not finite or beyond reach.
+        The number of voxels.
     """
     numbers = np.empty(len(points), np.int32)
     slots = np.full(1 << 12, np.int32(-1))
     keys = np.empty(1 << 11, np.int64)
-    shift, mask = np.uint64(64 - 12), len(slots) - 1  # the top bits of a product depend on all of the key
+    shift, mask = np.uint64(64 - 12), len(slots) - 1  # the top bits of a product depend on all bits of the key
     inverse = np.float32(1.0 / size)
     voxels = 0
     for i in range(len(points)):
@@ -39,7 +48,7 @@ def number(points, size):
             keys[voxels] = key
             voxels += 1
         numbers[i] = slots[s]
-        if voxels == len(keys):  # half full: the same voxels in a table of twice the size
+        if voxels == len(keys):  # half full: move the voxels to a table of twice the size
             more = np.empty(2 * voxels, np.int64)
             for v in range(voxels):
                 more[v] = keys[v]
@@ -56,7 +65,7 @@ def number(points, size):
 
 @njit(cache=True, nogil=True)
 def means(points, numbers, voxels):
-    """(V, 3) float32: the centroid of the points of each number."""
+    """(V, 3) float32, metres: centroid of the points (N, 3) of each voxel, numbered (N,); -1 is ignored."""
     sums = np.zeros((voxels, 3), np.float64)
     counts = np.zeros(voxels, np.int64)
     for i in range(len(points)):

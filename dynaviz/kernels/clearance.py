@@ -1,4 +1,4 @@
-"""How often the voxels of a block grid were crossed, and how often with nothing near that the same scan hit.
+"""Counts of how often each voxel of a block grid was hit, crossed, and crossed without a hit of the same scan nearby.
 
 Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after the last is empty.
 """
@@ -13,13 +13,14 @@ BYTE = np.uint64(255)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def beside(blocks, rows, keys, base, shape, top, children):
-    """For each block (B,) the rows of the six beside it, -x, +x, -y, ... +z; B for those without one.
+def adjacent(blocks, rows, keys, base, shape, top, children):
+    """(B, 6) int32: rows of the six adjacent blocks of each block, -x, +x, -y, ... +z; B if absent.
 
     Args:
-        blocks: (B,) int32, numbers of blocks.
-        rows: (all blocks + 1,) int32 scratch, zero before and after.
-        keys: (all blocks, 3) int64, and the grid's directory.
+        blocks: (B,) int32, numbers of the blocks.
+        rows: (all blocks + 1,) int32 scratch memory, zero before and after.
+        keys: (all blocks, 3) int64, indices of the grid's blocks.
+        base, shape, top, children: the grid's directory.
     """
     n = len(blocks)
     for r in prange(n):
@@ -43,7 +44,10 @@ def beside(blocks, rows, keys, base, shape, top, children):
 
 @njit(cache=True, nogil=True, parallel=True)
 def grown(bits, sides, times):
-    """Voxels (B + 1, 8) uint64 and all in the cube of 2 times + 1 voxels a side around each, one axis after another."""
+    """Dilate voxels (B + 1, 8) uint64 by cubes of edge 2 times + 1 voxels, one axis after another.
+
+    ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``.
+    """
     n = len(sides)
     here, there = bits.copy(), np.zeros_like(bits)
     for _ in range(times):
@@ -70,10 +74,15 @@ def grown(bits, sides, times):
 
 @njit(cache=True, nogil=True, parallel=True)
 def count(blocks, crossed, hit, near, hits, passed, clear):
-    """Add one scan to the counts (all blocks + 1, 512) uint16 of its blocks (B,); they stop at 65535.
+    """Add one scan to the counts; they saturate at 65535.
 
-    A voxel that is hit counts a hit; one that is crossed and not hit counts a pass, and a clear one where no hit is
-    near.
+    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as passed, and also as clear if no
+    hit is near.
+
+    Args:
+        blocks: (B,) int32, numbers of the scan's blocks.
+        crossed, hit, near: (B, 8) uint64, bits of the voxels crossed, hit, and near a hit.
+        hits, passed, clear: (all blocks + 1, 512) uint16, the counts.
     """
     for r in prange(len(blocks)):
         block = blocks[r]

@@ -1,7 +1,7 @@
-"""Clusters of points in voxels that touch, and in what lies near them.
+"""Clusters of points in adjacent voxels, and merging of nearby clusters.
 
-Voxels are numbers, block * 512 + place; ``neighbours`` (B, 27) numbers the blocks around each. A cluster is known by
-the first point that it grew from, so that nothing depends on how voxels are numbered.
+A voxel is a number, block * 512 + index in the block; ``neighbours`` (B, 27) are the numbers of the blocks around each
+block. A cluster is identified by the first point that it grew from, so results do not depend on the numbers of voxels.
 """
 
 import math
@@ -14,7 +14,7 @@ from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(slots, key):
-    """Where a key is in a table of a power of two, or would be put."""
+    """The slot of a key in a table whose size is a power of two, or the free slot for it."""
     mask = len(slots) - 1
     s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(20)) & mask
     while slots[s] >= 0 and slots[s] != key:
@@ -32,14 +32,14 @@ def _root(parent, i):
 
 @njit(cache=True, nogil=True)
 def _unite(parent, i, j):
-    """The earlier one stands for both."""
+    """Join two sets; the smaller root represents both."""
     i, j = _root(parent, i), _root(parent, j)
     parent[max(i, j)] = min(i, j)
 
 
 @njit(cache=True, nogil=True)
-def _beside(voxel, side, neighbours):
-    """The voxel at one of six sides; -1 where there is no block."""
+def _adjacent(voxel, side, neighbours):
+    """The adjacent voxel at one of six sides; -1 if it has no block."""
     axis, ahead = side >> 1, side & 1
     shift = 6 - 3 * axis
     block, place = voxel >> 9, voxel & 511
@@ -61,10 +61,18 @@ def _table(entries):
 
 @njit(cache=True, nogil=True)
 def grow(voxels, seeds, neighbours):
-    """Cluster of each point (N,) by voxels that touch at a side; -1 for points in none.
+    """Cluster points by voxels that share a face.
 
-    Voxels with a seed (N,) bool grow on; voxels with other points are taken, by the earliest of the clusters at their
-    sides, but do not grow. A cluster's number is the place of its first seed among the seeds.
+    Voxels with a seed keep growing. Voxels with other points join the earliest cluster at their faces, but do not
+    grow. The number of a cluster is the position of its first seed among the seeds' voxels.
+
+    Args:
+        voxels: (N,) int64, voxel of each point, -1 for none.
+        seeds: (N,) bool.
+        neighbours: (B, 27) int32.
+
+    Returns:
+        (N,) int32: cluster of each point, -1 for none.
     """
     n = seeds.sum()
     slots, ranks = _table(n)
@@ -77,15 +85,15 @@ def grow(voxels, seeds, neighbours):
                 count += 1
     for k in range(count):
         for side in range(6):
-            other = _beside(own[k], side, neighbours)
+            other = _adjacent(own[k], side, neighbours)
             if other >= 0:
                 s = _slot(slots, other)
                 if slots[s] >= 0:
                     _unite(parent, k, ranks[s])
     taken, roots = _table(7 * count)
     for k in range(count):
-        for side in range(-1, 6):  # first itself
-            voxel = own[k] if side < 0 else _beside(own[k], side, neighbours)
+        for side in range(-1, 6):  # the voxel itself first
+            voxel = own[k] if side < 0 else _adjacent(own[k], side, neighbours)
             if voxel >= 0:
                 s, root = _slot(taken, voxel), _root(parent, k)
                 if side < 0 or taken[s] < 0:
@@ -103,17 +111,17 @@ def grow(voxels, seeds, neighbours):
 
 @njit(cache=True, nogil=True)
 def merge(points, clusters, distance):
-    """The same clusters (N,); those with points (N, 3) nearer than a distance, metres, are one: its earliest."""
+    """Merge clusters (N,) that have points (N, 3) closer than ``distance`` metres; the earliest number remains."""
     n = len(points)
     merged, parent = clusters.copy(), np.arange(clusters.max() + 1 if n else 0)
     per_metre = 1.0 / distance
     slots, heads = _table(n)
-    after, alike = np.empty(n, np.int64), np.ones(len(slots), np.bool_)  # alike: all points of a cell in one cluster
+    after, alike = np.empty(n, np.int64), np.ones(len(slots), np.bool_)  # alike: a cell's points are in one cluster
     for i in range(n):
         x = np.int64(math.floor(points[i, 0] * per_metre)) + REACH
         y = np.int64(math.floor(points[i, 1] * per_metre)) + REACH
         z = np.int64(math.floor(points[i, 2] * per_metre)) + REACH
-        for j in range(27):  # the points before this one
+        for j in range(27):  # compare with the points before this one
             key = (x + j // 9 - 1) << X_SHIFT | (y + j // 3 % 3 - 1) << Y_SHIFT | (z + j % 3 - 1)
             s = _slot(slots, key)
             if slots[s] < 0:

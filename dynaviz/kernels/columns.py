@@ -1,7 +1,7 @@
-"""Columns of slices over a map, seen from above: each column has its own base height, and a bit for each slice.
+"""Binary columns of a map: each column has its own base height and one bit per height slice.
 
-Columns come in tiles of 64 x 64 that exist where a directory says so. Column (i, j), counted from the map's corner, has
-the number tile * 4096 + (i % 64) * 64 + j % 64.
+Columns are stored in tiles of 64 x 64, which a directory numbers where there are points. Column (i, j), counted from
+the map's corner, has the number tile * 4096 + (i % 64) * 64 + j % 64.
 """
 
 import math
@@ -9,21 +9,21 @@ import math
 import numpy as np
 from numba import njit
 
-TOP = 30  # the highest slice, which holds everything above as well
-FINE = 32  # fine bins of a slice, at most
-HIGH = 1e6  # metres: points as high or as low have no column
+TOP = 30  # the highest slice, which includes everything above it
+FINE = 32  # maximum number of fine bins per slice
+HIGH = 1e6  # metres: points at or beyond this height or depth have no column
 
 
 @njit(cache=True, nogil=True)
 def _inside(point, corner, side, shape):
-    """Whether a point has a column; points that are not finite have none."""
+    """Whether a point is within the tiles; False if it is not finite."""
     a, b = (point[0] - corner[0]) / side, (point[1] - corner[1]) / side
     return 0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and abs(point[2]) < HIGH
 
 
 @njit(cache=True, nogil=True)
 def _column(point, corner, side, directory):
-    """Number of a point's column, -1 without."""
+    """Number of a point's column, -1 if none."""
     if not _inside(point, corner, side, directory.shape):
         return -1
     i, j = math.floor((point[0] - corner[0]) / side), math.floor((point[1] - corner[1]) / side)
@@ -33,21 +33,21 @@ def _column(point, corner, side, directory):
 
 @njit(cache=True, nogil=True)
 def _slice(z, base, height):
-    """Number of a point's slice, rounded towards 0: slice 0 reaches as far below the base as above; -1 deeper."""
+    """Number of a point's slice, rounded towards 0, so slice 0 extends as far below the base as above; -1 if deeper."""
     k = (z - base) / height
     return -1 if k <= -1 else int(min(k, TOP))
 
 
 @njit(cache=True, nogil=True)
 def _fine(z, base, height, k, step):
-    """Number of a point's fine bin in slice k, rounded towards 0 as slices are; -1 deeper."""
+    """Number of a point's fine bin in slice k, rounded towards 0 as for slices; -1 if deeper."""
     f = (z - base - k * height) / step
     return -1 if f <= -1 else int(min(f, FINE - 1))
 
 
 @njit(cache=True, nogil=True)
 def _below(bits, k):
-    """How many bits below bit k are set."""
+    """Number of set bits below bit k."""
     n = 0
     for b in range(k):
         n += bits >> b & 1
@@ -56,7 +56,7 @@ def _below(bits, k):
 
 @njit(cache=True, nogil=True)
 def _end(bits, gap):
-    """The bit above the lowest group of set bits, which ends where a gap of so many begins."""
+    """The bit above the lowest group of set bits; a group ends at a gap of at least ``gap`` bits."""
     last = -1
     for k in range(FINE):
         if bits >> k & 1:
@@ -68,7 +68,7 @@ def _end(bits, gap):
 
 @njit(cache=True, nogil=True)
 def bounds(points, reach):
-    """(2,) float64: lowest x and y of the points within reach of 0 in x and y, (2,): the highest."""
+    """(2,) float64, twice: lowest and highest x and y, metres, of the points within ``reach`` of 0 in x and y."""
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for p in range(len(points)):
         x, y = points[p, 0], points[p, 1]
@@ -80,7 +80,7 @@ def bounds(points, reach):
 
 @njit(cache=True, nogil=True)
 def directory(points, corner, side, shape):
-    """Tiles of the given shape, int32: a number for each that holds points, -1 for the others; and how many do."""
+    """Number the tiles with points: int32 array of the given shape, -1 for empty tiles; and the number of tiles."""
     tiles = np.full(shape, np.int32(-1))
     for p in range(len(points)):
         if _inside(points[p], corner, side, shape):
@@ -97,7 +97,7 @@ def directory(points, corner, side, shape):
 
 @njit(cache=True, nogil=True)
 def lowest(points, corner, side, directory, n):
-    """(n,) float64: the lowest point of each column, NaN without points."""
+    """(n,) float64, metres: height of the lowest point of each column, NaN without points."""
     low = np.full(n, np.nan)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
@@ -108,21 +108,21 @@ def lowest(points, corner, side, directory, n):
 
 @njit(cache=True, nogil=True)
 def level(low, directory, reach, least, deviations):
-    """Base heights: the lowest points, held near those of columns before.
+    """Base heights: the lowest points, bounded by the bases of the preceding columns.
 
-    Neighbours of (i, j) are the columns (i - reach ... i - 1, j - reach ... j - 1), whose bases are known already.
-    Where at least ``least`` of them hold points, a base is held within their median and a few median absolute
+    Neighbours of (i, j) are the columns (i - reach ... i - 1, j - reach ... j - 1), whose bases are already known. If
+    at least ``least`` of them have points, the base is clipped to their median plus or minus a few median absolute
     deviations.
 
     Args:
         low: (n,) float64, metres, as from ``lowest``.
         directory: tiles.
-        reach, least: columns.
-        deviations: how many median absolute deviations to each side.
+        reach, least: numbers of columns.
+        deviations: number of median absolute deviations to each side.
 
     Returns:
         base: (n,) float64, metres; NaN without points.
-        raised: (n,) bool: columns whose lowest point lies below the base.
+        raised: (n,) bool: columns whose lowest point is below the base.
     """
     base, raised = low.copy(), np.zeros(len(low), np.bool_)
     near = np.empty(reach * reach)
@@ -169,7 +169,7 @@ def fill(points, corner, side, directory, base, height):
 
 @njit(cache=True, nogil=True)
 def histograms(points, corner, side, directory, base, height, step, bits, rows):
-    """(occupied slices, FINE + 1) uint32: points in fine bins of each slice; last, those below the lowest bin."""
+    """(R, FINE + 1) uint32: number of points in the fine bins of each occupied slice; last, those below the bins."""
     fine = np.zeros((rows[-1], FINE + 1), np.uint32)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
@@ -181,15 +181,15 @@ def histograms(points, corner, side, directory, base, height, step, bits, rows):
 
 @njit(cache=True, nogil=True)
 def ground(fine, part, gap):
-    """Which fine bins go where a slice is split.
+    """The fine bins to remove if a slice is split.
 
     Args:
         fine: (R, FINE + 1) uint32, as from ``histograms``.
-        part: of the slice's points that ground holds at least.
-        gap: empty bins; bins above do not exist.
+        part: minimum share of the slice's points that are ground.
+        gap: number of empty bins; bins above such a gap are ignored.
 
     Returns:
-        (R, 2) uint8: bins from the first number on and below the second; none where ground never gets its part.
+        (R, 2) uint8: bins [first, end) to remove; empty if ground does not reach its share.
     """
     cuts = np.zeros((len(fine), 2), np.uint8)
     for r in range(len(fine)):
@@ -206,17 +206,18 @@ def ground(fine, part, gap):
 
 @njit(cache=True, nogil=True)
 def look(points, corner, side, directory, base, height, first, width, sensor):
-    """What a scan sees of the columns around it.
+    """The slices that a scan sees in the columns around it.
 
     Args:
         points: (N, 3) float32, metres, world frame.
         corner, side, directory, base, height: the map's columns.
-        first: (2,) int64: the window's first column; width: columns along its edge.
+        first: (2,) int64: the window's first column.
+        width: number of columns along the window's edge.
         sensor: (3,) float64, metres, world frame.
 
     Returns:
-        bits: (width, width) int32: slices that hold points of the scan.
-        slope: the steepest rise from the sensor to a point, metres per metre; -inf without one.
+        bits: (width, width) int32: slices with points of the scan.
+        slope: the steepest slope from the sensor to a point, metres per metre; -inf without points.
     """
     bits = np.zeros((width, width), np.int32)
     slope = -np.inf
@@ -240,12 +241,13 @@ def look(points, corner, side, directory, base, height, first, width, sensor):
 
 @njit(cache=True, nogil=True)
 def _limit(seen, raised, di, dj, view, rise, blind, sight):
-    """The lowest slice that a scan cannot judge in a column, and the step that says so.
+    """The step of the algorithm that limits a column, and the lowest slice that the scan cannot judge in it.
 
     Args:
-        seen: bits of the column's slices that the scan sees; raised: as from ``level``.
-        di, dj: columns from the sensor's to this one.
-        view, rise, blind, sight: as for ``judge``, but sight in columns.
+        seen: bits of the column's slices that the scan sees.
+        raised: as from ``level``.
+        di, dj: offset from the sensor's column, columns.
+        view, rise, blind, sight: as for ``judge``.
     """
     if -blind <= di < blind and -blind <= dj < blind:
         return 1, 0
@@ -263,11 +265,11 @@ def _limit(seen, raised, di, dj, view, rise, blind, sight):
 
 @njit(cache=True, nogil=True)
 def _blocked(left, columns, base, seen, i, j, view, sensor_base, skip):
-    """Those of the slices ``left`` of (i, j) before which the scan sees something, on the line from the sensor.
+    """The slices ``left`` of column (i, j) that are blocked by a slice of the scan on the line from the sensor.
 
-    The line goes from column to column along its longer axis. At t of its length s it is at the height, in slices,
-    view + (k - view) * t / s. It meets nothing up to ``skip`` columns, in x and y
-    together; at a near target it may end a column behind it, or go on to the edge of the window.
+    The line advances by one column along its longer axis. At distance t of its length s, its height in slices is
+    view + (k - view) * t / s. Nothing blocks it in the first ``skip`` columns, counted in x and y together. Towards a
+    near target it may end one column behind the target, or continue to the edge of the window.
     """
     width, a, blocked = len(columns), len(columns) // 2, 0
     di, dj = i - a, j - a
@@ -281,7 +283,7 @@ def _blocked(left, columns, base, seen, i, j, view, sensor_base, skip):
         if int(abs(x - a)) + int(abs(y - a)) > skip:
             u, v = int(x), int(y)
             if seen[u, v]:
-                rise = base[columns[u, v]] - sensor_base  # metres, added to slices as they are
+                rise = base[columns[u, v]] - sensor_base  # metres, added to slices as in the public program
                 for k in range(TOP + 1):
                     e = rise + (k - view) * t / whole + view + 0.5
                     if left >> k & 1 and -1 < e < TOP + 1 and seen[u, v] >> int(e) & 1:
@@ -294,71 +296,71 @@ def _blocked(left, columns, base, seen, i, j, view, sensor_base, skip):
 
 @njit(cache=True, nogil=True)
 def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sight, gap, skip, steps, splits):
-    """Which slices of the map a scan does not see, and what each step of the algorithm says of them.
+    """Apply the steps of the algorithm to the slices of the map that a scan does not see.
 
     Args:
-        columns: (W, W) int64: numbers of the window's columns, -1 without; the sensor's is in the middle, at W // 2.
+        columns: (W, W) int64: numbers of the window's columns, -1 if none; the sensor's column is at W // 2.
         bits, base, raised: the map's columns.
         seen: (W, W) int32: the scan's slices.
-        view: the sensor's height above the base of its column, in slices, and half a slice.
+        view: height of the sensor above the base of its column, slices, plus half a slice.
         sensor_base: that base, metres.
-        rise: upper edge of the field of view, slices for each column away.
-        blind: columns around the sensor that are not judged.
-        sight: columns from where on a column needs ground.
-        gap: slices.
-        skip: columns, in x and y together, that lines pass before they can be blocked.
-        steps: (n, 9) int32: all steps' bits so far; those of this scan are added.
-        splits: (n,) int32: bits of slices to be split; those below the lowest that this scan removes are added.
+        rise: slope of the upper edge of the field of view, slices per column.
+        blind: columns within this distance of the sensor are not judged, columns.
+        sight: distance from which a column is judged only if its ground is seen, columns.
+        gap: number of empty slices that ends a column.
+        skip: number of columns, in x and y together, in which a line cannot be blocked.
+        steps: (n, 9) int32: bits of each step by the scans so far; those of this scan are added.
+        splits: (n,) int32: bits of the slices to split; those below the lowest slice that this scan removes are added.
 
     Returns:
-        (W, W, 9) int32: of this scan the slices in the window, saved near the sensor, beyond sight, above the highest
-        seen, above the field of view, as ground, above a gap, behind something seen; and those to be removed.
+        (W, W, 9) int32: bits of this scan's slices: in the window; kept near the sensor, beyond sight, above the
+        highest seen slice, above the field of view, as ground, above a gap, behind an occupied slice; removed.
     """
     width, half = len(columns), len(columns) // 2
-    said = np.zeros((width, width, 9), np.int32)
+    outcome = np.zeros((width, width, 9), np.int32)
     for i in range(width):
         for j in range(width):
             c = columns[i, j]
             if c < 0 or bits[c] == 0:
                 continue
-            said[i, j, 0] = bits[c]
+            outcome[i, j, 0] = bits[c]
             left = bits[c] & ~seen[i, j]
             step, limit = _limit(seen[i, j], raised[c], i - half, j - half, view, rise, blind, sight)
-            said[i, j, step] = left & ~((1 << limit) - 1)
-            left &= ~said[i, j, step]
-            said[i, j, 5] = left & bits[c] & -bits[c]
-            left &= ~said[i, j, 5]
-            said[i, j, 6] = left & ~((1 << _end(bits[c], gap)) - 1)
-            left &= ~said[i, j, 6]
+            outcome[i, j, step] = left & ~((1 << limit) - 1)
+            left &= ~outcome[i, j, step]
+            outcome[i, j, 5] = left & bits[c] & -bits[c]
+            left &= ~outcome[i, j, 5]
+            outcome[i, j, 6] = left & ~((1 << _end(bits[c], gap)) - 1)
+            left &= ~outcome[i, j, 6]
             if left:
-                said[i, j, 7] = _blocked(left, columns, base, seen, i, j, view, sensor_base, skip)
-            left &= ~said[i, j, 7]
-            said[i, j, 8] = left
+                outcome[i, j, 7] = _blocked(left, columns, base, seen, i, j, view, sensor_base, skip)
+            left &= ~outcome[i, j, 7]
+            outcome[i, j, 8] = left
             splits[c] |= (left & -left) >> 1 & bits[c]
             for s in range(9):
-                steps[c, s] |= said[i, j, s]
-    return said
+                steps[c, s] |= outcome[i, j, s]
+    return outcome
 
 
 @njit(cache=True, nogil=True)
 def reasons(points, corner, side, directory, base, height, step, bits, rows, steps, splits, cuts):
-    """What became of each point, (N,) uint8.
+    """Reason code of each point, (N,) uint8.
 
-    0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that saved its
-    slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine ground; 8 above a gap of fine
-    bins.
+    0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that kept its
+    slice, 10 ground by its fine bin, 11 removed with its slice, 12 removed above fine ground; 8 also above a gap of
+    fine bins.
     """
-    why = np.zeros(len(points), np.uint8)
+    codes = np.zeros(len(points), np.uint8)
     for p in range(len(points)):
         c = _column(points[p], corner, side, directory)
         k = -1 if c < 0 or math.isnan(base[c]) else _slice(points[p, 2], base[c], height)
         if k < 0:
             continue
-        why[p] = 1
+        codes[p] = 1
         for s in range(9):
             if steps[c, s] >> k & 1:
-                why[p] = (2, 3, 4, 5, 6, 7, 8, 9, 11)[s]
-        if why[p] != 11 and splits[c] >> k & 1:
+                codes[p] = (2, 3, 4, 5, 6, 7, 8, 9, 11)[s]
+        if codes[p] != 11 and splits[c] >> k & 1:
             f, cut = _fine(points[p, 2], base[c], height, k, step), cuts[rows[c] + _below(bits[c], k)]
-            why[p] = 10 if f < cut[0] else 12 if f < cut[1] else 8
-    return why
+            codes[p] = 10 if f < cut[0] else 12 if f < cut[1] else 8
+    return codes

@@ -1,7 +1,7 @@
-"""Which voxels were free for long: words of bits, 64 voxels each.
+"""Ever-free voxels, as words of bits with 64 voxels each.
 
 Bits are (B, 8) uint64: bit v of word w is voxel 64 w + v of a block; a word is a layer in x, and v = 8 y + z.
-``neighbours`` (B, 27) numbers the blocks around each, itself at 13, x slowest; -1: no such block.
+``neighbours`` (B, 27) are the numbers of the blocks around each block, itself at 13, x slowest; -1 if absent.
 """
 
 import numpy as np
@@ -14,12 +14,12 @@ _LOW_Z, _HIGH_Z = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 
 @njit(cache=True, nogil=True)
 def put(voxels, bits):
-    """Set the bits of voxels, -1 for none; returns the blocks that had none before."""
+    """Set the bits of voxels (N,), -1 for none; return the blocks (K,) int32 that were empty before."""
     blocks, n = np.empty(len(voxels), np.int32), 0
     for i in range(len(voxels)):
         if voxels[i] >= 0:
             b, w = voxels[i] >> 9, voxels[i] >> 6 & 7
-            if not bits[b, w]:  # perhaps the first in its block
+            if not bits[b, w]:  # may be the first in its block
                 empty = True
                 for other in range(8):
                     empty &= bits[b, other] == 0
@@ -32,7 +32,7 @@ def put(voxels, bits):
 
 @njit(cache=True, nogil=True, inline="always")
 def _count(counts, start, needed, occupied, lately, limit):
-    """Count frames of occupancy in one word's voxels; returns their number, and the bits that reached the limit."""
+    """Count frames of occupancy for one word; return its number of voxels, and the bits that reach the limit."""
     reached, n = np.uint64(0), 0
     for v in range(64):
         bit = _ONE << np.uint64(v)
@@ -60,11 +60,16 @@ def occupy(
     active, frame, burn_in, gap, limit, hit, updated, observed, near, recent, stamps, needed, first, counts, clear,
     reached,
 ):  # fmt: skip
-    """Note which voxels of the active blocks are occupied in this frame, count, and tell which are clear.
+    """Update occupancy, its counts and the clear voxels of the active blocks (A,) in this frame.
 
-    Bits of voxels whose count comes to the limit are ``reached``. Returns (A,) bool: whether a block has any.
+    Sets the bits of voxels whose count reaches the limit in ``reached``.
 
-    recent: (B, burn_in + 1, 8) occupied bits of the last frames, in turn; stamps: (B, burn_in + 1) of which frames.
+    Args:
+        recent: (B, burn_in + 1, 8) uint64, occupied bits of the last frames, as a ring buffer.
+        stamps: (B, burn_in + 1) int32, the frames of its entries.
+
+    Returns:
+        (A,) bool: blocks with a voxel that reaches the limit.
     """
     turn, any_reached = frame % (burn_in + 1), np.zeros(len(active), np.bool_)
     for a in prange(len(active)):
@@ -99,14 +104,14 @@ def _word(bits, block, w, missing):
 
 @njit(cache=True, nogil=True, inline="always")
 def _along_z(before, here, after):
-    """A layer's row of blocks, each bit spread to its neighbours in z."""
+    """One layer of three adjacent blocks, each bit spread to its neighbours in z."""
     inside = here | (here & ~_HIGH_Z) << _ONE | (here & ~_LOW_Z) >> _ONE
     return inside | (before & _HIGH_Z) >> _SEVEN | (after & _LOW_Z) << _SEVEN
 
 
 @njit(cache=True, nogil=True)
 def _spread(bits, around, missing, out):
-    """Bits of a block and of those around it, each spread to its 26 neighbours; with ``missing`` = ones, of ~bits."""
+    """Spread the bits of a block and its neighbours to their 26 neighbours; with ``missing`` = ones, spread ~bits."""
     for w in range(8):
         out[w] = 0
     for layer in range(-1, 9):
@@ -131,7 +136,7 @@ def _spread(bits, around, missing, out):
 
 @njit(cache=True, nogil=True)
 def spread(bits, neighbours):
-    """All bits (B, 8), each spread to its 26 neighbours."""
+    """(B, 8) uint64: all bits, each spread to its 26 neighbours."""
     out = np.empty_like(bits)
     for b in range(len(bits)):
         _spread(bits, neighbours[b], np.uint64(0), out[b])
@@ -140,7 +145,7 @@ def spread(bits, neighbours):
 
 @njit(cache=True, nogil=True, parallel=True)
 def release(active, neighbours, updated, clear, free, new, lanes):
-    """Voxels that were updated and are clear, as all their 26 neighbours are, become free for ever."""
+    """Set voxels ever-free that are updated and clear, and whose 26 neighbours are clear; ``new`` (A, 8) are these."""
     for lane in prange(lanes):
         blocked = np.empty(8, np.uint64)
         for a in range(lane, len(active), lanes):
@@ -157,7 +162,7 @@ def release(active, neighbours, updated, clear, free, new, lanes):
 
 @njit(cache=True, nogil=True, parallel=True)
 def revoke(blocks, neighbours, reached, free, lost, lanes):
-    """Voxels that reached the limit of occupancy, and their 26 neighbours, are free no more."""
+    """Revoke ever-free voxels that reach the occupancy limit, and their 26 neighbours; ``lost`` (A, 8) are these."""
     for lane in prange(lanes):
         spread = np.empty(8, np.uint64)
         for a in range(lane, len(blocks), lanes):

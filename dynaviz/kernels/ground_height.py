@@ -1,36 +1,37 @@
-"""The ground under a map: where each column of blocks is densest near its lowest points, and a surface below that.
+"""Ground height under a map: the densest layer near the lowest points of each column, and a smooth surface below.
 
-A column is 8 voxels a side, as blocks are; a layer is one voxel high. Blocks are sorted by x, y and z, so those of a
-column follow each other.
+A column is 8 x 8 voxels wide, like a block; a layer is one voxel high. Blocks are sorted by x, y and z, so those of a
+column are consecutive.
 """
 
 import numpy as np
 from numba import njit, prange
 
-LEAST = 3  # points that make a layer, and
-SHARE = 0.03  # the share of their column's that they must be: reflections below the ground are fewer
-RISE = 3  # layers above the first in which the ground is looked for
+LEAST = 3  # minimum number of points in a layer
+SHARE = 0.03  # minimum share of a column's points in a layer; reflections below the ground are fewer
+RISE = 3  # the ground is searched in this many layers above the first
 
 
 @njit(cache=True, nogil=True)
 def add(voxels, points, number, height):
-    """Add points (N, 3) in their voxels (N,) to the layers (B, 8): their number, and the sum of their heights in mm."""
+    """Add points (N, 3), in voxels (N,), to the layers (B, 8): their number, and the sum of their heights in mm."""
     for i in range(len(voxels)):
         if voxels[i] >= 0:
             block, layer = voxels[i] >> 9, voxels[i] & 7
             number[block, layer] += 1
-            height[block, layer] += np.int64(np.round(np.float64(points[i, 2]) * 1000.0))  # exact in any order
+            height[block, layer] += np.int64(np.round(np.float64(points[i, 2]) * 1000.0))  # integers: any order
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def floors(columns, starts, blocks, number, height, floor):
-    """Set the floor (C,) of some columns: metres, infinite where a column has too few points.
+    """Compute the floor of some columns.
 
     Args:
-        columns: (K,) int64, which.
+        columns: (K,) int64, the columns.
         starts: (C + 1,) int64, the first block of each column, and the end.
-        blocks: (B, 3) int64, their keys.
-        number, height: (B, 8), as ``add`` fills them.
+        blocks: (B, 3) int64, keys of the blocks.
+        number, height: (B, 8), as filled by ``add``.
+        floor: (C,) float64, metres; infinite for columns with too few points. Modified.
     """
     for k in prange(len(columns)):
         c = columns[k]
@@ -61,7 +62,7 @@ def floors(columns, starts, blocks, number, height, floor):
 
 @njit(cache=True, nogil=True, parallel=True)
 def pits(surface, deep):
-    """Cells (X, Y) that lie ``deep`` below more than three in four of the 5 x 5 around them, as reflections do."""
+    """(X, Y) bool: cells more than ``deep`` below over three quarters of the 5 x 5 cells around them: reflections."""
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
     for x in prange(rows):
@@ -78,7 +79,7 @@ def pits(surface, deep):
 
 @njit(cache=True, nogil=True)
 def lower(surface, step):
-    """Press a surface (X, Y) down, in place, until no cell is higher than one beside it by more than ``step``."""
+    """Lower a surface (X, Y), in place, until no cell is more than ``step`` above an adjacent cell (diagonal: √2)."""
     rows, columns = surface.shape
     slant = step * np.sqrt(2.0)
     for x in range(rows):
@@ -109,7 +110,7 @@ def lower(surface, step):
 
 @njit(cache=True, nogil=True)
 def spanned(voxels, column, columns):
-    """The lowest and the highest key, (2, 2) int64, of the columns that hold voxels; the first above the last: none."""
+    """(2, 2) int64: lowest and highest key of the columns that contain voxels; lowest above highest if none."""
     bounds = np.empty((2, 2), np.int64)
     bounds[0], bounds[1] = 1 << 40, -(1 << 40)
     for i in range(len(voxels)):
@@ -123,9 +124,9 @@ def spanned(voxels, column, columns):
 
 @njit(cache=True, nogil=True)
 def heights(points, voxels, column, columns, first, surface):
-    """(N,) float32: how far points (N, 3) lie above a surface whose first cell is column ``first``.
+    """(N,) float32, metres: height of points (N, 3) above a surface whose first cell is column ``first``.
 
-    Infinite for -1, beside the surface, and where the surface is infinite.
+    Infinite for voxels -1, outside the surface, and where the surface is infinite.
     """
     found = np.full(len(voxels), np.float32(np.inf))
     for i in range(len(voxels)):

@@ -1,20 +1,20 @@
-"""Height above the local ground, from one scan alone."""
+"""Height above the local ground, from a single scan."""
 
 import math
 
 import numpy as np
 from numba import njit
 
-_SIDE = 512  # cells; the grid wraps around, so that a scan may lie anywhere
-_KEEP = 5  # lowest points that a cell remembers
+_SIDE = 512  # cells along a side; the grid wraps around, so a scan may lie anywhere
+_KEEP = 5  # number of lowest points stored per cell
 
 
 @njit(cache=True, nogil=True)
 def above_ground(points, size):
-    """(N,) float32, metres: height of each point (N, 3) above a low point of the cells, of edge ``size``, around it.
+    """(N,) float32, metres: height of each point (N, 3) above the ground of its cell, of edge ``size`` metres.
 
-    The ground of a cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile where they hold
-    fewer than 20: so a few points below the ground do not matter.
+    The ground of a cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile if these contain
+    fewer than 20 points, so a few points below the ground do not matter.
     """
     counts = np.zeros((_SIDE, _SIDE), np.int32)
     lows = np.empty((_SIDE, _SIDE, _KEEP), np.float32)

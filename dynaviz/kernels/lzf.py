@@ -4,14 +4,14 @@ import numpy as np
 from numba import njit
 
 _BITS = 14
-_FAR = 1 << 13  # farthest copy
-_LONG = 264  # longest copy
-_RUN = 32  # longest run of literals
+_FAR = 1 << 13  # maximum distance of a copy, bytes
+_LONG = 264  # maximum length of a copy, bytes
+_RUN = 32  # maximum length of a run of literals, bytes
 
 
 @njit(cache=True, nogil=True)
 def decompress(source, out):
-    """Fill ``out`` from ``source``; -1, or the position in ``source`` where it does not fit."""
+    """Decompress ``source`` into ``out``, both uint8; return -1, or the position in ``source`` of the first error."""
     i = 0
     o = 0
     n = len(source)
@@ -39,7 +39,7 @@ def decompress(source, out):
             i += 1
             if back < 0 or o + length > len(out):
                 return at
-            for k in range(length):  # byte by byte: the copy may overlap itself
+            for k in range(length):  # byte by byte, since the copy may overlap itself
                 out[o + k] = out[back + k]
         o += length
     return -1 if o == len(out) else n
@@ -47,12 +47,12 @@ def decompress(source, out):
 
 @njit(cache=True, nogil=True)
 def compress(source, out):
-    """Number of bytes written; ``out`` needs len(source) * 33 / 32 + 2."""
+    """Compress ``source`` into ``out``, both uint8; return the bytes written, at most len(source) * 33 / 32 + 2."""
     table = np.full(1 << _BITS, -1, np.int64)
     n = len(source)
     i = 0
     o = 1
-    start = 0  # of the control byte of the run of literals that is open
+    start = 0  # position of the control byte of the current run of literals
     run = 0
     while i < n:
         length = 0

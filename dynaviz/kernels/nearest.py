@@ -1,19 +1,25 @@
-"""Nearest neighbours: points in Morton order, a binary tree of bounding boxes over them, and the search in it.
+"""Nearest neighbours: points in Morton order, a binary tree of bounding boxes over them, and a search in it.
 
-Everything is float32 in one fixed order of operations. Rounding is monotone, so a box never seems farther than a point
-inside it, and the answer equals the minimum over all pairs, bit by bit.
+All arithmetic is float32 in one fixed order. Rounding is monotone, so the distance to a box never exceeds that to a
+point inside it, and the result equals the minimum over all pairs, bit by bit.
 """
 
 import numpy as np
 from numba import njit, prange
 
-LEAF = 16  # points under a leaf of the tree
-_BLOCK = 1024  # queries that a thread takes at once
+LEAF = 16  # points per leaf of the tree
+_BLOCK = 1024  # queries that a thread processes at once
 
 
 @njit(cache=True, nogil=True)
 def morton(points, low, inverse, axis_bits, index_bits):
-    """(N,) uint64: the Morton code of each point above its own index, so that sorting them gives the order too."""
+    """(N,) uint64: Morton code of each point (N, 3) in the high bits, its index in the low bits, for sorting.
+
+    Args:
+        low: (3,) float64, lower corner of the cells, metres.
+        inverse: cells per metre.
+        axis_bits, index_bits: bits per axis, and bits of the index.
+    """
     keys = np.empty(len(points), np.uint64)
     top = np.float64((1 << axis_bits) - 1)
     for i in range(len(points)):
@@ -33,7 +39,7 @@ def morton(points, low, inverse, axis_bits, index_bits):
 
 @njit(cache=True, nogil=True)
 def boxes(points):
-    """(2 L, 6) float32, low and high corners: children of node k: 2 k and 2 k + 1; a leaf holds LEAF points."""
+    """(2 L, 6) float32: lower and upper corner of each node; node k has the children 2 k and 2 k + 1."""
     leaves = 1
     while leaves * LEAF < len(points):
         leaves *= 2
@@ -54,7 +60,7 @@ def boxes(points):
 
 @njit(cache=True, nogil=True, inline="always")
 def _to_box(tree, node, x, y, z):
-    """Squared distance to a box; 0 inside."""
+    """Squared distance from a point to a box; 0 inside."""
     zero = np.float32(0)
     dx = max(max(tree[node, 0] - x, x - tree[node, 3]), zero)
     dy = max(max(tree[node, 1] - y, y - tree[node, 4]), zero)
@@ -64,10 +70,10 @@ def _to_box(tree, node, x, y, z):
 
 @njit(cache=True, nogil=True, parallel=True)
 def search(points, tree, queries, reach, enough):
-    """(N,) float32: squared distance to the nearest point, ``reach`` (squared as well) where none is nearer.
+    """(N,) float32: squared distance of each query to the nearest point, square metres; at most ``reach`` (squared).
 
-    A query ends at the first point that is found at a squared distance of ``enough`` or less; with 0, at the nearest.
-    Queries close to each other should follow each other: each begins with the neighbour of the one before.
+    A query stops at the first point within a squared distance of ``enough``; 0 searches the nearest. Sort queries so
+    that consecutive ones are close: each starts with the result of the previous one.
     """
     out = np.empty(len(queries), np.float32)
     leaves = len(tree) // 2
@@ -88,7 +94,7 @@ def search(points, tree, queries, reach, enough):
                 node = nodes[depth]
                 if bounds[depth] >= best:
                     continue
-                while node < leaves:  # down into the nearer child; the other waits if it may matter
+                while node < leaves:  # descend into the closer child; push the other if it may matter
                     left, right = _to_box(tree, 2 * node, x, y, z), _to_box(tree, 2 * node + 1, x, y, z)
                     node = 2 * node
                     if right < left:

@@ -1,4 +1,4 @@
-"""Objects of one scan: points in cells that touch, what scans saw of their voxels, and where movers were lately."""
+"""Objects of one scan: points in adjacent cells, the evidence of their voxels, and the trails of dynamic objects."""
 
 import math
 
@@ -10,7 +10,7 @@ from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(slots, key):
-    """Where a key is in a table of a power of two, or would be put."""
+    """The slot of a key in a table whose size is a power of two, or the free slot for it."""
     mask = len(slots) - 1
     s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(20)) & mask
     while slots[s] >= 0 and slots[s] != key:
@@ -28,15 +28,15 @@ def _root(parent, i):
 
 @njit(cache=True, nogil=True)
 def connect(points, chosen, size, tall):
-    """Objects of the chosen points: those whose cells touch at a side, an edge or a corner.
+    """Join the chosen points to objects: connected components of cells that share a face, an edge or a corner.
 
     Args:
         points: (N, 3) float32, metres.
-        chosen: (N,) bool; they are finite.
-        size, tall: edges of a cell in x and y, and in z, metres.
+        chosen: (N,) bool; chosen points must be finite.
+        size, tall: edge of a cell in x and y, and in z, metres.
 
     Returns:
-        (N,) int32, the number of each point's object, in order of first points; -1 for points that are not chosen.
+        (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
     n = chosen.sum()
@@ -54,14 +54,14 @@ def connect(points, chosen, size, tall):
         y = np.int64(math.floor(points[i, 1] / size)) + REACH
         z = np.int64(math.floor(points[i, 2] / tall)) + REACH
         key = x << X_SHIFT | y << Y_SHIFT | z
-        if key != last:  # points that follow each other often share a cell
+        if key != last:  # consecutive points often share a cell
             s, last = _slot(slots, key), key
         if slots[s] < 0:
             slots[s], ranks[s], cells[count], parent[count] = key, count, key, count
             count += 1
         mine[i] = ranks[s]
     for c in range(count):
-        for j in range(13):  # half of the cells around; the others have this one in their half
+        for j in range(13):  # half of the 26 neighbours; the other half is covered from their side
             key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
             s = _slot(slots, key)
             if slots[s] >= 0:
@@ -82,21 +82,21 @@ def connect(points, chosen, size, tall):
 
 @njit(cache=True, nogil=True)
 def evidence(objects, n, voxels, hits, passed, clear, votes):
-    """Of n objects: their points, those with a say, the votes of these, and how many points were ever seen through.
+    """Sum the evidence over the points of each of n objects.
 
-    A voxel that was hit once and crossed by no other scan has no say. The vote of others, in thousandths of a scan, is
-    how often it was seen clear through, ``votes`` at most, times the ratio of that to what speaks against it, at
-    most 1: each scan that crossed it beside a hit, and a third for each that hit it, for a mover makes hits as well.
-    These are whole numbers, so the order of points does not matter.
+    A voxel that was hit once and crossed by no other scan does not vote. The vote of the others, in thousandths of a
+    scan, is the number of scans that saw it clear, at most ``votes``, times the ratio of that number to the evidence
+    against it, at most 1. Evidence against it is each scan that crossed it near a hit, and a third of each scan that
+    hit it, because a dynamic object makes hits as well. All sums are integers, so the order of points does not matter.
 
     Args:
         objects: (N,) int32, the object of each point, or -1.
-        voxels: (N,) int64, the voxel of each point; where there is an object there is a voxel.
-        hits, passed, clear: (blocks, 512) uint16, how often each voxel was hit, crossed, and seen clear through.
-        votes: the most scans that a voxel's vote has.
+        voxels: (N,) int64, the voxel of each point; points of objects must have one.
+        hits, passed, clear: (blocks, 512) uint16, number of scans that hit, crossed, and saw clear each voxel.
+        votes: maximum vote of a voxel, scans.
 
     Returns:
-        Four times (n,) int64.
+        Four arrays (n,) int64: points, voting points, sum of votes, and points in voxels that were ever seen clear.
     """
     size, having = np.zeros(n, np.int64), np.zeros(n, np.int64)
     sum_of_votes, touched = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -116,7 +116,7 @@ def evidence(objects, n, voxels, hits, passed, clear, votes):
 
 @njit(cache=True, nogil=True, parallel=True)
 def read(voxels, counts):
-    """(N,) int32: counts, (blocks, 512), of voxels (N,); of the last block where there is none, -1."""
+    """(N,) int32: counts (blocks, 512) of voxels (N,); voxel -1 reads the last block."""
     found = np.empty(len(voxels), np.int32)
     for i in prange(len(voxels)):
         found[i] = counts[voxels[i] >> 9, voxels[i] & 511]
@@ -125,12 +125,17 @@ def read(voxels, counts):
 
 @njit(cache=True, nogil=True)
 def trails(objects, n, places, since, last, proof):
-    """Of n objects: how many points lie in places (N,) whose ``last`` is not before ``since``; the most proof there.
+    """For each of n objects: its number of points at recent trails, and the maximum proof there.
 
     Args:
         objects: (N,) int32, the object of each point, or -1.
-        last: (all places,) int32, the last scan with a mover there.
-        proof: (all places,) int32, in how many scans that mover had been judged dynamic.
+        places: (N,) int64, the quarter column of each point.
+        since: first scan that counts as recent.
+        last: (all places,) int32, the last scan with a dynamic object in each place.
+        proof: (all places,) int32, number of scans in which that object was dynamic.
+
+    Returns:
+        (n,) int64 and (n,) int32.
     """
     count, most = np.zeros(n, np.int64), np.zeros(n, np.int32)
     for i in range(len(objects)):
@@ -143,7 +148,7 @@ def trails(objects, n, places, since, last, proof):
 
 @njit(cache=True, nogil=True)
 def count(objects, n, chosen):
-    """Of n objects: how many of their points are chosen, (N,) bool."""
+    """(n,) int64: number of chosen points, (N,) bool, of each object."""
     found = np.zeros(n, np.int64)
     for i in range(len(objects)):
         if objects[i] >= 0:
@@ -153,7 +158,7 @@ def count(objects, n, chosen):
 
 @njit(cache=True, nogil=True)
 def leave(objects, moving, proven, places, now, last, proof):
-    """Mark the places of moving objects, (n,) bool, with this scan and with their proof, (n,); of several the most."""
+    """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several."""
     for i in range(len(objects)):
         k = objects[i]
         if k >= 0 and moving[k]:
@@ -163,8 +168,14 @@ def leave(objects, moving, proven, places, now, last, proof):
 
 
 @njit(cache=True, nogil=True)
-def beside(points, chosen, cell):
-    """Which points (N, 3) are, in plan view, in a cell that holds a chosen one, or in one that touches such a cell."""
+def in_or_next_to(points, chosen, cell):
+    """(N,) bool: points in a cell, seen from above, that contains a chosen point or is adjacent to such a cell.
+
+    Args:
+        points: (N, 3) float32, metres.
+        chosen: (N,) bool.
+        cell: edge of a cell, metres.
+    """
     found = np.zeros(len(points), np.bool_)
     cells = np.empty((len(points), 2), np.int64)
     low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])

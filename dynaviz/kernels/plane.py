@@ -1,4 +1,4 @@
-"""A plane through points by random samples (RANSAC)."""
+"""RANSAC plane fit."""
 
 import math
 
@@ -8,10 +8,19 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def from_samples(points, samples, distance, least_up, confidence):
-    """The plane through three points with the most points nearer than a distance, of those facing up or down enough.
+    """The near-horizontal plane through three sampled points that has the most inliers.
 
-    Stops early once a better plane is less likely than 1 - confidence. Returns (nx, ny, nz, offset) and the number of
-    points near it, 0 where no sample gave a plane.
+    Stops early once a better plane is less likely than 1 - confidence.
+
+    Args:
+        points: (N, 3) float32, metres.
+        samples: (K, 3) int64, rows of the points of each sample.
+        distance: inlier distance, metres.
+        least_up: minimum absolute z component of the unit normal.
+        confidence: probability of having found the best plane.
+
+    Returns:
+        (4,) float64: normal and offset, metres; and the number of inliers, 0 if no sample gives a plane.
     """
     best, most, needed = np.zeros(4), 0, float(len(samples))
     for k in range(len(samples)):

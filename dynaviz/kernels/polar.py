@@ -1,4 +1,4 @@
-"""Bins around the sensor, rings times sectors, and the heights that points span in them."""
+"""Polar bins around the sensor, rings times sectors, and the heights that points span in them."""
 
 import math
 
@@ -8,20 +8,20 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
-    """Points near the sensor, and their bins.
+    """Find the points within range of the sensor, and their bins.
 
     Args:
         points: (N, 3) float32, metres, world frame.
-        spans: (S, 2) int64: rows to look at, from the first to before the second number of each span.
-        gone: (N,) bool: rows to pass over.
-        centre: (3,) float64: the sensor in x and y, and height 0 in z.
-        max_range: metres in x and y; a point there or beyond is not near.
-        rings, sectors: number of bins along and around.
-        low, high: metres above height 0; a point in a bin is strictly between.
+        spans: (S, 2) int64: rows to search, as [first, end).
+        gone: (N,) bool: rows to skip.
+        centre: (3,) float64, metres, world frame: the sensor in x and y, and height 0 in z.
+        max_range: radius in x and y, metres, exclusive.
+        rings, sectors: number of bins along a radius and around the sensor.
+        low, high: height band above height 0, metres, exclusive.
 
     Returns:
-        rows: (K,) int32, those within range, in order.
-        bins: (K,) int32: ring * sectors + sector; -1 for points outside the band of heights.
+        rows: (K,) int32: rows of the points, in order.
+        bins: (K,) int32: ring * sectors + sector; -1 outside the height band.
     """
     room = 0
     for s in range(len(spans)):
@@ -52,7 +52,7 @@ def locate(points, spans, gone, centre, max_range, rings, sectors, low, high):
 
 @njit(cache=True, nogil=True)
 def heights(points, rows, bins, n):
-    """(n,) float64, metres: highest minus lowest point of each of n bins, NaN without any; and (n,) int64: its points.
+    """(n,) float64, metres: highest minus lowest point of each bin, NaN if empty; and (n,) int64: number of points.
 
     Points (N, 3) float32, metres; rows and bins (K,) as from ``locate``.
     """

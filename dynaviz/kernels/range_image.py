@@ -1,14 +1,14 @@
-"""Range images: the nearest of many points in each pixel, and points that scans look past.
+"""Range images: the nearest point of each pixel, and the points that scans see past.
 
-Points come as (3, M) float32, metres, world frame, so that the arithmetic runs on several of them at once. Angles are
-float32 at first; a point so near a pixel's border that this could matter is projected again in float64. Its pixel is
-thus the one that float64 gives.
+Points are (3, M) float32, metres, world frame, so that the arithmetic is vectorised. Angles are float32 first; points
+so close to the border of a pixel that rounding matters are projected again in float64. The pixel is thus always that of
+float64.
 
-Several images, of the same view at different resolutions, are one flat array; ``views`` has a row for each:
-rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, place of its first pixel.
+Several images of the same view at different resolutions form one flat array; ``views`` has one row for each:
+rows, columns, row at elevation 0, rows per radian, column at azimuth 0, columns per radian, index of its first pixel.
 
-``chunks`` (C, 2) int64 says which points are looked at: from the first to before the second number of each row, at most
-``CHUNK`` of them at once. Those farther than ``reach``, metres, are left out, too.
+``chunks`` (C, 2) int64 are the points to project, as [first, end), at most ``CHUNK`` each. Points farther than
+``reach``, metres, are ignored.
 """
 
 import math
@@ -16,10 +16,10 @@ import math
 import numpy as np
 from numba import njit, prange
 
-CHUNK = 1024  # points whose pixels are found at once
-_STEEP = np.float32(0.1)  # below this sine of the angle to the vertical, azimuths need float64
-_ANGLE_ERROR = 2e-6  # radians; twice what float32 loses, at least
-_DOUBT = -2  # in place of a pixel: ask float64
+CHUNK = 1024  # points projected at once
+_STEEP = np.float32(0.1)  # azimuths need float64 below this sine of the angle to the vertical
+_ANGLE_ERROR = 2e-6  # radians; at least twice the error of float32
+_DOUBT = -2  # marks a pixel to compute in float64
 _F0, _F1 = np.float32(0), np.float32(1)
 _HALF, _PI, _HALF_PI = np.float32(0.5), np.float32(math.pi), np.float32(math.pi / 2)
 # arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
@@ -54,7 +54,7 @@ def _angle(y, x):
 
 @njit(cache=True, nogil=True)
 def _exact_pixel(xyz, i, position, axes, view, clamp):
-    """The pixel of one point in float64."""
+    """The pixel of one point, computed in float64; -1 if outside."""
     dx, dy, dz = xyz[0, i] - position[0], xyz[1, i] - position[1], xyz[2, i] - position[2]
     x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
     y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
@@ -69,16 +69,16 @@ def _exact_pixel(xyz, i, position, axes, view, clamp):
 
 @njit(cache=True, nogil=True)
 def _buffers(images):
-    """Room for the pixels, ranges and angles of a chunk."""
+    """Buffers for the pixels, ranges and angles of a chunk."""
     return np.empty((images, CHUNK), np.int32), np.empty(CHUNK, np.float32), np.empty((3, CHUNK), np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, polar):
-    """Ranges and pixels of points first ... last - 1 into the buffers.
+    """Write the ranges and pixels of points first ... last - 1 to the buffers.
 
-    A pixel is -1 where the point is out of view, not finite, or at the very position; with ``clamp`` what is out of
-    view falls into the border instead. The long loops have no branches, so that the compiler can vectorise them.
+    A pixel is -1 if the point is out of view, not finite, or at the sensor's position. With ``clamp``, points out of
+    view go to the border instead. The long loops have no branches, so that the compiler can vectorise them.
     """
     n = last - first
     px, py, pz = position[0], position[1], position[2]
@@ -97,7 +97,7 @@ def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, pol
         ranges[i] = r
         polar[0, i] = _angle(y, x)
         polar[1, i] = _angle(z, flat)
-        # Below 0 where azimuths are not sure, or where an error leads to the other end of the image.
+        # Below 0 if the azimuth is uncertain, or if an error would lead to the other end of the image.
         polar[2, i] = min(flat - _STEEP * r, _PI - np.float32(_ANGLE_ERROR) - abs(polar[0, i]))
     for k in range(len(views)):
         rows, columns = np.float32(views[k, 0]), np.float32(views[k, 1])
@@ -125,9 +125,9 @@ def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, pol
 
 @njit(cache=True, nogil=True, parallel=True)
 def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
-    """The nearest point of each pixel: ranges (P,) float32, infinite where none is, and indices (P,) int32, else -1.
+    """The nearest point of each pixel: ranges (P,) float32, metres, infinite if empty; indices (P,) int32, -1 if empty.
 
-    Of points at the same range the first counts, however many lanes share the work.
+    Of points at the same range the first counts, for any number of lanes.
     """
     m, last = len(chunks), len(views) - 1
     size = int(views[last, 6] + views[last, 0] * views[last, 1])
@@ -152,12 +152,14 @@ def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
 
 @njit(cache=True, nogil=True, parallel=True)
 def judge(xyz, chunks, reach, position, axes, views, clamp, limits, spread, past, met):
-    """Note for each point, in (M,) uint8 arrays, what one scan says of it.
+    """Compare the map points with one scan, and set flags for each point.
 
-    limits (P,) float32: the scan looks past points that are nearer than this; 0 in pixels without return. From there
-    up to limits * spread points are on the scan's surface. past: bit k is set where the scan looks past the point at
-    resolution k. met, at the first resolution: bit 0 is set where the pixel has a return, bit 1 where the point is on
-    the surface, bit 2 where it was on another scan's before.
+    Args:
+        limits: (P,) float32, metres: the scan sees past points closer than this; 0 in pixels without return. Points
+            from limits to limits * spread are on the scan's surface.
+        past: (M,) uint8: bit k is set if the scan sees past the point at resolution k. Modified.
+        met: (M,) uint8, for the first resolution: bit 0 is set if the pixel has a return, bit 1 if the point is on the
+            surface, bit 2 if it was on the surface of an earlier scan. Modified.
     """
     for c in prange(len(chunks)):
         pixels, near, polar = _buffers(len(views))

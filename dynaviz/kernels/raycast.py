@@ -1,9 +1,9 @@
-"""Rays through a block grid, and the log-odds update they lead to.
+"""Ray casting through a block grid, and the log-odds update.
 
-A ray is walked voxel by voxel (Amanatides and Woo 1987) where its block exists, and from border to border of blocks
-and super-blocks where not. Its parameter is an integer, 0 at the sensor and ``ONE`` at the point, so that n steps of a
-period are n times the period exactly: leaps and single steps meet the same voxels. The two lowest bits of a time tell
-the axis, so no two borders are met at once; of borders at the same place z comes first, then y, then x.
+A ray is traversed voxel by voxel (Amanatides and Woo 1987) in blocks that exist, and from border to border of blocks
+and super-blocks elsewhere. Its parameter ("time") is an integer, 0 at the sensor and ``ONE`` at the point, so n periods
+are exactly n times the period: leaps and single steps reach the same voxels. The two lowest bits of a time encode the
+axis, so no two borders have the same time; for borders at the same place z comes first, then y, then x.
 """
 
 import math
@@ -13,14 +13,14 @@ from numba import njit, prange
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 ONE = 1 << 52
-END = ONE << 2 | 3  # after the last border, before what lies beyond the point
+END = ONE << 2 | 3  # after the last border, before anything beyond the point
 START = -(1 << 60)
-CHUNK = 512  # rays a lane takes in turn, for balance
+CHUNK = 512  # rays that a lane processes in turn, for load balance
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _axis(start, end, tie):
-    """First voxel, direction, time of the first border and period along one axis; start and end in voxels."""
+    """First voxel, direction, time of the first border, and period along one axis; start and end in voxels."""
     k, goal = np.int64(math.floor(start)), np.int64(math.floor(end))
     borders = abs(goal - k)
     if borders == 0:
@@ -28,9 +28,9 @@ def _axis(start, end, tie):
     length = abs(end - start)
     ahead = (k + 1 - start) if goal > k else (start - k)
     first = np.int64(ahead / length * ONE + 0.5)
-    period = np.int64(min(ONE / length, 2.0 * ONE) + 0.5)  # beyond the point in any case, and 128 of them fit
+    period = np.int64(min(ONE / length, 2.0 * ONE) + 0.5)  # the limit is beyond the point, and 128 periods fit
     last = first + (borders - 1) * period
-    if last > ONE:  # by rounding: the ray must end in the voxel of its point, neither before nor after
+    if last > ONE:  # by rounding; the ray must end in the voxel of its point
         first -= last - ONE
     elif last + period <= ONE:
         first += ONE + 1 - last - period
@@ -39,19 +39,19 @@ def _axis(start, end, tie):
 
 @njit(cache=True, nogil=True, inline="always")
 def _passed(time, first, period):
-    """How many borders of an axis lie at or before a time."""
+    """Number of borders of an axis at or before a time."""
     return np.int64(0) if time < first else (time - first) // period + 1
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _ahead(k, step, last):
-    """Borders of voxels before the one that leaves a cube of last + 1 voxels."""
+    """Number of voxel borders before the one that leaves a cube of last + 1 voxels."""
     return last - (k & last) if step > 0 else k & last
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(slots, owners, masks, used, block):
-    """The scratch memory of a block in this scan; taken and cleared on the first use."""
+    """The scratch memory of a block in this scan; allocated and cleared on first use."""
     slot = slots[block]
     if slot == 0:
         used += 1
@@ -64,7 +64,7 @@ def _slot(slots, owners, masks, used, block):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
-    """Mark the voxels from o up to, not including, that of e; o and e in voxels, inside the grid's bounds."""
+    """Mark the voxels from that of o up to, but not including, that of e; both in voxels, within the grid's bounds."""
     kx, sx, fx, px = _axis(o[0], e[0], 2)
     ky, sy, fy, py = _axis(o[1], e[1], 1)
     kz, sz, fz, pz = _axis(o[2], e[2], 0)
@@ -83,7 +83,7 @@ def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
             i = (x & 7) << 6 | (y & 7) << 3 | (z & 7)
             c = (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)
             bx, by, bz = tx + _ahead(x, sx, 7) * px, ty + _ahead(y, sy, 7) * py, tz + _ahead(z, sz, 7) * pz
-            here = True  # i and t belong to this block
+            here = True  # i, tx, ty and tz are valid for this block
             while True:  # blocks
                 limit = min(min(bx, by), min(bz, until))
                 block = children[row, c]
@@ -129,7 +129,7 @@ def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
 
 @njit(cache=True, nogil=True, inline="always")
 def _inside(v, base, shape):
-    """Whether a place in voxels is finite, within reach and within the grid's bounds."""
+    """Whether a position in voxels is finite, within reach and within the grid's bounds."""
     for axis in range(3):
         if not abs(v[axis]) < REACH:
             return False
@@ -144,10 +144,12 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
 
     Args:
-        points: (N, 3) float32, metres, world frame, where rays end.
-        origins: (N or 1, 3) float64, metres, world frame, where they start.
-        casts, hits: (N,) bool: whether a ray is walked, and whether its end counts as a hit.
-        per_metre: voxels a metre; the others are the grid's directory and its scratch memory.
+        points: (N, 3) float32, metres, world frame: ends of the rays.
+        origins: (N or 1, 3) float64, metres, world frame: origins of the rays.
+        casts, hits: (N,) bool: whether to cast the ray, and whether its end counts as a hit.
+        per_metre: voxels per metre.
+        base, shape, top, children: the grid's directory.
+        slots, owners, masks, used: the grid's scratch memory.
     """
     n, several = len(points), len(origins) > 1
     for lane in prange(len(used)):
@@ -176,14 +178,19 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
 
 @njit(cache=True, nogil=True)
 def collect(slots, owners, masks, used):
-    """Join the lanes: touched blocks, their crossed and hit voxels, a bit each; the scratch memory is free again."""
+    """Merge the lanes, and reset the scratch memory.
+
+    Returns:
+        (B,) int32: numbers of the touched blocks.
+        (B, 16) int64: bits of their crossed voxels (words 0 to 7) and hit voxels (words 8 to 15).
+    """
     most = used.sum()
     blocks, bits = np.empty(most, np.int32), np.empty((most, 16), np.int64)
     n = 0
     for lane in range(len(used)):
         for slot in range(1, used[lane] + 1):
             block = owners[lane, slot]
-            if slots[lane, block] == 0:  # an earlier lane had it
+            if slots[lane, block] == 0:  # already merged for an earlier lane
                 continue
             blocks[n] = block
             bits[n] = 0
@@ -199,7 +206,15 @@ def collect(slots, owners, masks, used):
 
 @njit(cache=True, nogil=True, parallel=True)
 def update_log_odds(log_odds, ever, blocks, bits, miss, hit, low, high):
-    """Add misses, clamp, then hits, clamp: once per marked voxel; and note what was ever crossed or hit."""
+    """Update each marked voxel once: add a miss and clamp, then a hit and clamp; record voxels ever crossed or hit.
+
+    Args:
+        log_odds: (all blocks + 1, 512) float32. Modified.
+        ever: (all blocks + 1, 16) int64, bits as from ``collect``. Modified.
+        blocks, bits: the marks of a scan, as from ``collect``.
+        miss, hit: increments, log-odds.
+        low, high: clamping thresholds, log-odds.
+    """
     for n in prange(len(blocks)):
         block = blocks[n]
         for w in range(8):

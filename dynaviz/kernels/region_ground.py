@@ -1,4 +1,4 @@
-"""Region-wise ground plane fitting (R-GPF; Lim et al. 2021): one plane for the points of each bin."""
+"""Region-wise ground plane fitting (R-GPF; Lim et al. 2021): one plane per bin."""
 
 import math
 
@@ -8,19 +8,20 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward):
-    """Which points are ground of their bin.
+    """Find the ground points of each bin.
 
     Args:
-        points: (K, 3) float64, metres, from the foot of the sensor; those of a bin follow each other.
-        starts: (B + 1,) int64: where each bin begins, and the end.
-        skip, lowest: so many of a bin's lowest points are passed over; the mean height of so many after them counts.
-        seed_height: metres; points lower than this above that mean begin as ground. It is 0 where no point is left.
-        distance: metres; points below the plane, or less than this above it, are ground.
-        iterations: planes fitted one after another, each to the ground of the one before.
-        upward: turn each normal up; else it stays on the side of the axis that the rotations brought there.
+        points: (K, 3) float64, metres, relative to the ground below the sensor; sorted by bin.
+        starts: (B + 1,) int64: first point of each bin, and the end.
+        skip: number of lowest points of a bin to skip.
+        lowest: number of points after them whose mean height is the lowest ground; it is 0 if no points are left.
+        seed_height: points less than this above the lowest ground seed the fit, metres.
+        distance: points below the plane, or less than this above it, are ground, metres.
+        iterations: number of plane fits, each to the ground points of the previous one.
+        upward: orient the normals upwards; otherwise they keep the side that the Jacobi rotations give.
 
     Returns:
-        (K,) bool.
+        (K,) bool: ground points.
     """
     ground = np.zeros(len(points), np.bool_)
     lows = np.empty(skip + lowest)
@@ -75,15 +76,16 @@ def fit(points, starts, skip, lowest, seed_height, distance, iterations, upward)
 
 @njit(cache=True, nogil=True)
 def _diagonalise(A, V):
-    """Jacobi's rotations of a symmetric (3, 3), of which the lower half is read: eigenvalues stay on A's diagonal.
+    """Jacobi eigenvalue algorithm for a symmetric (3, 3) matrix A, of which the lower half is read.
 
-    No rotation turns by more than 45 degrees, so an eigenvector keeps the side of the axis that it came from.
+    Afterwards A's diagonal contains the eigenvalues, and V's columns the eigenvectors. No rotation exceeds 45 degrees,
+    so an eigenvector stays on the side of the axis that it started from.
     """
     V[:] = 0
     for axis in range(3):
         V[axis, axis] = 1
     A[0, 1], A[0, 2], A[1, 2] = A[1, 0], A[2, 0], A[2, 1]
-    for _ in range(10):  # it converges quadratically: 4 or 5 are enough
+    for _ in range(10):  # converges quadratically; 4 or 5 sweeps are enough
         for p in range(1, 3):
             for q in range(p):
                 if abs(A[p, q]) <= 1e-12 * math.sqrt(abs(A[p, p] * A[q, q])):

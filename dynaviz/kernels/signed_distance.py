@@ -1,10 +1,10 @@
-"""A projective signed distance field: voxels seen against a range image.
+"""Projective TSDF: voxels compared with a range image.
 
-An image is described by ``view``: rows, columns, elevation of the first row, rows per radian, columns per radian. Rows
-go from the highest elevation down, columns from azimuth -pi on; a pixel holds what is nearer to it than to any other.
+``view`` describes an image: rows, columns, elevation of the first row (radians), rows per radian, columns per radian.
+Rows run downwards from the highest elevation, columns from azimuth -pi; integer coordinates are pixel centres.
 
-State exists where ``needed`` (B, 8) has a bit: bit v of word w is voxel 64 w + v of a block. A block's voxels follow
-each other from ``first[block]`` on, in the order of their bits.
+Only voxels whose bit is set in ``needed`` (B, 8) have state; bit v of word w is voxel 64 w + v of a block. The state of
+a block's voxels is consecutive from ``first[block]``, in the order of their bits.
 """
 
 import math
@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-TILE_ROWS, TILE_COLUMNS = 4, 32  # pixels of which only the farthest range is kept, to pass over hidden blocks
+TILE_ROWS, TILE_COLUMNS = 4, 32  # pixels per tile; the farthest range of a tile lets hidden blocks be skipped
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 _ONE = np.uint64(1)
 _F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
@@ -43,12 +43,19 @@ def _angle(y, x):
 
 @njit(cache=True, nogil=True, parallel=True)
 def pixels(points, position, axes, nearest, farthest, view):
-    """Pixels of points (N, 3), metres, world frame, seen from a position (3,) along axes (3, 3), sensor from world.
+    """Pixels and ranges of points.
+
+    Args:
+        points: (N, 3) float32, metres, world frame.
+        position: (3,) float64, metres, world frame: the sensor.
+        axes: (3, 3) float64, rotation from world to sensor.
+        nearest, farthest: range limits, metres.
+        view: the image.
 
     Returns:
-        pixels: (N,) int32, row * columns + column; -1 where not in view.
+        pixels: (N,) int32, row * columns + column; -1 if not in view.
         ranges: (N,) float32, metres.
-        inside: (N,) bool: whether the range lies within (nearest, farthest), metres.
+        inside: (N,) bool: whether the range is within the limits.
     """
     n, rows, columns = len(points), int(view[0]), int(view[1])
     found, ranges, inside = np.full(n, np.int32(-1)), np.empty(n, np.float32), np.zeros(n, np.bool_)
@@ -71,9 +78,11 @@ def pixels(points, position, axes, nearest, farthest, view):
 
 @njit(cache=True, nogil=True)
 def image(pixels, ranges, rows, columns):
-    """(rows * columns,) float32, metres: the nearest range in each pixel, 0 where there is none.
+    """The range image and its tiles.
 
-    And (tiles down, tiles across) float32: the farthest of those in each tile.
+    Returns:
+        (rows * columns,) float32, metres: nearest range in each pixel, 0 if empty.
+        (tile rows, tile columns) float32, metres: farthest of these ranges in each tile.
     """
     nearest = np.zeros(rows * columns, np.float32)
     for i in range(len(pixels)):
@@ -90,10 +99,14 @@ def image(pixels, ranges, rows, columns):
 
 @njit(cache=True, nogil=True, parallel=True)
 def in_view(blocks, edge, position, axes, view, tiles, truncation):
-    """(B,) bool: whether a block might hold a voxel that the image tells of; errs towards True.
+    """(B,) bool: whether a block may contain voxels that the image updates; conservative.
 
-    Blocks (B, 3) are in edges (metres) from the world's origin; position and axes as for ``pixels``, tiles as from
-    ``image``; voxels up to ``truncation`` metres behind a surface count.
+    Args:
+        blocks: (B, 3) int64, indices of the blocks from the world's origin.
+        edge: edge of a block, metres.
+        position, axes, view: as for ``pixels``.
+        tiles: as from ``image``.
+        truncation: voxels up to this far behind a surface are updated, metres.
     """
     radius, seen = 0.8661 * edge, np.zeros(len(blocks), np.bool_)
     highest, columns = tiles.max(), int(view[1])
@@ -117,7 +130,7 @@ def in_view(blocks, edge, position, axes, view, tiles, truncation):
             continue
         row_from, row_to = max(row_from, 0), min(row_to, int(view[0]) - 1)
         steep, width = abs(elevation) + half, columns // 2
-        if steep < 1.5:  # half the width of a cone of angle half, seen at that elevation
+        if steep < 1.5:  # half the width, in columns, of a cone with the angle ``half`` at that elevation
             sine = math.sin(half) / math.cos(steep)
             if sine < 1:
                 width = min(width, int(math.asin(sine) * view[4]) + 2)
@@ -130,7 +143,7 @@ def in_view(blocks, edge, position, axes, view, tiles, truncation):
                 farthest = max(farthest, tiles[r0, c % columns // TILE_COLUMNS])
                 if c >= last:
                     break
-                # on to the next tile; tiles begin anew where the columns do
+                # continue with the next tile; tiles restart at column 0
                 at = c % columns
                 c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
         seen[b] = farthest > _F0 and r - radius <= farthest + truncation
@@ -139,7 +152,7 @@ def in_view(blocks, edge, position, axes, view, tiles, truncation):
 
 @njit(cache=True, nogil=True, inline="always")
 def _places(needed, places):
-    """The voxels of a block that have state, in order; returns their number."""
+    """Write the voxels of a block that have state to ``places``, in order; return their number."""
     n = np.int64(0)
     for w in range(8):
         if needed[w] == _FULL:
@@ -156,7 +169,7 @@ def _places(needed, places):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(corner, offsets, n, view, ranges, pixel):
-    """Ranges and pixels (-1: not in view) of n places; in float32 and without branches, so that it is vectorised."""
+    """Ranges and pixels (-1 if not in view) of n positions; float32 without branches, so that it is vectorised."""
     x0, y0, z0 = np.float32(corner[0]), np.float32(corner[1]), np.float32(corner[2])
     rows, columns = np.float32(view[0]), np.float32(view[1])
     top, per_row, per_column = np.float32(view[2]), np.float32(view[3]), np.float32(view[4])
@@ -174,9 +187,9 @@ def _project(corner, offsets, n, view, ranges, pixel):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _average(depths, ranges, n, trunc, below, most, distance, weight, told):
-    """Update n voxels; told: bit 0 where the image tells of it, bit 1 where it is then nearer than ``below``."""
-    any_told = False
+def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
+    """Update n voxels; flags: bit 0 is set if the image updates it, bit 1 if its distance is then under ``below``."""
+    any_updated = False
     for i in range(n):
         depth, old, mass = depths[i], distance[i], np.float32(weight[i])
         behind = depth - ranges[i]
@@ -184,9 +197,9 @@ def _average(depths, ranges, n, trunc, below, most, distance, weight, told):
         mean = (old * mass + min(behind, trunc)) / (mass + _F1)
         distance[i] = mean if seen else old
         weight[i] += np.uint16(seen & (weight[i] < most))
-        told[i] = np.uint8(seen) | np.uint8(seen & (mean < below)) << np.uint8(1)
-        any_told |= seen
-    return any_told
+        flags[i] = np.uint8(seen) | np.uint8(seen & (mean < below)) << np.uint8(1)
+        any_updated |= seen
+    return any_updated
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -194,15 +207,24 @@ def integrate(
     active, blocks, size, position, axes, offsets, view, image, truncation, near_below, most,
     needed, first, distance, weight, observed, near, updated, lanes,
 ):  # fmt: skip
-    """Average each voxel of the active blocks with what the image says of it.
+    """Update the voxels of the active blocks with the distances from the image.
 
-    active: (A,) int32, rows of blocks (B, 3); size: edge of a voxel, metres; position, axes and image as above.
-    offsets: (3, 512) float32, metres, in the sensor's axes: from a block's corner to its voxels' centres.
-    Sets bits of voxels ``observed`` ever, ``near`` (below that distance), and ``updated`` now.
+    Sets the bits of voxels ``observed`` so far, ``near`` (distance below ``near_below``) and ``updated`` in this frame.
+
+    Args:
+        active: (A,) int32, rows of ``blocks``.
+        blocks: (B, 3) int64, indices of the blocks from the world's origin.
+        size: edge of a voxel, metres.
+        position, axes, view, image: as above.
+        offsets: (3, 512) float32, metres, sensor axes: from a block's corner to the centres of its voxels.
+        truncation, near_below: metres.
+        most: maximum weight, observations.
+        needed, first: voxels with state, as above.
+        distance: float32, metres; weight: uint16, observations; both of all voxels with state. Modified.
     """
     trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.uint16(most)
     for lane in prange(lanes):
-        places, pixel, told = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.uint8)
+        places, pixel, flags = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.uint8)
         ranges, depths, some = np.empty(512, np.float32), np.empty(512, np.float32), np.empty((3, 512), np.float32)
         corner = np.empty(3, np.float64)
         for a in range(lane, len(active), lanes):
@@ -223,13 +245,13 @@ def integrate(
             for i in range(n):
                 depths[i] = image[pixel[i]] if pixel[i] >= 0 else _F0
             own, heavy = distance[start : start + n], weight[start : start + n]
-            if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, told):
+            if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags):
                 continue
             for i in range(n):
-                if told[i]:
+                if flags[i]:
                     w, bit = places[i] >> 6, _ONE << np.uint64(places[i] & 63)
                     updated[b, w] |= bit
-                    if told[i] > 1:
+                    if flags[i] > 1:
                         near[b, w] |= bit
                     else:
                         near[b, w] &= ~bit

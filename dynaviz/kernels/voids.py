@@ -1,11 +1,11 @@
-"""What a scan saw in a block grid: hit voxels, observed ones, and those far enough from all that is unknown.
+"""Hit, observed and void voxels of a scan in a block grid.
 
-A ray goes from the sensor to the centre of a voxel. It is walked voxel by voxel (Amanatides and Woo 1987), and stores
-something only where the grid has a block. Times along it are integers, ``UNIT`` a voxel's edge; their two lowest bits
-tell the axis, so no two borders are met at once: of borders at the same place x comes first, then y, then z.
+A ray goes from the sensor to the centre of a voxel. It is traversed voxel by voxel (Amanatides and Woo 1987), and marks
+voxels only where the grid has a block. Times along it are integers, ``UNIT`` per edge of a voxel; their two lowest bits
+encode the axis, so no two borders have the same time: for borders at the same place x comes first, then y, then z.
 
-Scratch memory is that of ``dynaviz.spatial.blocks``: each lane has its own rows of 16 words, 8 of observed voxels and
-8 of hit ones, which ``raycast.collect`` joins. Bit v of word w is voxel 64 w + v of a block.
+Scratch memory is that of ``dynaviz.spatial.blocks``: each lane has its own rows of 16 words, 8 for observed voxels and
+8 for hit voxels, which ``raycast.collect`` merges. Bit v of word w is voxel 64 w + v of a block.
 """
 
 import math
@@ -15,14 +15,14 @@ from numba import njit, prange
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 UNIT = 1 << 40
-LONG = 1 << 17  # voxels: longer than any ray, and ten of them still fit in a time
-CHUNK = 256  # rays a lane takes in turn, for balance
+LONG = 1 << 17  # voxels: longer than any ray, and ten times this still fits in a time
+CHUNK = 256  # rays that a lane processes in turn, for load balance
 FULL = np.int64(-1)
 
 
 @njit(cache=True, nogil=True)
 def in_range(points, origins, low, high):
-    """Whether points (N, 3) are more than low and less than high metres from where their rays started."""
+    """(N,) bool: points (N, 3) more than ``low`` and less than ``high`` metres from their origins, (N or 1, 3)."""
     inside = np.zeros(len(points), np.bool_)
     several = len(origins) > 1
     for p in range(len(points)):
@@ -30,13 +30,13 @@ def in_range(points, origins, low, high):
         squared = 0.0
         for a in range(3):
             squared += (points[p, a] - origins[q, a]) ** 2
-        inside[p] = low * low < squared < high * high  # not where not finite
+        inside[p] = low * low < squared < high * high  # False if not finite
     return inside
 
 
 @njit(cache=True, nogil=True)
 def distinct(voxels, chosen, scratch):
-    """The chosen voxels, each once, in their order; the scratch, (blocks, 8) int64, is empty before and after."""
+    """The chosen voxels without duplicates, in order; ``scratch`` (blocks, 8) int64 is zero before and after."""
     goals, n = np.empty(len(voxels), np.int64), 0
     for p in range(len(voxels)):
         if chosen[p]:
@@ -52,7 +52,7 @@ def distinct(voxels, chosen, scratch):
 
 @njit(cache=True, nogil=True)
 def remember(blocks, hit, observed, void, seen_free, crossed):
-    """Add a scan's bits, (B, 8) int64 of its blocks, to all scans': what was void, and what rays went through."""
+    """Add a scan's bits, (B, 8) int64, to those of all scans: void voxels, and voxels that rays crossed."""
     for b in range(len(blocks)):
         for word in range(8):
             seen_free[blocks[b], word] |= void[b, word]
@@ -61,7 +61,10 @@ def remember(blocks, hit, observed, void, seen_free, crossed):
 
 @njit(cache=True, nogil=True, inline="always")
 def _axis(start, along, tie):
-    """First voxel, step, time of the first border and period along one axis; in voxels, along: of a unit vector."""
+    """First voxel, step, time of the first border, and period along one axis.
+
+    ``start`` is in voxels, ``along`` is a component of a unit vector.
+    """
     k = np.int64(math.floor(start))
     if along == 0.0:
         return k, np.int64(1), np.int64(LONG * UNIT << 2 | tie), np.int64(0)
@@ -74,7 +77,7 @@ def _axis(start, along, tie):
 
 @njit(cache=True, nogil=True, inline="always")
 def _block(x, y, z, shape, top, children):
-    """The number of a block plus one, 0 where there is none; x, y, z: blocks from the grid's first."""
+    """The number of a block plus one, 0 if absent; x, y, z: blocks from the grid's first."""
     jx, jy, jz = x >> 4, y >> 4, z >> 4
     if not (0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]):
         return np.int32(0)
@@ -84,7 +87,7 @@ def _block(x, y, z, shape, top, children):
 
 @njit(cache=True, nogil=True, inline="always")
 def _slot(slots, owners, masks, used, block):
-    """The scratch memory of a block in this scan; taken and cleared on the first use."""
+    """The scratch memory of a block in this scan; allocated and cleared on first use."""
     slot = slots[block]
     if slot == 0:
         used += 1
@@ -97,7 +100,7 @@ def _slot(slots, owners, masks, used, block):
 
 @njit(cache=True, nogil=True, inline="always")
 def _direction(o, c):
-    """Unit vector from o to c, and their distance; of no length where they are one."""
+    """Unit vector from o to c, and their distance; a zero vector if both are equal."""
     dx, dy, dz = c[0] - o[0], c[1] - o[1], c[2] - o[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     if length == 0.0:
@@ -107,13 +110,13 @@ def _direction(o, c):
 
 @njit(cache=True, nogil=True, inline="always")
 def _within(o):
-    """Whether a place in voxels is finite and within reach."""
+    """Whether a position in voxels is finite and within reach."""
     return abs(o[0]) < REACH and abs(o[1]) < REACH and abs(o[2]) < REACH
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _centre(voxel, blocks):
-    """The centre of a voxel given by number, in voxels from the world's origin."""
+    """The centre of a voxel, given by its number, in voxels from the world's origin."""
     block, place = voxel >> 9, voxel & 511
     x = (np.int64(blocks[block, 0]) << 3 | place >> 6) + 0.5
     y = (np.int64(blocks[block, 1]) << 3 | (place >> 3 & 7)) + 0.5
@@ -123,7 +126,7 @@ def _centre(voxel, blocks):
 
 @njit(cache=True, nogil=True)
 def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
-    """Mark the voxels from c to ``margin`` voxels nearer to o as hit, at most to that of o."""
+    """Mark the voxels from c to ``margin`` voxels towards o as hit, at most up to that of o."""
     d, length = _direction(c, o)
     x, sx, tx, px = _axis(c[0], d[0], 0)
     y, sy, ty, py = _axis(c[1], d[1], 1)
@@ -148,7 +151,7 @@ def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
 
 @njit(cache=True, nogil=True, inline="always")
 def _passed(time, first, period):
-    """How many borders of an axis lie at or before a time."""
+    """Number of borders of an axis at or before a time."""
     return np.int64(0) if time < first else (time - first) // period + 1
 
 
@@ -160,19 +163,19 @@ def _is_full(mask):
 
 @njit(cache=True, nogil=True)
 def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owners, masks, used):
-    """Mark the voxels from o to the first hit one as observed, then on until an axis is ``beyond`` voxels farther."""
+    """Mark the voxels from o to the first hit one as observed, then until an axis is ``beyond`` voxels farther."""
     d, length = _direction(o, c)
     kx, sx, fx, px = _axis(o[0], d[0], 0)
     ky, sy, fy, py = _axis(o[1], d[1], 1)
     kz, sz, fz, pz = _axis(o[2], d[2], 2)
     kx, ky, kz = kx - (base[0] << 7), ky - (base[1] << 7), kz - (base[2] << 7)
     bx, by, bz = kx >> 3, ky >> 3, kz >> 3
-    # When the ray leaves its block along each axis.
+    # Times at which the ray leaves its block along each axis.
     ux = fx + (7 - (kx & 7) if sx > 0 else kx & 7) * px
     uy = fy + (7 - (ky & 7) if sy > 0 else ky & 7) * py
     uz = fz + (7 - (kz & 7) if sz > 0 else kz & 7) * pz
     i, tx, ty, tz = (kx & 7) << 6 | (ky & 7) << 3 | (kz & 7), fx, fy, fz
-    end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit; never farther than that
+    end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
     time, here, stopped = np.int64(-1), True, False
     while True:  # blocks
         limit = min(min(ux, uy), min(uz, end))
@@ -182,7 +185,7 @@ def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owne
             slot = slots[block]
             marks = slot == 0 or not _is_full(masks[slot])
         if marks:
-            if not here:  # after blocks that nothing can be learnt of
+            if not here:  # after blocks that were skipped
                 nx, ny, nz = _passed(time, fx, px), _passed(time, fy, py), _passed(time, fz, pz)
                 tx, ty, tz = fx + nx * px, fy + ny * py, fz + nz * pz
                 i = (kx + sx * nx & 7) << 6 | (ky + sy * ny & 7) << 3 | (kz + sz * nz & 7)
@@ -236,7 +239,7 @@ def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owne
 
 @njit(cache=True, nogil=True, parallel=True)
 def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slots, owners, masks, used):
-    """Mark as hit the voxels (G,) and those up to ``margin`` voxels before them, as seen from origins[starts]."""
+    """Mark voxels ``goals`` (G,) and those up to ``margin`` voxels in front of them as hit, from origins[starts]."""
     for lane in prange(len(used)):
         count = 0
         for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
@@ -253,7 +256,10 @@ def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slot
 def observe(
     goals, starts, origins, beyond, struck, hits, blocks, base, shape, top, children, slots, owners, masks, used
 ):
-    """Mark what rays to the voxels (G,) observe, up to the first of ``hits`` (B, 8) and ``beyond`` it; struck: (B,)."""
+    """Mark the voxels that rays to ``goals`` (G,) observe: up to the first hit voxel, and ``beyond`` voxels more.
+
+    ``hits`` (B, 8) are the bits of the hit voxels, ``struck`` (B,) bool are the blocks that contain any.
+    """
     for lane in prange(len(used)):
         count = 0
         for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
@@ -268,8 +274,8 @@ def observe(
 
 @njit(cache=True, nogil=True, parallel=True)
 def sides(touched, rows, blocks, base, shape, top, children):
-    """For each touched block the rows of the six beside it, -x, +x, -y, ... +z; the row after the last for none."""
-    beside = np.full((len(touched), 6), np.int32(len(touched)))
+    """(n, 6) int32: rows of the six adjacent blocks of each touched block, -x, +x, -y, ... +z; n if absent."""
+    adjacent = np.full((len(touched), 6), np.int32(len(touched)))
     for n in prange(len(touched)):
         for side in range(6):
             step = 1 if side & 1 else -1
@@ -278,35 +284,35 @@ def sides(touched, rows, blocks, base, shape, top, children):
             z = np.int64(blocks[touched[n], 2]) - (base[2] << 4) + (step if side >> 1 == 2 else 0)
             block = _block(x, y, z, shape, top, children)
             if block and rows[block - 1]:
-                beside[n, side] = rows[block - 1] - 1
-    return beside
+                adjacent[n, side] = rows[block - 1] - 1
+    return adjacent
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def erode(observed, beside, times):
-    """Of voxels (n + 1, 8) uint64, the last row empty: those whose cube of 2 times + 1 voxels a side is all set.
+def erode(observed, adjacent, times):
+    """Erode voxels (n + 1, 8) uint64, the last row empty, by cubes of edge 2 times + 1 voxels, one axis after another.
 
-    One axis after the other: a cube is all set where its planes are, and these where their lines are.
+    ``adjacent`` (n, 6) are the rows of adjacent blocks, as from ``sides``.
     """
-    n = len(beside)
+    n = len(adjacent)
     here, there = observed.copy(), np.zeros_like(observed)
     low, high = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
     one, seven, eight, most = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
     for _ in range(times):
         for r in prange(n):
             for w in range(8):  # z: bits of a byte
-                word, below, above = here[r, w], here[beside[r, 4], w], here[beside[r, 5], w]
+                word, below, above = here[r, w], here[adjacent[r, 4], w], here[adjacent[r, 5], w]
                 lower = (word << one) & ~low | (below >> seven) & low
                 upper = (word >> one) & ~high | (above << seven) & high
                 there[r, w] = word & lower & upper
         for r in prange(n):
             for w in range(8):  # y: bytes of a word
-                word, below, above = there[r, w], there[beside[r, 2], w], there[beside[r, 3], w]
+                word, below, above = there[r, w], there[adjacent[r, 2], w], there[adjacent[r, 3], w]
                 here[r, w] = word & (word << eight | below >> most) & (word >> eight | above << most)
         for r in prange(n):
             for w in range(8):  # x: words of a block
-                below = here[r, w - 1] if w > 0 else here[beside[r, 0], 7]
-                above = here[r, w + 1] if w < 7 else here[beside[r, 1], 0]
+                below = here[r, w - 1] if w > 0 else here[adjacent[r, 0], 7]
+                above = here[r, w + 1] if w < 7 else here[adjacent[r, 1], 0]
                 there[r, w] = here[r, w] & below & above
         here, there = there, here
     return here

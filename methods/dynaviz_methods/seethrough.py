@@ -160,7 +160,7 @@ class ClearGrid(BlockGrid):
 
         The cubes extend into adjacent blocks only if these are marked, too.
         """
-        sides = kernels.clearance.beside(marks.blocks, self._rows, self._blocks, *self._place)
+        sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
         padded = np.zeros((len(hit) + 1, 8), np.uint64)
         padded[:-1] = hit
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
@@ -244,7 +244,7 @@ class SeeThrough:
         reasons[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
         reasons[moves] = verdict[moves]
         reasons[low] = LOW
-        under = low & kernels.objects.beside(points, moves, 4 * params.resolution)
+        under = low & kernels.objects.in_or_next_to(points, moves, 4 * params.resolution)
         empty = (passed > PASSED * hits) | ((clear >= hits) & (hits <= SELDOM))
         reasons[under & ((height > STANDS_OUT) | empty)] = FOOT
         reasons[~within] = OUT_OF_REACH
