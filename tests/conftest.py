@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,7 +77,21 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def real_data(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real data in the native layout of each data set, unpacked once per session."""
-    folder = tmp_path_factory.mktemp("real")
-    subprocess.run([sys.executable, shared / "data/unpack.py", folder], check=True, capture_output=True)
+    """The real data in the native layout of each data set, unpacked once for all pytest-xdist workers."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+    folder, partial, lock = base / "real", base / "real.partial", base / "real.lock"
+    while not folder.exists():
+        try:
+            lock.mkdir()
+        except FileExistsError:  # another worker is unpacking
+            time.sleep(0.2)
+            continue
+        try:
+            if not folder.exists():
+                subprocess.run([sys.executable, shared / "data/unpack.py", partial], check=True, capture_output=True)
+                partial.rename(folder)
+        finally:
+            lock.rmdir()
     return folder

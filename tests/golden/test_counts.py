@@ -1,11 +1,11 @@
-"""Each method's counts on simulated scenes are those that were written down, on one thread and (in the square) on two.
+"""Each method's counts on simulated scenes match the recorded ones, on one thread and (in the square) on two.
 
-``DYNAVIZ_REWRITE=1 pytest tests/golden`` writes them anew, after a change that is meant to change labels; the diff of
-``counts.json`` then shows what it changed.
+After a change that is meant to change labels, run ``DYNAVIZ_REWRITE=1 pytest tests/golden`` to record new counts; the
+diff of ``counts.json`` then shows the changes.
 
-The scenes are simulated here, so their points depend on the machine's mathematical library and vector units by a last
-digit. Where the digest of a scene is the one that was written down, counts must be equal. Where it is not, each may
-differ by a few in a thousand of all points: a last digit moves those that lie on the border of a voxel or a bin.
+The scenes are simulated here, so the last digits of their points depend on the machine's mathematical library and
+vector units. If the digest of a scene is the recorded one, counts must be equal. Otherwise each may differ by a few
+per thousand of all points, because last digits matter for points on the border of a voxel or a bin.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from dynaviz.simulate.recording import simulate
 
 FILE = Path(__file__).with_name("counts.json")
 REWRITE = "DYNAVIZ_REWRITE" in os.environ
-SCENES = {"demo": (12, 1), "hall_vlp16": (15, 3), "square_mid360": (18, 3)}  # frames, and every how manieth is taken
+SCENES = {"demo": (12, 1), "hall_vlp16": (15, 3), "square_mid360": (18, 3)}  # number of frames, and stride
 KINDS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
-ELSEWHERE = 0.003  # share of all points, where the scene itself differs in last digits
+TOLERANCE = 0.003  # share of all points, if the scene itself differs in last digits
 METHODS = [handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"]
 
 
@@ -39,7 +39,7 @@ def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]:
-    """The digest of the scene, and how many points of each kind."""
+    """The digest of the scene, and the number of points of each kind."""
     kind = registry.load("methods", name)
     params = kind.Params()
     metric = registry.load("metrics", "confusion")(kind.info)
@@ -47,11 +47,11 @@ def counts(name: str, sequence: Sequence, threads: int) -> tuple[str, list[int]]
         result = execute(RunSpec(kind(params), sequence, params, (metric,), threads=threads))
     finally:
         kernels.set_threads(None)
-    return result.sequence["digest"], [result.counts[kind] for kind in KINDS]
+    return result.sequence.digest, [result.counts[kind] for kind in KINDS]
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_counts_are_those_written_down(name: str, scene: Sequence) -> None:
+def test_counts_match_the_recorded_ones(name: str, scene: Sequence) -> None:
     digest, found = counts(name, scene, 1)
     if scene.name == "square_mid360":
         assert counts(name, scene, 2) == (digest, found), "the number of threads changed counts"
@@ -64,16 +64,16 @@ def test_counts_are_those_written_down(name: str, scene: Sequence) -> None:
         entry[name] = found
         written = {place: dict(sorted(known[place].items())) for place in sorted(known)}
         FILE.write_text(_a_line_each(written))
-        pytest.skip("written anew")
+        pytest.skip("recorded new counts")
     expected = known.get(scene.name, {}).get(name)
-    assert expected, f"no counts of {name} are written down yet: DYNAVIZ_REWRITE=1 pytest tests/golden"
+    assert expected, f"no counts of {name} are recorded; run DYNAVIZ_REWRITE=1 pytest tests/golden"
     same_scene = known[scene.name]["digest"] == digest
-    slack = 0 if same_scene else ELSEWHERE * sum(expected)
+    slack = 0 if same_scene else TOLERANCE * sum(expected)
     assert found == pytest.approx(expected, abs=slack), f"{KINDS} were {expected}"
 
 
 def _a_line_each(table: dict[str, dict[str, Any]]) -> str:
-    """JSON with a line for each method, so that a diff shows which changed."""
+    """JSON with one line per method, so that a diff shows which methods changed."""
     scenes = [
         f' "{name}": {{\n' + ",\n".join(f'  "{key}": {json.dumps(value)}' for key, value in row.items()) + "\n }"
         for name, row in table.items()
@@ -81,7 +81,7 @@ def _a_line_each(table: dict[str, dict[str, Any]]) -> str:
     return "{\n" + ",\n".join(scenes) + "\n}\n"
 
 
-def test_counts_of_no_other_methods_and_scenes() -> None:
+def test_only_known_methods_and_scenes_are_recorded() -> None:
     known = json.loads(FILE.read_text())
     assert set(known) == set(SCENES)
     for row in known.values():

@@ -1,4 +1,4 @@
-"""A hall where nothing moves, and a box in it that is elsewhere in every frame: dense rays, exact labels."""
+"""A static hall with a box that changes its place in every frame: dense rays, exact labels."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dynaviz.scan import Label, Scan
 from dynaviz.sensors import Sensor
 
 RINGS, ELEVATION, HEIGHT = 40, (-22.0, 8.0), 1.8
-AZIMUTHS, VIEW = 220, 180.0  # columns in so many degrees ahead: half a turn takes half the time
+AZIMUTHS, VIEW = 220, 180.0  # columns, and the degrees ahead that they cover; half a turn takes half the time
 SENSOR = Sensor(name="hall", title="a sensor of 40 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)
-WALLS = 14.0  # metres from the middle
-HALF = np.array([0.6, 0.6, 0.7])  # of the box, metres
-PLACES = 10  # on arcs around the sensor
+WALLS = 14.0  # metres from the centre
+HALF = np.array([0.6, 0.6, 0.7])  # half edges of the box, metres
+PLACES = 10  # places of the box, on arcs around the sensor
 NOISE = 0.01  # metres, along the ray
 
 
 def hall(frames: int = PLACES, box: bool = True, seed: int = 0) -> list[Scan]:
-    """Scans of a sensor that hardly moves; the box floats 0.2 m above the ground, 6 to 9 m away."""
+    """Scans of a slowly moving sensor; the box is 0.2 m above the ground, 6 to 9 m away."""
     random, scans = np.random.default_rng(seed), []
     for frame in range(frames):
         T_world_sensor = np.eye(4)
@@ -37,9 +37,9 @@ def hall(frames: int = PLACES, box: bool = True, seed: int = 0) -> list[Scan]:
 
 
 def seen_through(scans: list[Scan], least: int = 4) -> Bool:
-    """(N,) of all points: whether in so many other scans rays pass on all sides of it and end far behind.
+    """(N,) bool, all points: box points with rays on all sides, ending far behind, in at least ``least`` other scans.
 
-    The dozen of rays that are nearest in angle must pass within 0.2 m of the point and end 1 m or more behind it.
+    The 12 rays that are nearest in angle must pass within 0.2 m of the point and end at least 1 m behind it.
     """
     found = []
     for scan in scans:
@@ -62,7 +62,7 @@ def _place(frame: int) -> F64:
 
 
 def _rays(first: float) -> F64:
-    """(RINGS * AZIMUTHS, 3), unit."""
+    """(RINGS * AZIMUTHS, 3): unit vectors."""
     columns = first + np.linspace(-VIEW / 2, VIEW / 2, AZIMUTHS, endpoint=False)
     azimuth, elevation = np.meshgrid(np.radians(columns), np.radians(np.linspace(*ELEVATION, RINGS)))
     flat = np.cos(elevation)
@@ -70,7 +70,7 @@ def _rays(first: float) -> F64:
 
 
 def _to_box(origin: F64, rays: F64, centre: F64) -> F64:
-    """Ranges to the box; infinite where it is missed."""
+    """Ranges to the box, metres; infinite for misses."""
     with np.errstate(divide="ignore"):
         sides = [(centre + side * HALF - origin) / rays for side in (-1, 1)]
     enter, leave = np.minimum(*sides).max(1), np.maximum(*sides).min(1)

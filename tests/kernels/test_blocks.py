@@ -25,7 +25,7 @@ def extent_of(points) -> Extent:
 
 @given(places, st.sampled_from([0.1, 0.2, 0.3, 0.05, 0.7, 0.1000000015, 1.7]))
 @settings(max_examples=60, deadline=None)
-def test_every_point_of_the_extent_has_its_voxel(points, resolution):
+def test_every_point_of_the_extent_has_a_voxel(points, resolution):
     grid = BlockGrid(extent_of(points), resolution)
     voxels = grid.locate(points)
     keys = np.floor(points.astype(np.float64) * (1.0 / resolution))
@@ -61,7 +61,7 @@ def test_an_empty_extent_has_no_blocks():
 
 
 @pytest.mark.parametrize("resolution", [0.0, -1.0, float("nan")])
-def test_a_resolution_is_positive(resolution):
+def test_resolutions_must_be_positive(resolution):
     with pytest.raises(ValueError, match="resolution"):
         BlockGrid(extent_of(np.zeros((1, 3), np.float32)), resolution)
 

@@ -1,4 +1,4 @@
-"""Pixels against numpy in double precision, where single precision would fall to the other side, too."""
+"""Pixels against numpy in double precision, also where single precision would give another pixel."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def pixels(xyz, position, axes, view, clamp):
 
 
 def near_borders(position, axes, view):
-    """(3, M) float32: on borders of pixels, behind, above and below the sensor; one at it, and some that are odd."""
+    """(3, M) float32: points on borders of pixels, behind, above, below and at the sensor, and not finite."""
     random = np.random.default_rng(0)
     columns = (random.integers(0, view[1] + 1, 4000) - 0.5 - view[4]) / view[5]
     rows = (view[2] - random.integers(0, view[0] + 1, 4000) + 0.5) / view[3]
@@ -48,7 +48,7 @@ def near_borders(position, axes, view):
 @pytest.mark.parametrize("clamp", [False, True])
 @pytest.mark.parametrize("turn", TURNS)
 @pytest.mark.parametrize("span", [((-25.0, 15.0), (-180.0, 180.0)), ((-90.0, 90.0), (-60.0, 90.0))], ids=str)
-def test_every_point_falls_into_the_pixel_of_double_precision(span, turn, clamp):
+def test_pixels_are_those_of_double_precision(span, turn, clamp):
     position, axes = kernels.as_readonly((311.7, -84.1, 5.3), np.float64), kernels.as_readonly(TURNS[turn], np.float64)
     views = image_views(RESOLUTIONS, *span)
     xyz = kernels.as_readonly(near_borders(position, axes, views[0]), np.float32)
@@ -65,7 +65,7 @@ def test_every_point_falls_into_the_pixel_of_double_precision(span, turn, clamp)
 
 @pytest.mark.plain
 @pytest.mark.parametrize("lanes", [1, 2, 3, 7])
-def test_of_a_pixel_the_nearest_counts_and_of_equals_the_first(lanes):
+def test_the_nearest_point_of_a_pixel_wins_and_the_first_of_equals(lanes):
     random = np.random.default_rng(1)
     views = image_views(RESOLUTIONS, (-20.0, 20.0), (-180.0, 180.0))
     once = random.normal(0, (10, 10, 2), (3000, 3)).astype(np.float32)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.boundscheck
 RESOLUTION = 0.1
 REACH = 26  # cells of 0.8 m to each side: some super-blocks of 12.8 m
 
-# Places in voxels; eighths give many rays that meet several borders at once.
+# Positions in voxels; multiples of 1/8 give many rays that cross several borders at once.
 place = st.tuples(*[st.floats(-200, 200, width=32) | st.integers(-1600, 1600).map(lambda n: n / 8)] * 3)
 
 
@@ -35,7 +35,7 @@ def crossed(grid: BlockGrid, scan: Scan) -> set[tuple[int, int, int]]:
 
 
 def everywhere(scan: Scan) -> BlockGrid:
-    """All cells along the rays' bounds, so that nothing is leapt."""
+    """A grid with all cells in the bounds of the rays, so that no block is leapt over."""
     both = np.concatenate([scan.points, scan.origins])
     low, high = (np.floor(f / CELL).astype(int) for f in (both.min(0), both.max(0)))
     axes = [np.arange(a - 1, b + 2) for a, b in zip(low, high, strict=True)]
@@ -44,7 +44,7 @@ def everywhere(scan: Scan) -> BlockGrid:
 
 @given(place, place, st.integers(0, 2**32 - 1), st.sampled_from([0.003, 0.05, 0.5]))
 @settings(max_examples=150, deadline=None)
-def test_leaps_and_single_steps_meet_the_same_voxels(origin, end, seed, share):
+def test_leaps_and_single_steps_cross_the_same_voxels(origin, end, seed, share):
     scan = along([origin], [end])
     full = everywhere(scan)
     some = np.random.default_rng(seed).random(len(full)) < share
@@ -79,7 +79,7 @@ def test_every_crossed_voxel_touches_the_ray(origin, end):
     assert (enter <= leave + 1e-9).all()
 
 
-def test_many_rays_mark_what_each_marks_alone():
+def test_many_rays_mark_the_union_of_single_rays():
     random = np.random.default_rng(0)
     origins, ends = random.uniform(-150, 150, (2000, 3)), random.uniform(-150, 150, (2000, 3))
     grid = grid_of(random.integers(-19, 19, (3000, 3)))
@@ -93,7 +93,7 @@ def test_many_rays_mark_what_each_marks_alone():
 
 
 @pytest.mark.plain
-def test_each_touched_block_is_told_once_and_memory_is_clean_afterwards():
+def test_each_touched_block_is_listed_once_and_scratch_memory_is_reset():
     random = np.random.default_rng(1)
     scan = along(random.uniform(-50, 50, (3000, 3)), random.uniform(-50, 50, (3000, 3)))
     grid = everywhere(scan)

@@ -1,4 +1,4 @@
-"""A method that uses most kernels on a world so small that they also run without compilation (make coverage)."""
+"""A method that uses most kernels, on a world small enough to run them as plain Python (make coverage)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.boundscheck
 
 
 @pytest.mark.plain
-def test_seethrough_keeps_most_of_a_room_and_answers_for_every_point() -> None:
+def test_seethrough_keeps_most_of_a_room_and_labels_every_point() -> None:
     scans = room(frames=4, rays=200).scans
     method = SeeThrough(SeeThroughParams(resolution=0.8, guard=1.6, gap=1.7, ground_height=0.8))
     method.begin(Context(Extent.of(*scans)))

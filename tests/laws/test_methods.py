@@ -1,4 +1,4 @@
-"""Laws that any method should keep to, tried on every one that is installed; and which break which, and why."""
+"""Laws for any method, tested on every installed one; NOT_MET lists the methods that break a law, and why."""
 
 from __future__ import annotations
 
@@ -17,34 +17,31 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.extent import Extent
 
 METHODS = [handle.name for handle in registry.handles("methods")]
-STILL = 6  # frames of a world in which nothing moves
+STILL = 6  # frames of a static world
 
 DRAWS = (
-    "the ground plane is the best of planes through points that are drawn at random, by seed, frame number and place "
-    "in the scan (PCL's RANSAC): points at its rim change sides, and with them what the filter takes for noise"
+    "the ground plane is the best of several planes through random points, which depend on the seed, the frame number "
+    "and the order of the points (PCL's RANSAC): ground points at its border change, and with them the noise"
 )
 NOT_MET = {
     (
         "dynablox",
         "removed",
-    ): "space must have been seen free for 6 frames, with all its neighbours, before the box comes: "
-    "what came earlier stays, and so does what floats beside space that no ray ever crossed",
+    ): "a voxel and all its neighbours must be observed as free for 6 frames before the box arrives: "
+    "earlier boxes are kept, and so are boxes next to space that no ray crossed",
     (
         "octomap_gf",
         "removed",
-    ): "points that are sparse in their scan count as noise and cast no ray: too few rays are left "
-    "to wear the box away",
+    ): "points that are sparse in their scan count as noise and cast no ray, so too few rays cross the box",
     ("octomap_gf", "order"): DRAWS,
     ("octomap_gf", "numbers"): DRAWS,
 }
 """By method and law: what the published algorithm does instead."""
 
 SHARE = {"dufomap": 0.9}
-"""What part of the box a method must remove, where that is not nearly all: DUFOMap wants each of 27 voxels crossed."""
+"""The share of the box that a method must remove, if less than 0.99: DUFOMap needs rays through all of 27 voxels."""
 
-ROUNDED = (
-    5e-4  # share of points that may change sides, for other sums round otherwise and other draws find other planes
-)
+ROUNDED = 5e-4  # share of points whose label may change, through rounding of sums and other random samples
 
 
 def labels(name: str, scans: list[Scan]) -> list[Bool]:
@@ -83,16 +80,16 @@ def name(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-def test_a_box_that_is_seen_through_is_removed(name: str) -> None:
-    """It is never twice in the same place, and in four or more other scans rays pass on all sides of the point."""
+def test_a_box_that_rays_pass_through_is_removed(name: str) -> None:
+    """The box is never in the same place twice; in at least four other scans, rays pass on all sides of the point."""
     through = through_box()
     assert through.sum() > 1000
     removed = np.concatenate(answers(name))[through].mean()
     assert removed > SHARE.get(name, 0.99), f"{100 * removed:.1f} % of the box removed"
 
 
-def test_more_of_the_same_makes_nothing_dynamic_still(name: str) -> None:
-    """Where nothing moves, seeing every scan again tells nothing new."""
+def test_repeated_scans_of_a_static_hall_keep_it_still(name: str) -> None:
+    """In a static world, repeated scans make no static point dynamic."""
     world = hall(STILL, box=False)
     once = np.concatenate(labels(name, world))
     again = [dataclasses.replace(scan, index=STILL + scan.index) for scan in world]
@@ -102,7 +99,7 @@ def test_more_of_the_same_makes_nothing_dynamic_still(name: str) -> None:
         assert (of_world & ~once).sum() < ROUNDED * len(once), f"{(of_world & ~once).sum()} points became dynamic"
 
 
-def test_points_have_their_labels_in_any_order(name: str) -> None:
+def test_labels_do_not_depend_on_point_order(name: str) -> None:
     random = np.random.default_rng(0)
     orders = [random.permutation(len(scan)) for scan in with_box()]
     mixed = [dataclasses.replace(s, points=s.points[k], labels=None) for s, k in zip(with_box(), orders, strict=True)]
@@ -112,14 +109,14 @@ def test_points_have_their_labels_in_any_order(name: str) -> None:
     assert not changed, f"{changed} labels changed with the order of points"
 
 
-def test_frames_may_have_any_stamps_and_numbers(name: str) -> None:
+def test_labels_do_not_depend_on_stamps_and_frame_numbers(name: str) -> None:
     renamed = [dataclasses.replace(scan, index=5000 - 7 * scan.index, stamp_ns=None) for scan in with_box()]
     changed = sum((a != b).sum() for a, b in zip(answers(name), labels(name, renamed), strict=True))
     assert not changed, f"{changed} labels changed with the numbers of frames"
 
 
-def test_the_hall_is_what_it_says() -> None:
-    """The box is somewhere else in every frame, and the rest is static."""
+def test_the_hall_has_one_moving_box() -> None:
+    """The box is in another place in every frame, and the rest is static."""
     boxes = [scan.points[scan.labels == Label.DYNAMIC] for scan in with_box()]
     assert len(boxes) == PLACES
     assert min(map(len, boxes)) > 100

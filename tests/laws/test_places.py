@@ -1,4 +1,4 @@
-"""Laws of places: transforms, voxel keys, blocks, polar bins, range images, nearest points. No examples, no oracle."""
+"""Laws of geometry: transforms, voxel keys, blocks, polar bins, range images, nearest points."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def clouds(most: int = 40, least: int = 0) -> st.SearchStrategy[Any]:
-    """(N, 3) float32 within 60 m: on borders and on each other, near both, and anywhere.
+    """(N, 3) float32 within 60 m: on borders, duplicates, close to both, and anywhere.
 
-    All are whole multiples of a millimetre or so, 2^-10 m, so that shifts round nothing.
+    All coordinates are multiples of 2^-10 m, about a millimetre, so that shifts do not round.
     """
 
     def cloud(n: int, seed: int) -> Any:
@@ -62,28 +62,28 @@ def test_inverting_twice_changes_nothing(T: Any) -> None:
 
 @some
 @given(poses, poses)
-def test_the_inverse_of_a_way_is_the_way_back(T_a_b: Any, T_b_c: Any) -> None:
+def test_the_inverse_of_a_composition_reverses_it(T_a_b: Any, T_b_c: Any) -> None:
     back = geometry.compose(geometry.inverse(T_b_c), geometry.inverse(T_a_b))
     np.testing.assert_allclose(geometry.inverse(geometry.compose(T_a_b, T_b_c)), back, atol=1e-10)
 
 
 @some
 @given(poses, poses, poses)
-def test_how_a_way_is_parted_does_not_matter(A: Any, B: Any, C: Any) -> None:
+def test_composition_is_associative(A: Any, B: Any, C: Any) -> None:
     left, right = geometry.compose(geometry.compose(A, B), C), geometry.compose(A, geometry.compose(B, C))
     np.testing.assert_allclose(left, right, atol=1e-10)
 
 
 @some
 @given(poses, clouds())
-def test_points_come_back(T: Any, points: Any) -> None:
+def test_transforming_back_restores_points(T: Any, points: Any) -> None:
     away = geometry.apply(T, points)
     np.testing.assert_allclose(geometry.apply(geometry.inverse(T), away), points, atol=1e-11)
 
 
 @some
 @given(poses, clouds(20))
-def test_distances_between_points_stay(T: Any, points: Any) -> None:
+def test_transforms_preserve_distances(T: Any, points: Any) -> None:
     def distances(xyz: Any) -> Any:
         return np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
 
@@ -148,7 +148,7 @@ def test_indices_grow_with_coordinates(points: Any, size: float, axis: int) -> N
     st.sampled_from([-1, 1]),
     st.integers(-2, 2),
 )
-def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: int, steps: int) -> None:
+def test_points_in_key_range_have_a_key(points: Any, size: float, axis: int, side: int, steps: int) -> None:
     """Also a few float32 numbers around the farthest coordinate."""
     edge = np.float32(side * REACH * size)
     for _ in range(abs(steps)):
@@ -163,7 +163,7 @@ def test_what_has_a_voxel_has_a_key(points: Any, size: float, axis: int, side: i
 
 @some
 @given(clouds(), st.floats(0.05, 5), seeds)
-def test_thinning_keeps_one_of_each_voxel_and_all_weight(points: Any, size: float, seed: int) -> None:
+def test_downsampling_keeps_one_point_per_voxel_and_all_counts(points: Any, size: float, seed: int) -> None:
     chosen, counts = voxel_downsample(points, size)
     assert counts.sum() == len(points)
     again, ones = voxel_downsample(points[chosen], size)
@@ -199,7 +199,7 @@ def test_a_larger_extent_moves_no_point(points: Any, size: float, few: int, seed
 
 @some
 @given(hnp.arrays(np.int64, st.tuples(st.integers(0, 6), st.just(8))))
-def test_set_bits_are_those_that_are_read(bits: Any) -> None:
+def test_read_finds_the_set_bits(bits: Any) -> None:
     voxels = voxels_of(np.arange(len(bits), dtype=np.int32), bits)
     everywhere = np.arange(512 * len(bits))
     np.testing.assert_array_equal(np.flatnonzero(read(bits, everywhere)), voxels)
@@ -209,15 +209,15 @@ def test_set_bits_are_those_that_are_read(bits: Any) -> None:
 
 @some
 @given(clouds(30, 2), seeds, st.data())
-def test_rays_mark_alone_what_they_mark_together(points: Any, seed: int, data: Any) -> None:
+def test_marks_are_the_union_over_parts_of_a_scan(points: Any, seed: int, data: Any) -> None:
     """Marks of a scan are the union of those of its parts, in any order of its points."""
     grid = grid_of(points, 0.5)
     at = data.draw(st.integers(1, len(points) - 1))
     order = shuffled(len(points), seed)
 
     def marks(xyz: Any) -> tuple[set[int], set[int]]:
-        told = grid.mark(Scan(0, xyz, np.eye(4)), np.ones(len(xyz), bool), np.ones(len(xyz), bool))
-        return tuple(set(voxels_of(told.blocks, part).tolist()) for part in (told.bits[:, :8], told.bits[:, 8:]))  # type: ignore[return-value]
+        found = grid.mark(Scan(0, xyz, np.eye(4)), np.ones(len(xyz), bool), np.ones(len(xyz), bool))
+        return tuple(set(voxels_of(found.blocks, part).tolist()) for part in (found.bits[:, :8], found.bits[:, 8:]))  # type: ignore[return-value]
 
     whole, first, second = marks(points[order]), marks(points[:at]), marks(points[at:])
     assert whole == (first[0] | second[0], first[1] | second[1])
@@ -231,7 +231,7 @@ FOOT = np.array([1.5, -2.25, 0.5])
 
 
 def every_bin() -> Any:
-    """(rings * sectors, 3) the middles of all bins."""
+    """(rings * sectors, 3): centres of all bins."""
     ring, sector = np.divmod(np.arange(BINS.rings * BINS.sectors), BINS.sectors)
     r = (ring + 0.5) * BINS.max_range / BINS.rings
     azimuth = (sector + 0.5) * 2 * np.pi / BINS.sectors
@@ -246,7 +246,7 @@ def test_the_middle_of_each_bin_is_in_it() -> None:
 
 @some
 @given(clouds())
-def test_bins_part_what_is_within_range_and_heights(points: Any) -> None:
+def test_bins_partition_the_points_within_range_and_height_band(points: Any) -> None:
     rows, bins = BINS.locate(points, FOOT)
     away = points.astype(np.float64) - [*FOOT[:2], 0.0]
     near = np.hypot(away[:, 0], away[:, 1]) < BINS.max_range
@@ -261,7 +261,7 @@ def test_bins_part_what_is_within_range_and_heights(points: Any) -> None:
 
 @some
 @given(clouds(), st.integers(0, 40))
-def test_spans_and_gone_rows_part_the_points(points: Any, at: int) -> None:
+def test_spans_and_removed_rows_partition_the_points(points: Any, at: int) -> None:
     at, n = min(at, len(points)), len(points)
     whole = BINS.locate(points, FOOT)
     parts = BINS.locate(points, FOOT, np.array([[0, at], [at, n]]))
@@ -273,7 +273,7 @@ def test_spans_and_gone_rows_part_the_points(points: Any, at: int) -> None:
 
 @some
 @given(clouds(least=1), st.integers(0, 35))
-def test_a_turn_by_whole_sectors_turns_the_bins(points: Any, turn: int) -> None:
+def test_a_rotation_by_whole_sectors_rotates_the_bins(points: Any, turn: int) -> None:
     angle = 2 * np.pi * turn / BINS.sectors
     away = points.astype(np.float64) - FOOT
     c, s = np.cos(angle), np.sin(angle)
@@ -292,7 +292,7 @@ def test_a_turn_by_whole_sectors_turns_the_bins(points: Any, turn: int) -> None:
 
 @some
 @given(clouds(), st.integers(-64, 64))
-def test_heights_do_not_know_where_zero_is(points: Any, lift: int) -> None:
+def test_height_differences_do_not_depend_on_the_origin(points: Any, lift: int) -> None:
     up = np.array([0, 0, lift / 4], np.float32)
     here, there = (
         BINS.heights(xyz, *BINS.locate(xyz, foot)) for xyz, foot in ((points, FOOT), (points + up, FOOT + up))
@@ -313,7 +313,7 @@ def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
 
 
 def rays(view: Any, ranges: Any) -> Any:
-    """(rows * columns, 3): a point in the middle of every pixel, those of the first column where azimuths begin."""
+    """(rows * columns, 3): a point at the centre of every pixel; those of column 0 are at the first azimuth."""
     row, column = np.divmod(np.arange(int(view[0] * view[1])), int(view[1]))
     elevation, azimuth = (view[2] - row) / view[3], (column - view[4]) / view[5]
     flat = np.cos(elevation)
@@ -334,7 +334,7 @@ def test_the_middle_of_each_pixel_is_in_it(distance: float, k: int) -> None:
 
 @some
 @given(clouds(60), clouds(60), seeds)
-def test_the_nearest_of_two_clouds_is_the_nearer_of_each(a: Any, b: Any, seed: int) -> None:
+def test_the_image_of_two_clouds_is_the_minimum_of_both(a: Any, b: Any, seed: int) -> None:
     both = np.concatenate([a, b])
     together, indices = nearest_of(both)
     np.testing.assert_array_equal(together, np.minimum(nearest_of(a)[0], nearest_of(b)[0]))
@@ -350,14 +350,14 @@ def test_the_nearest_of_two_clouds_is_the_nearer_of_each(a: Any, b: Any, seed: i
 
 @some
 @given(clouds(50, 1), clouds(50, 1), clouds(50, 1))
-def test_the_nearest_of_two_sets_is_the_nearer(query: Any, a: Any, b: Any) -> None:
+def test_the_distance_to_two_sets_is_the_minimum(query: Any, a: Any, b: Any) -> None:
     both = nearest_distance(query, np.concatenate([a, b]))
     np.testing.assert_array_equal(both, np.minimum(nearest_distance(query, a), nearest_distance(query, b)))
 
 
 @some
 @given(clouds(50, 1), clouds(50, 1), seeds)
-def test_order_decides_nothing_of_distances(query: Any, reference: Any, seed: int) -> None:
+def test_distances_do_not_depend_on_order(query: Any, reference: Any, seed: int) -> None:
     order = shuffled(len(query), seed)
     other = nearest_distance(query[order], reference[shuffled(len(reference), seed)])
     np.testing.assert_array_equal(other, nearest_distance(query, reference)[order])
@@ -365,7 +365,7 @@ def test_order_decides_nothing_of_distances(query: Any, reference: Any, seed: in
 
 @some
 @given(clouds(50, 1), clouds(50, 1))
-def test_one_of_the_points_is_at_no_distance(points: Any, others: Any) -> None:
+def test_points_of_the_set_have_distance_zero(points: Any, others: Any) -> None:
     tree = Nearest(np.concatenate([others, points]))
     assert (tree.distance(points) == 0).all()
     assert tree.within(points, 0.0).all()
@@ -373,7 +373,7 @@ def test_one_of_the_points_is_at_no_distance(points: Any, others: Any) -> None:
 
 @some
 @given(clouds(50, 1), clouds(50, 1), st.lists(st.floats(0, 200, width=32), min_size=2, max_size=4))
-def test_what_is_within_a_limit_is_within_a_larger_one(query: Any, reference: Any, limits: list[float]) -> None:
+def test_points_within_a_limit_are_within_a_larger_limit(query: Any, reference: Any, limits: list[float]) -> None:
     tree, distance = Nearest(reference), nearest_distance(query, reference)
     before = np.zeros(len(query), bool)
     for limit in sorted(limits):
@@ -385,5 +385,5 @@ def test_what_is_within_a_limit_is_within_a_larger_one(query: Any, reference: An
 
 @some
 @given(clouds(30, 1), clouds(30, 1))
-def test_both_sides_see_the_same_smallest_distance(a: Any, b: Any) -> None:
+def test_the_smallest_distance_is_symmetric(a: Any, b: Any) -> None:
     assert nearest_distance(a, b).min() == nearest_distance(b, a).min()

@@ -16,7 +16,7 @@ from dynaviz.spatial.extent import Extent
 
 
 class Golden:
-    """A sequence in memory, its ground truth, and the points that public implementations removed."""
+    """A sequence in memory, its ground truth, and the points that public implementations remove."""
 
     def __init__(self, shared: Path, name: str, folder: Path, sensor: str):
         self.name, self.shared, self.sensor = name, shared, load_sensor(sensor)
@@ -31,7 +31,7 @@ class Golden:
         return np.concatenate([scan.points for scan in self.scans])
 
     def observed(self, method, params):
-        """A method that has observed all scans."""
+        """A method after observing all scans."""
         running = method(params)
         running.begin(
             Context(Extent.of(*self.scans), self.sensor, raw_map=self.points if method.info.needs_map else None)
@@ -41,7 +41,7 @@ class Golden:
         return running
 
     def run(self, method, preset=None, **values):
-        """All labels."""
+        """The labels of all points."""
         running = self.observed(method, resolve(method, preset).params if preset else method.Params(**values))
         return np.concatenate([running.label(scan).dynamic for scan in self.scans])
 
@@ -69,5 +69,5 @@ def kitti_tracking_0012(mini: Golden, real_data: Path) -> Golden:
 
 @pytest.fixture(scope="session", params=["mini", "kitti_tracking_0012"])
 def golden(request: pytest.FixtureRequest) -> Golden:
-    """Both in turn."""
+    """Each of both sequences."""
     return request.getfixturevalue(request.param)

@@ -27,7 +27,7 @@ def scan(index: int, points, sensor=(0.0, 0.0, 1.7)) -> Scan:
 
 
 def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
-    """A sloping floor with a pit, a wall, branches above, and a thing that moves."""
+    """A sloping floor with a pit, a wall, branches above, and a moving box."""
     random = np.random.default_rng(seed)
     scans = []
     for index in range(frames):
@@ -44,7 +44,7 @@ def yard(frames: int = 5, seed: int = 0) -> list[Scan]:
 
 
 def jumble(frames: int = 5, seed: int = 0) -> list[Scan]:
-    """Posts of which each scan sees others, on ground with a hole; of some scans the sensor is above the hole."""
+    """Posts on ground with a hole; each scan sees other posts, and the sensor of some scans is above the hole."""
     random = np.random.default_rng(seed)
     feet = random.uniform((-12, -12), (12, 12), (60, 2))
     tops = random.uniform(0.5, 3, 60)
@@ -88,7 +88,7 @@ def names(method, s) -> list[str]:
 @pytest.mark.parametrize("values", [(16.0, 1.0, 0.5), (10.0, 0.5, 0.2), (40.0, 0.8, 0.35)])
 @pytest.mark.parametrize("scene", [yard, jumble])
 @pytest.mark.parametrize("seed", range(2))
-def test_agrees_with_the_obvious_way_point_by_point(values, scene, seed):
+def test_labels_match_the_reference(values, scene, seed):
     scans = scene(seed=seed)
     method = run(scans, **dict(zip(("dis_range", "xy_resolution", "h_res"), values, strict=True)))
     reference = Reference(np.concatenate([s.points for s in scans]), *values)
@@ -102,8 +102,8 @@ def test_agrees_with_the_obvious_way_point_by_point(values, scene, seed):
     assert removed > 50
 
 
-def test_what_a_scan_should_see_and_does_not_is_removed():
-    """Slices 1 and 2 of a post go; its foot stays but for what is above the ground in slice 0."""
+def test_slices_that_a_scan_should_see_but_does_not_are_removed():
+    """Slices 1 and 2 of a post are removed; in slice 0 only the points above the ground are."""
     foot = np.repeat(0.02, 20)
     there = scan(0, np.concatenate([floor(), post(*foot, 0.25, 0.45, 0.6, 1.1)]))
     gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
@@ -114,21 +114,21 @@ def test_what_a_scan_should_see_and_does_not_is_removed():
     assert not method.label(there).dynamic[:-4].any()
 
 
-def test_what_a_slice_that_is_split_holds_above_a_gap_of_fine_bins_is_kept():
+def test_points_above_a_gap_of_fine_bins_in_a_split_slice_are_kept():
     foot = np.repeat(0.02, 20)
     there = scan(0, np.concatenate([floor(), post(*foot, 0.15, 0.45, 0.6)]))
     gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
     assert names(run([there, gone]), there)[-3:] == ["above_fine_ground", "overhang", "not_in_scan"]
 
 
-def test_nothing_goes_from_a_slice_whose_ground_never_gets_its_part():
+def test_a_slice_without_enough_ground_is_kept():
     there = scan(0, np.concatenate([floor(), post(*np.repeat(0.45, 9), 0.15, 0.6)]))
     gone = scan(1, np.concatenate([floor(), post(3.0, at=(11.0, 11.0))]))
     assert set(names(run([there, gone]), there)[-11:-1]) == {"fine_ground", "overhang"}
 
 
-def test_no_scan_takes_back_what_another_splits():
-    """One scan removes slice 3 and splits 2, the other removes slice 1 and splits 0; all else is hidden from them."""
+def test_splits_of_several_scans_add_up():
+    """One scan removes slice 3 and splits 2, the other removes slice 1 and splits 0; the rest is hidden from them."""
     low, high = np.repeat(0.02, 20), np.repeat(1.02, 20)
     sky = np.concatenate([floor(), post(6.0, at=(-6.0, 0.5))])
     there = scan(0, np.concatenate([sky, post(*low, *high, 0.25, 0.45, 0.6, 1.25, 1.6)]))
@@ -142,7 +142,7 @@ def test_no_scan_takes_back_what_another_splits():
 
 
 @pytest.mark.plain
-def test_lines_protect_where_the_map_has_no_point_below_the_sensor():
+def test_lines_of_sight_work_without_map_points_below_the_sensor():
     hole = floor()[(np.abs(floor()[:, :2]) > 1.5).any(1)]
     there = scan(0, np.concatenate([hole, post(0.6)]))
     for height, reason in ((0.6, "ray_blocked"), (1.6, "not_in_scan")):
@@ -150,8 +150,8 @@ def test_lines_protect_where_the_map_has_no_point_below_the_sensor():
         assert names(run([there, gone]), there)[-1] == reason
 
 
-def test_a_line_looks_behind_its_target_where_that_is_near():
-    """Three columns from the sensor, a line is first looked at a column behind its target, and there it ends."""
+def test_a_line_to_a_near_target_ends_one_column_behind_it():
+    """For a target three columns from the sensor, a line is first tested, and ends, one column behind the target."""
     there = scan(0, np.concatenate([floor(), post(1.1, at=(3.0, 0.0))]))
     for x, reason in ((4.0, "ray_blocked"), (5.0, "not_in_scan")):
         behind = post(0.6, at=(x, 0.0))
@@ -159,8 +159,8 @@ def test_a_line_looks_behind_its_target_where_that_is_near():
         assert names(run([there, gone]), there)[-1] == reason
 
 
-def test_slice_0_reaches_a_slice_below_the_base_and_no_further():
-    """A pit in level ground: its column's base is that of the ground."""
+def test_slice_0_extends_one_slice_below_the_base():
+    """A pit in level ground: the base of its column is that of the ground."""
     pit = post(-0.4, -0.6, at=(3.2, 3.2))
     s = scan(0, np.concatenate([floor(), pit]))
     method = run([s, scan(1, floor())])
@@ -179,21 +179,21 @@ def test_slice_0_reaches_a_slice_below_the_base_and_no_further():
         ("out_of_window", post(0.6, at=(11.0, 0.5)), post()),
     ],
 )
-def test_each_step_keeps_what_it_is_for(reason, there, gone):
+def test_each_step_keeps_its_slices(reason, there, gone):
     scans = [scan(0, np.concatenate([floor(), there])), scan(1, np.concatenate([floor(), gone]))]
     method = run(scans, dis_range=20.0)
     assert names(method, scans[0])[-1] == reason
 
 
 @pytest.mark.plain
-def test_the_field_of_view_reaches_up_to_the_steepest_point_however_near():
+def test_the_field_of_view_ends_at_the_steepest_point_at_any_distance():
     there = scan(0, np.concatenate([floor(), post(0.6, 1.1, 1.6, 2.1, 2.6, 3.1, 3.6)]))
     for near, reason in ((post(), "above_view"), (post(2.2, at=(0.4, 0.3)), "not_in_scan")):
         gone = scan(1, np.concatenate([floor(), post(1.4, at=(-6.0, 0.5)), near]))
         assert names(run([there, gone]), there)[-1] == reason
 
 
-def test_ground_that_is_not_seen_protects_what_is_far():
+def test_far_columns_without_visible_ground_are_kept():
     ground = floor() + np.array([12.0, 0, 0])
     far = post(0.6, 0.8, at=(18.0, 0.5))
     unseen = ground[np.abs(ground[:, 0] - 18.0) > 1]
@@ -228,7 +228,7 @@ def test_odd_scans_are_kept(points):
     assert [name == "unjudged" for name in names(method, s)] == (~judged).tolist()
 
 
-def test_points_and_sensors_outside_the_map_are_kept_and_harmless():
+def test_points_and_sensors_outside_the_map_change_nothing():
     scans = yard(2)
     method = run(scans)
     before = [method.label(s).dynamic for s in scans]
@@ -242,14 +242,14 @@ def test_points_and_sensors_outside_the_map_are_kept_and_harmless():
 
 
 @pytest.mark.parametrize("height", [-1e308, -1e5, 1e5, 1e308])
-def test_points_straight_above_and_sensors_far_above_or_below_are_harmless(height):
+def test_extreme_heights_of_points_and_sensors_work(height):
     scans = yard(2)
     steep = np.array([(1e-30, 0.0, 1.0), (0.0, 0.0, 5.0), (1e-20, 1e-20, 1e30)])
     method = run([*scans, scan(8, steep, (0.0, 0.0, 0.5)), scan(9, floor(), (0.0, 0.0, height))])
     assert not any(method.label(s).dynamic.all() for s in scans)
 
 
-def test_threads_and_listeners_decide_nothing():
+def test_labels_do_not_depend_on_threads_or_the_probe():
     scans = yard()
     try:
         kernels.set_threads(1)
@@ -262,14 +262,14 @@ def test_threads_and_listeners_decide_nothing():
     assert np.concatenate(alone).any()
 
 
-def test_the_order_of_scans_decides_nothing():
+def test_labels_do_not_depend_on_the_order_of_scans():
     scans = yard()
     back = run(scans[::-1])
     for s in scans:
         np.testing.assert_array_equal(run(scans).label(s).dynamic, back.label(s).dynamic)
 
 
-def test_a_shift_of_the_world_and_a_turn_of_the_sensor_hardly_change_a_label():
+def test_a_shift_of_the_world_and_a_rotation_of_the_sensor_change_few_labels():
     scans = yard()
     T = turn(0.0, 13.37, -7.1, 0.45)
     turned = turn(50.0, 0.0, 0.0, 0.0)
@@ -279,7 +279,7 @@ def test_a_shift_of_the_world_and_a_turn_of_the_sensor_hardly_change_a_label():
     assert np.concatenate(changed).mean() < 1e-3
 
 
-def test_begin_forgets_the_earlier_sequence():
+def test_begin_discards_an_earlier_sequence():
     scans = yard()
     method = run(scans)
     first = [method.label(s).dynamic for s in scans]
@@ -290,7 +290,7 @@ def test_begin_forgets_the_earlier_sequence():
     np.testing.assert_array_equal(np.concatenate(first), np.concatenate([method.label(s).dynamic for s in scans]))
 
 
-def test_states_are_those_announced_and_tell_what_became_of_each_slice():
+def test_states_are_those_declared_and_partition_the_slices():
     scans, probe = yard(), MemoryProbe()
     method = run(scans, probe=probe)
     kinds = {state.name: state.kind for state in method.info.emits}
@@ -302,13 +302,13 @@ def test_states_are_those_announced_and_tell_what_became_of_each_slice():
     cubes = {name: {tuple(k) for v in probe.values[name] for k in v.keys.tolist()} for name in voxels}
     assert cubes["removed"]
     assert all(cubes[name] <= cubes["map_slices"] for name in voxels)
-    for frame in range(len(scans)):  # a slice is seen, saved by one step, or removed
+    for frame in range(len(scans)):  # each slice is seen, kept by one step, or removed
         parts = [{tuple(k) for k in probe.values[name][frame].keys.tolist()} for name in voxels if name != "map_slices"]
         whole = {tuple(k) for k in probe.values["map_slices"][frame].keys.tolist()}
         assert sum(len(p) for p in parts) == len(whole) == len(set.union(*parts))
 
 
-def test_a_read_only_map_in_any_layout_gives_the_same():
+def test_labels_do_not_depend_on_the_memory_layout_of_the_map():
     scans = yard(2)
     raw = np.asfortranarray(np.concatenate([s.points for s in scans]))
     raw.flags.writeable = False
@@ -320,12 +320,12 @@ def test_a_read_only_map_in_any_layout_gives_the_same():
 
 
 @pytest.mark.parametrize("values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}])
-def test_values_that_make_no_sense_are_refused(values):
+def test_invalid_parameters_are_rejected(values):
     with pytest.raises(ValueError, match=next(iter(values))):
         BeautyMapParams(**values)
     with pytest.raises(ValueError, match="dis_range"):
         BeautyMapParams(dis_range=1.0, xy_resolution=1.0)
 
 
-def test_the_number_of_parameters_is_that_of_the_paper():
+def test_the_number_of_parameters_matches_the_paper():
     assert len(dataclasses.fields(BeautyMapParams)) == 3

@@ -34,13 +34,13 @@ def box(centre, half, count: int, random) -> np.ndarray:
 
 
 def room(seed: int, resolution: float = 0.1, rays: int = 2600) -> list[Scan]:
-    """A little room around a sensor that moves, dense enough to be void, and a thing that comes and goes."""
+    """A small room around a moving sensor, dense enough to be void, and a box that appears in one scan."""
     random, unit, scans = np.random.default_rng(seed), resolution / 0.1, []
     for index in range(3):
         walls = box((0, 0, 0), np.array([0.9, 0.7, 0.5]) * unit, rays, random)
         thing = box((0.45, -0.3, 0), np.array([0.08, 0.08, 0.1]) * unit, 40, random) * (index == 1)
         strays = random.uniform(-1.2, 1.2, (10, 3)) * unit
-        # Once on a border of voxels, but not on their edges: whatever rounding decides there is right.
+        # The first origin is on a face of a voxel, but not on an edge, where rounding decides.
         origin = random.uniform(-0.2, 0.2, 3) * unit if index else np.array([0.0, 0.037, 0.052]) * unit
         scans.append(scan(index, np.concatenate([walls, thing * unit, strays]), origin))
     return scans
@@ -79,7 +79,7 @@ def names(method, s) -> list[str]:
     ],
     ids=str,
 )
-def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(values):
+def test_voxels_and_labels_match_the_reference(values):
     scans = room(1, values.get("resolution", 0.1), 600 if "resolution" in values else 2600)
     method, reference = begin(scans, **values), Reference(**values)
     for s in scans:
@@ -92,13 +92,13 @@ def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(values):
         np.testing.assert_array_equal(marked, [k in voxels for k in keys])
     resolution = method.params.resolution
     for s in scans:
-        dynamic = reference.label(s)
-        np.testing.assert_array_equal(method.label(s).dynamic, dynamic)
+        dynamic, given = reference.label(s), method.label(s)
+        np.testing.assert_array_equal(given.dynamic, dynamic)
         crossed = [key(p, resolution) in reference.crossed for p in s.points]
         r = np.linalg.norm(s.points - s.origins, axis=1)
         out = (r <= reference.min_range) | (r >= reference.max_range)
         reasons = np.where(dynamic, 0, np.where(out, 3, np.where(crossed, 1, 2)))
-        np.testing.assert_array_equal(method.label(s).reasons, reasons)
+        np.testing.assert_array_equal(given.reasons, reasons)
     assert reference.seen_free or values["unknown_margin"] == 9
 
 
@@ -114,18 +114,18 @@ def test_each_point_may_have_its_own_origin():
     assert labels(method, scans).any()
 
 
-def test_what_was_void_once_stays_so_whatever_the_order():
+def test_void_voxels_stay_void_in_any_order_of_scans():
     scans = room(2)
     forward, backward = run(scans), run(scans[::-1])
     np.testing.assert_array_equal(labels(forward, scans), labels(backward, scans))
-    online, came_first = begin(scans), [scans[1], scans[0], scans[2]]  # before anybody saw through its place
+    online, box_first = begin(scans), [scans[1], scans[0], scans[2]]  # before any scan sees through its voxels
     answers = []
-    for s in came_first:
+    for s in box_first:
         online.observe(s)
         answers.append(online.label(s).dynamic)
-    by_the_end = labels(forward, came_first)
-    assert (np.concatenate(answers) <= by_the_end).all()
-    assert np.concatenate(answers).sum() < by_the_end.sum()
+    offline = labels(forward, box_first)
+    assert (np.concatenate(answers) <= offline).all()
+    assert np.concatenate(answers).sum() < offline.sum()
 
 
 @pytest.mark.plain
@@ -146,7 +146,7 @@ def test_what_was_void_once_stays_so_whatever_the_order():
 def test_odd_scans_are_kept(points, origin, values):
     points = np.array(points, np.float32).reshape(-1, 3)
     s = scan(0, points, origin)
-    # The extent as a survey of the sane points tells it.
+    # The extent of the valid points, as the runner computes it.
     extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], origin))
     ran = run([s], extent=extent, **values)
     assert not ran.label(s).dynamic.any()
@@ -154,7 +154,7 @@ def test_odd_scans_are_kept(points, origin, values):
     assert [name == "out_of_reach" for name in names(ran, s)] == (~judged).tolist()
 
 
-def test_a_point_at_the_sensor_shuts_it_in_unless_it_is_too_near():
+def test_a_point_at_the_sensor_blocks_all_rays_unless_below_min_range():
     walls, thing = room(0)[0].points, (0.45, -0.3, 0.0)
     scans = [scan(0, np.concatenate([walls, [(0.0, 0.0, 0.01)]])), scan(1, [thing])]
     assert run(scans).label(scans[1]).dynamic.all()
@@ -171,13 +171,13 @@ def test_points_out_of_range_are_judged_but_not_integrated():
     assert names(ran, s)[-2:] == ["out_of_range", "void_seen"]
 
 
-def test_an_extent_that_misses_points_keeps_them_unjudged():
+def test_points_outside_the_extent_are_kept_unjudged():
     s = scan(0, [(1.0, 0, 0), (50.0, 0, 0)])
     ran = run([s], extent=Extent.of(scan(0, s.points[:1])))
     assert names(ran, s) == ["never_crossed", "out_of_reach"]
 
 
-def test_threads_listeners_and_the_extent_decide_nothing():
+def test_labels_do_not_depend_on_threads_the_probe_or_the_extent():
     scans = [*room(4), scan(9, [(40.0, 3, 2), (-20.0, 7.0, 0.5)])]
     wide = Extent.of(*scans, scan(9, np.random.default_rng(0).uniform(-8, 8, (3000, 3))))
     try:
@@ -192,7 +192,7 @@ def test_threads_listeners_and_the_extent_decide_nothing():
     assert not alone.all()
 
 
-def test_begin_forgets_the_earlier_sequence():
+def test_begin_discards_an_earlier_sequence():
     scans = room(5)
     method = run(scans)
     first = labels(method, scans)
@@ -203,7 +203,7 @@ def test_begin_forgets_the_earlier_sequence():
     np.testing.assert_array_equal(first, labels(method, scans))
 
 
-def test_states_are_those_announced_and_tell_what_the_scan_saw():
+def test_states_are_those_declared_and_match_the_reference():
     scans, probe, reference = room(6), MemoryProbe(), Reference()
     run(scans, probe=probe)
     assert set(probe.values) == {state.name for state in DufoMap.info.emits}
@@ -235,10 +235,10 @@ def test_states_are_those_announced_and_tell_what_the_scan_saw():
     ],
     ids=str,
 )
-def test_values_that_make_no_sense_are_refused(values):
+def test_invalid_parameters_are_rejected(values):
     with pytest.raises(ValueError, match=next(iter(values))):
         DufoMapParams(**values)
 
 
-def test_the_papers_three_parameters_and_two_ranges():
+def test_there_are_three_parameters_of_the_paper_and_two_range_limits():
     assert len(dataclasses.fields(DufoMapParams)) == 5

@@ -1,4 +1,4 @@
-"""The labels of the public program on the same input, and the program itself where it is installed."""
+"""The labels of the public program on the same input, and the program itself if it is installed."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dynaviz.method import Context
 from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dufomap import DufoMap
 
-FAR = 50.0  # metres, as the public program's example
+FAR = 50.0  # metres, as in the public program's example
 
 
-def test_it_is_the_public_program_in_every_point(mini):
+def test_every_label_matches_the_public_program(mini):
     np.testing.assert_array_equal(mini.run(DufoMap, max_range=FAR), mini.removed["dufomap"])
     np.testing.assert_array_equal(mini.run(DufoMap, max_range=FAR, unknown_margin=2), mini.removed["dufomap_dp2"])
 
 
-def test_on_real_data_but_for_points_on_borders(kitti_tracking_0012):
+def test_labels_on_real_data_match_the_public_program_except_on_borders(kitti_tracking_0012):
     golden = kitti_tracking_0012
     ours, theirs = golden.run(DufoMap, max_range=FAR), golden.removed["dufomap"]
     assert (ours != theirs).sum() < 100
@@ -26,7 +26,7 @@ def test_on_real_data_but_for_points_on_borders(kitti_tracking_0012):
 
 @pytest.mark.parametrize("values", [{}, {"unknown_margin": 0}, {"unknown_margin": 4}, {"hit_margin": 0.35}], ids=str)
 @pytest.mark.parametrize("online", [False, True], ids=["", "online"])
-def test_other_parameters_and_online_are_the_public_program_too(mini, values, online):
+def test_other_parameters_and_online_mode_match_the_public_program(mini, values, online):
     public = pytest.importorskip("dufomap", reason="needs the public program: pip install dufomap")
     program = public.dufomap(0.1, values.get("hit_margin", 0.2), values.get("unknown_margin", 1), 1)
     theirs = []

@@ -36,7 +36,7 @@ from dynaviz_methods.free_space import SensorView
 pytestmark = pytest.mark.boundscheck
 
 SENSOR = Sensor(rings=20, elevation=(-40.0, 50.0))
-# Coarse enough for the plain reference, and so that the few rays of the room fill the image.
+# Coarse enough for the slow reference, and for the few rays of the room to fill the image.
 COARSE = DynabloxParams(
     resolution=0.4,
     image_columns=60,
@@ -53,7 +53,7 @@ NAME = [reason.name for reason in REASONS]
 
 
 def busy_room(frames: int = 11, rays: int = 2500, seed: int = 0) -> list[Scan]:
-    """Rays from a sensor that moves, turns and pitches, to the walls of a room and to boxes that come and go."""
+    """Rays from a moving, turning and pitching sensor to the walls of a room and to boxes that appear and disappear."""
     random = np.random.default_rng(seed)
     low, high = np.array([-4.0, -4.0, 0.0]), np.array([5.0, 4.0, 4.0])
     boxes = [
@@ -97,7 +97,7 @@ def reasons(method, scans):
 
 
 def waiting(frames: int, arrives: int) -> list[Scan]:
-    """A wall all around; from a frame on a thing stands where it was free."""
+    """A wall all around the sensor; from one frame on, an object is in space that was free."""
     random = np.random.default_rng(0)
     azimuth = np.linspace(-np.pi, np.pi, 4000)
     elevation = random.uniform(-0.35, 0.35, len(azimuth))
@@ -123,7 +123,7 @@ def waiting(frames: int, arrives: int) -> list[Scan]:
         ({"field_of_view": 60.0, "image_rows": 13, "burn_in": 0, "temporal_buffer": 0}, 5),
     ],
 )
-def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
+def test_reasons_and_voxels_match_the_reference(changes, seed):
     params = dataclasses.replace(COARSE, **changes)
     scans = busy_room(seed=seed)
     method = Dynablox(params)
@@ -139,7 +139,7 @@ def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
         names |= {NAME[code] for code in expected}
     assert "never_free" in names
     assert any(name.startswith("ever_free") for name in names)
-    # Voxel by voxel, where points lie.
+    # Compare the state of the voxels where points lie.
     voxels = 512 * np.repeat(np.flatnonzero(method._map._inner), 512) + np.tile(
         np.arange(512), method._map._inner.sum()
     )
@@ -150,8 +150,8 @@ def test_agrees_with_the_plain_reference_point_by_point(changes, seed):
         np.testing.assert_array_equal(read(ours, voxels)[inside], theirs[at])
     first = method._map._first[voxels // 512] + voxels % 512
     np.testing.assert_array_equal(method._map._weight[first][inside], reference.weight[at])
-    apart = np.abs(method._map._distance[first][inside] - reference.distance[at]) > 2e-5
-    assert apart.sum() <= 3  # voxels on a pixel's border, which float32 sees on its other side
+    differs = np.abs(method._map._distance[first][inside] - reference.distance[at]) > 2e-5
+    assert differs.sum() <= 3  # voxels on the border of a pixel, which float32 puts on the other side
     np.testing.assert_array_equal(method._map._counts[first][inside] >= 2, reference.count[at] >= 2)
 
 
@@ -161,24 +161,25 @@ def room_scans():
 
 
 def arriving(method, scans, arrives):
-    """The share of what came that is removed, frame by frame from its arrival on; and their reasons."""
-    came = np.hypot(*(scans[arrives].points[:, :2].T - np.float32(0.1))) < 4
-    labels = [method.label(scan).dynamic[came].mean() for scan in scans]
-    return labels[arrives:], [set(method.label(scan).reasons[came].tolist()) for scan in scans[arrives:]]
+    """For each frame from the arrival on: the share of the object's points that is removed, and their reasons."""
+    of_object = np.hypot(*(scans[arrives].points[:, :2].T - np.float32(0.1))) < 4
+    given = [method.label(scan) for scan in scans[arrives:]]
+    removed = [each.dynamic[of_object].mean() for each in given]
+    return removed, [set(each.reasons[of_object].tolist()) for each in given]
 
 
-def test_what_comes_is_removed_until_it_has_stayed_for_long():
+def test_an_arriving_object_is_removed_until_its_voxels_are_revoked():
     scans = waiting(frames=14, arrives=4)
-    removed, why = arriving(run(scans), scans, 4)
+    removed, codes = arriving(run(scans), scans, 4)
     stays = COARSE.revoke_after
     assert min(removed[:stays]) > 0.9
     assert max(removed[stays:]) == 0
-    assert why[stays - 1] <= {FREE, FREE_SMALL, FREE_LARGE, NEVER_FREE, BESIDE}
-    assert why[stays] <= {REVOKED, NEVER_FREE}
-    assert REVOKED in why[stays]
+    assert codes[stays - 1] <= {FREE, FREE_SMALL, FREE_LARGE, NEVER_FREE, BESIDE}
+    assert codes[stays] <= {REVOKED, NEVER_FREE}
+    assert REVOKED in codes[stays]
 
 
-def test_nothing_is_free_before_the_first_burn_in_is_over():
+def test_no_voxel_is_ever_free_during_the_first_burn_in():
     first = COARSE.burn_in + 1
     for arrives in (first - 1, first):
         scans = waiting(frames=first + 2, arrives=arrives)
@@ -186,16 +187,16 @@ def test_nothing_is_free_before_the_first_burn_in_is_over():
         assert (removed[0] > 0.9) == (arrives == first)
 
 
-def test_clusters_decide_where_asked(room_scans):
+def test_with_clusters_labels_are_those_of_clusters(room_scans):
     plain, decided = run(room_scans), run(room_scans, dataclasses.replace(COARSE, clusters=True))
-    why = reasons(plain, room_scans)
-    np.testing.assert_array_equal(why, reasons(decided, room_scans))
+    codes = reasons(plain, room_scans)
+    np.testing.assert_array_equal(codes, reasons(decided, room_scans))
     for method, removed in ((plain, (FREE, FREE_SMALL, FREE_LARGE)), (decided, (FREE, BESIDE))):
         labels = np.concatenate([method.label(scan).dynamic for scan in room_scans])
-        np.testing.assert_array_equal(labels, np.isin(why, removed))
+        np.testing.assert_array_equal(labels, np.isin(codes, removed))
 
 
-def test_every_reason_is_given():
+def test_every_reason_occurs():
     scans, found = busy_room(), set()
     for changes in ({}, {"max_range": 5.0, "max_cluster": 30}):
         found |= set(reasons(run(scans, dataclasses.replace(COARSE, **changes)), scans).tolist())
@@ -218,32 +219,33 @@ def test_every_reason_is_given():
 def test_odd_scans_are_kept(points):
     points = np.array(points, np.float32).reshape(-1, 3)
     scans = [Scan(k, points, np.eye(4)) for k in range(4)]
-    sane = np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)
+    valid = np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)
     method = run(
-        scans, DynabloxParams(burn_in=1, temporal_buffer=1), extent=Extent.of(Scan(0, points[sane], np.eye(4)))
+        scans, DynabloxParams(burn_in=1, temporal_buffer=1), extent=Extent.of(Scan(0, points[valid], np.eye(4)))
     )
-    assert not any(method.label(scan).dynamic.any() for scan in scans)
-    away = np.linalg.norm(points.astype(float), axis=1)
-    taken = (away >= 0.3) & np.isfinite(away)
-    expected = np.where(taken, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE)
-    np.testing.assert_array_equal(method.label(scans[-1]).reasons, expected)
+    given = [method.label(scan) for scan in scans]
+    assert not any(each.dynamic.any() for each in given)
+    r = np.linalg.norm(points.astype(float), axis=1)
+    within = (r >= 0.3) & np.isfinite(r)
+    expected = np.where(within, np.where((np.abs(points) < 3276.8).all(1), NEVER_FREE, OUT_OF_REACH), OUT_OF_RANGE)
+    np.testing.assert_array_equal(given[-1].reasons, expected)
 
 
 @pytest.mark.plain
-def test_an_empty_scan_between_others_forgets_nothing(room_scans):
+def test_an_empty_scan_does_not_discard_the_map(room_scans):
     empty = Scan(99, np.empty((0, 3), np.float32), np.eye(4))
     method = run([*room_scans[:8], empty, *room_scans[8:]], extent=Extent.of(*room_scans))
     assert method.label(room_scans[8]).dynamic.any()
     assert len(method.label(empty).dynamic) == 0
 
 
-def test_an_extent_that_misses_points_keeps_them_unjudged():
+def test_points_outside_the_extent_are_kept_unjudged():
     scan = Scan(0, np.array([(1.0, 0, 0), (50.0, 0, 0), (1.7, 0, 0)], np.float32), np.eye(4))
     method = run([scan], DynabloxParams(), extent=Extent.of(dataclasses.replace(scan, points=scan.points[:1])))
     assert method.label(scan).reasons.tolist() == [NEVER_FREE, OUT_OF_REACH, OUT_OF_REACH]
 
 
-def test_threads_and_listeners_decide_nothing(room_scans):
+def test_labels_do_not_depend_on_threads_or_the_probe(room_scans):
     try:
         kernels.set_threads(1)
         alone = run(room_scans)
@@ -256,13 +258,13 @@ def test_threads_and_listeners_decide_nothing(room_scans):
     np.testing.assert_array_equal(reasons(alone, room_scans), reasons(together, room_scans))
 
 
-def test_the_extent_decides_nothing(room_scans):
+def test_labels_do_not_depend_on_the_extent(room_scans):
     more = Scan(0, np.random.default_rng(0).uniform(-30, 30, (3000, 3)).astype(np.float32), np.eye(4))
     narrow, wide = run(room_scans), run(room_scans, extent=Extent.of(*room_scans, more))
     np.testing.assert_array_equal(reasons(narrow, room_scans), reasons(wide, room_scans))
 
 
-def test_labels_asked_online_or_later_are_the_same_and_begin_forgets(room_scans):
+def test_online_and_offline_labels_are_equal_and_begin_discards_the_map(room_scans):
     method = run(room_scans)
     later = [method.label(scan).dynamic for scan in room_scans]
     method.begin(Context(Extent.of(*room_scans), SENSOR))
@@ -271,7 +273,7 @@ def test_labels_asked_online_or_later_are_the_same_and_begin_forgets(room_scans)
         np.testing.assert_array_equal(method.label(scan).dynamic, expected)
 
 
-def test_states_are_those_announced_and_tell_the_map(room_scans):
+def test_states_are_those_declared_and_match_the_map(room_scans):
     probe = MemoryProbe()
     method = run(room_scans, dataclasses.replace(COARSE, revoke_after=2), probe=probe)
     assert {name: {type(v) for v in values} for name, values in probe.values.items()} == {
@@ -282,19 +284,19 @@ def test_states_are_those_announced_and_tell_the_map(room_scans):
     free = np.bitwise_count(method._map.free).sum()
     assert gained - lost == free == probe.values["free_voxels"][-1].value > 0
     for scan, intruded, clusters in zip(room_scans, probe.values["intruded"], probe.values["clusters"], strict=True):
-        why = method.label(scan).reasons
-        flagged = (why >= FREE) & (why <= FREE_LARGE)
+        codes = method.label(scan).reasons
+        flagged = (codes >= FREE) & (codes <= FREE_LARGE)
         assert intruded.values.sum() == flagged.sum() == np.isin(clusters.classes, (1, 3, 4)).sum()
         keys = {tuple(k) for k in np.floor(scan.points[flagged] / np.float32(0.4)).astype(int).tolist()}
         assert keys == {tuple(k) for k in intruded.keys.tolist()}
 
 
-def test_three_bits_a_point_are_kept(room_scans):
+def test_three_bits_per_point_are_stored(room_scans):
     method = run(room_scans)
     assert sum(kept.nbytes for kept in method._reasons.values()) == sum(-(-3 * len(s) // 8) for s in room_scans)
 
 
-def test_the_view_is_the_sensors_unless_given():
+def test_the_view_is_that_of_the_sensor_by_default():
     vlp16 = load_sensor("vlp16")
     assert view_of(DynabloxParams(), vlp16) == SensorView(16, 2048, 15.0, -15.0)
     assert view_of(DynabloxParams(image_rows=64, field_of_view=33.0), Sensor()) == SensorView(64, 2048, 16.5, -16.5)
@@ -324,6 +326,6 @@ def test_the_view_is_the_sensors_unless_given():
         ("cluster_distance", 0.001),
     ],
 )
-def test_values_that_make_no_sense_are_refused(name, value):
+def test_invalid_parameters_are_rejected(name, value):
     with pytest.raises(ValueError, match=name):
         DynabloxParams(**{name: value})

@@ -16,7 +16,7 @@ def random(seed: int = 0) -> np.random.Generator:
 
 
 def tilted(angle: float, points: int = 600, seed: int = 0) -> np.ndarray:
-    """A square of 20 m around (100, -50, 3), its normal at an angle to the vertical, rippled by 1 cm."""
+    """A square of 20 m around (100, -50, 3), tilted by an angle, with 1 cm of noise."""
     x, y = random(seed).uniform(-10, 10, (2, points))
     flat = np.stack([x * math.cos(angle), y, x * math.sin(angle)], 1) + np.array([100, -50, 3])
     return (flat + random(seed + 1).normal(0, 0.01, (points, 3))).astype(np.float32)
@@ -35,7 +35,7 @@ def test_a_floor_among_clutter_is_found_and_fitted(angle):
 
 @pytest.mark.plain
 @pytest.mark.parametrize("angle", [0.3, 1.0, math.pi / 2])
-def test_what_is_too_steep_is_no_ground(angle):
+def test_steep_planes_are_not_ground(angle):
     found, plane = ground_plane(tilted(angle), 0.04, 0.15, random())
     assert plane is None
     assert not found.any()
@@ -53,14 +53,14 @@ def test_the_larger_of_two_floors_wins():
     [np.zeros((0, 3)), tilted(0.0, points=49), np.zeros((80, 3)), np.outer(np.arange(80), (1, 2, 0))],
     ids=["none", "too few", "all the same", "on a line"],
 )
-def test_no_plane_where_none_can_be(points):
+def test_too_few_or_degenerate_points_have_no_plane(points):
     found, plane = ground_plane(points.astype(np.float32), 0.04, 0.15, random())
     assert plane is None
     assert found.shape == (len(points),)
     assert not found.any()
 
 
-def test_the_seed_decides():
+def test_results_depend_on_the_seed_only():
     points = random(3).uniform((-9, -9, -0.2), (9, 9, 0.2), (800, 3)).astype(np.float32)
     first, again, other = (ground_plane(points, 0.04, 0.15, random(seed))[0] for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
@@ -68,7 +68,7 @@ def test_the_seed_decides():
 
 
 @pytest.mark.plain
-def test_outliers_are_those_of_the_formula():
+def test_outliers_match_the_formula():
     points = np.concatenate([random().normal(0, 1, (500, 3)), random(1).uniform(-20, 20, (30, 3))]).astype(np.float32)
     apart = np.linalg.norm(points[:, None].astype(float) - points[None], axis=2)
     mean = np.sort(apart, axis=1)[:, 1:51].mean(1)

@@ -28,7 +28,7 @@ def scan(index: int, points, origins) -> Scan:
 
 
 def scattered(seed: int, resolution: float) -> list[Scan]:
-    """Few points in a small space, so that rays cross voxels of other points often; some along the axes."""
+    """A few points in a small space, so that rays often cross voxels of other points; some rays along the axes."""
     random = np.random.default_rng(seed)
     scans = []
     for index in range(4):
@@ -41,15 +41,15 @@ def scattered(seed: int, resolution: float) -> list[Scan]:
 
 
 def ground_and_walls(frames: int = 4, seed: int = 0) -> list[Scan]:
-    """A floor with ripples, a wall, a thing that moves, and strays."""
+    """An uneven floor, a wall, a moving box, and stray points."""
     random = np.random.default_rng(seed)
     scans = []
     for index in range(frames):
         floor = random.uniform((-8, -8, -0.02), (8, 8, 0.02), (1500, 3))
         wall = random.uniform((7, -8, 0), (7.05, 8, 3), (500, 3))
-        thing = random.uniform((0, 2, 0.2), (0.5, 2.5, 1.5), (200, 3)) + np.array([1.5 * index, 0, 0])
+        box = random.uniform((0, 2, 0.2), (0.5, 2.5, 1.5), (200, 3)) + np.array([1.5 * index, 0, 0])
         strays = random.uniform((-8, -8, 0.5), (8, 8, 6), (60, 3))
-        scans.append(scan(3 * index + 1, np.concatenate([floor, wall, thing, strays]), (0.1 * index, 0, 1.7)))
+        scans.append(scan(3 * index + 1, np.concatenate([floor, wall, box, strays]), (0.1 * index, 0, 1.7)))
     return scans
 
 
@@ -67,7 +67,7 @@ def labels(method, scans):
 
 @pytest.mark.parametrize("resolution", [0.1, 0.2, 0.25, 0.3, 0.37])
 @pytest.mark.parametrize("seed", range(3))
-def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(resolution, seed):
+def test_voxels_and_labels_match_the_reference(resolution, seed):
     scans = scattered(seed, resolution)
     method = run(OctoMap, scans, params=OctoMapParams(resolution=resolution))
     reference = Reference(resolution)
@@ -77,10 +77,10 @@ def test_agrees_with_the_plain_walk_voxel_by_voxel_and_point_by_point(resolution
     expected = np.array([reference.log_odds.get(tuple(k), 0) for k in method._grid.keys(voxels).tolist()], np.float32)
     np.testing.assert_array_equal(method._log_odds[:-1].ravel(), expected)
     for s in scans:
-        dynamic, why = method.label(s).dynamic, method.label(s).reasons
-        np.testing.assert_array_equal(dynamic, reference.label(s))
+        given = method.label(s)
+        np.testing.assert_array_equal(given.dynamic, reference.label(s))
         crossed = np.array([key(p, resolution) in reference.ever_crossed for p in s.points])
-        np.testing.assert_array_equal(why, np.where(dynamic, 1, np.where(crossed, 0, 2)))
+        np.testing.assert_array_equal(given.reasons, np.where(given.dynamic, 1, np.where(crossed, 0, 2)))
     assert labels(method, scans).any()
 
 
@@ -106,7 +106,7 @@ def test_log_odds_count_and_clamp():
         assert method.label(hits[0]).dynamic.tolist() == [expected < 0]
 
 
-def test_crossed_and_hit_by_one_scan_counts_both():
+def test_a_voxel_crossed_and_hit_by_one_scan_gets_both_updates():
     both = scan(0, [(1.02, 0.05, 0.05), (2.05, 0.05, 0.05)], (0.05, 0.05, 0.05))
     method = run(OctoMap, [both])
     assert method._log_odds.ravel()[method._grid.locate(both.points)] == pytest.approx([0.441833, 0.847298], abs=1e-5)
@@ -129,29 +129,30 @@ def test_crossed_and_hit_by_one_scan_counts_both():
 def test_odd_scans_are_kept(method, points):
     points = np.array(points, np.float32).reshape(-1, 3)
     s = scan(0, points, (0.0, 0.0, 0.0))
-    # The extent as a survey of the sane points tells it.
+    # The extent of the valid points, as the runner computes it.
     extent = Extent.of(scan(0, points[np.isfinite(points).all(1) & (np.abs(points) < 1e5).all(1)], (0.0, 0.0, 0.0)))
     ran = run(method, [s], extent=extent)
-    assert not ran.label(s).dynamic.any()
-    names = [ran.info.reasons[code].name for code in ran.label(s).reasons]
+    given = ran.label(s)
+    assert not given.dynamic.any()
+    names = [ran.info.reasons[code].name for code in given.reasons]
     judged = (np.abs(points) < 3276.8).all(1)
     assert [name == "out_of_reach" for name in names] == (~judged).tolist()
 
 
-def test_a_sensor_beyond_reach_casts_no_ray_but_its_points_hit():
+def test_a_sensor_beyond_reach_casts_no_rays_but_its_points_hit():
     s = scan(0, [(3276.0, 0.0, 0.0), (3270.0, 0.0, 0.0)], (3300.0, 0.0, 0.0))
     method = run(OctoMap, [s])
     assert [method.info.reasons[code].name for code in method.label(s).reasons] == ["never_crossed"] * 2
 
 
-def test_an_extent_that_misses_points_keeps_them_unjudged():
+def test_points_outside_the_extent_are_kept_unjudged():
     s = scan(0, [(1.0, 0, 0), (50.0, 0, 0)], (0.0, 0, 0))
     method = run(OctoMap, [s], extent=Extent.of(scan(0, s.points[:1], (0.0, 0, 0))))
     assert method.label(s).reasons.tolist() == [2, 3]
 
 
 @pytest.mark.parametrize("method", FAMILY)
-def test_threads_and_listeners_decide_nothing(method):
+def test_labels_do_not_depend_on_threads_or_the_probe(method):
     scans = ground_and_walls()
     try:
         kernels.set_threads(1)
@@ -167,7 +168,7 @@ def test_threads_and_listeners_decide_nothing(method):
     assert not answers.all()
 
 
-def test_the_extent_decides_nothing():
+def test_labels_do_not_depend_on_the_extent():
     scans = ground_and_walls()
     wide = Extent.of(*scans, scan(9, np.random.default_rng(0).uniform(-30, 30, (3000, 3)), (0.0, 0, 0)))
     narrow, large = run(OctoMap, scans), run(OctoMap, scans, extent=wide)
@@ -175,7 +176,7 @@ def test_the_extent_decides_nothing():
     assert len(large._grid) > len(narrow._grid)
 
 
-def test_begin_forgets_the_earlier_sequence():
+def test_begin_discards_an_earlier_sequence():
     scans = ground_and_walls()
     method = run(OctoMapGF, scans)
     first = labels(method, scans)
@@ -185,7 +186,7 @@ def test_begin_forgets_the_earlier_sequence():
     np.testing.assert_array_equal(first, labels(method, scans))
 
 
-def test_ground_is_kept_and_does_not_mark_its_voxels():
+def test_ground_is_kept_and_does_not_mark_its_voxels_occupied():
     scans = ground_and_walls()
     floor = slice(0, 1500)
     plain, with_ground = run(OctoMap, scans), run(OctoMapG, scans)
@@ -200,7 +201,7 @@ def test_ground_is_kept_and_does_not_mark_its_voxels():
     assert (with_ground._log_odds.ravel()[ground_alone] <= 0).all()
 
 
-def test_rays_to_the_ground_are_cast_or_not():
+def test_rays_to_the_ground_are_optional():
     below = [(x, 0.0, 0.0) for x in np.linspace(2, 4, 30)]
     below += [(x, y, 0.0) for x in (2, 4) for y in np.linspace(1, 2, 20)]
     between = [(1.5, 0.0, 0.5)]  # on the way from the sensor to (3, 0, 0)
@@ -225,7 +226,7 @@ def test_noise_marks_its_voxel_but_casts_no_ray():
 
 
 def test_the_same_seed_gives_the_same_labels():
-    step = np.float32(0.15)  # in the floor, so that no plane holds all of it
+    step = np.float32(0.15)  # in the floor, so that no plane contains all of it
     scans = [dataclasses.replace(s, points=s.points + step * (s.points[:, :1] > 2)) for s in ground_and_walls()]
     answers = [labels(run(OctoMapG, scans, seed=seed), scans) for seed in (1, 1, 2, 3, 4)]
     np.testing.assert_array_equal(answers[0], answers[1])
@@ -233,7 +234,7 @@ def test_the_same_seed_gives_the_same_labels():
 
 
 @pytest.mark.parametrize("method", FAMILY)
-def test_states_are_those_announced_and_tell_the_map(method):
+def test_states_are_those_declared_and_match_the_map(method):
     scans, probe = ground_and_walls(), MemoryProbe()
     ran = run(method, scans, probe=probe)
     kinds = {state.name: state.kind for state in method.info.emits}
@@ -262,10 +263,10 @@ def test_states_are_those_announced_and_tell_the_map(method):
         (OctoMapGF.Params, {"noise_neighbours": 0}),
     ],
 )
-def test_values_that_make_no_sense_are_refused(params, values):
+def test_invalid_parameters_are_rejected(params, values):
     with pytest.raises(ValueError, match=next(iter(values))):
         params(**values)
 
 
-def test_the_numbers_of_parameters_are_those_of_the_paper():
+def test_parameter_counts_match_the_paper():
     assert [len(dataclasses.fields(method.Params)) for method in FAMILY] == [5, 8, 10]

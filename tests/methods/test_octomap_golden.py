@@ -8,18 +8,18 @@ import pytest
 from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF
 
 
-def test_octomap_is_the_public_one_but_for_points_on_borders(golden):
+def test_octomap_matches_the_public_program_except_on_borders(golden):
     ours, theirs = golden.run(OctoMap), golden.removed["octomap"]
     assert (ours == theirs).mean() > 0.9999
     assert ours[theirs].mean() > 0.999
     assert golden.scores(ours) == pytest.approx(golden.scores(theirs), abs=0.01)
 
 
-def test_with_its_resolution_rounded_to_float32_it_is_the_same_in_every_point(golden):
+def test_with_a_float32_resolution_every_label_matches(golden):
     np.testing.assert_array_equal(golden.run(OctoMap, resolution=float(np.float32(0.1))), golden.removed["octomap"])
 
 
-def test_octomap_g_scores_as_the_public_one(golden):
+def test_octomap_g_scores_like_the_public_program(golden):
     ours, theirs = golden.scores(golden.run(OctoMapG)), golden.scores(golden.removed["octomap_g"])
     assert ours == pytest.approx(theirs, abs=1.0)
 

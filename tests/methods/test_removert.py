@@ -22,7 +22,7 @@ from dynaviz_methods.removert import REASONS, Removert, RemovertParams
 pytestmark = pytest.mark.boundscheck
 
 SENSOR = Sensor(elevation=(-30.0, 30.0))
-COARSE = RemovertParams(resolutions=(0.5, 0.35, 0.25), voxel=0.3)  # many points to a pixel
+COARSE = RemovertParams(resolutions=(0.5, 0.35, 0.25), voxel=0.3)  # many points per pixel
 
 
 def scan(index: int, points, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)) -> Scan:
@@ -33,7 +33,7 @@ def scan(index: int, points, position=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)) -> 
 
 
 def street(frames: int = 5, thin: int = 1, seed: int = 0) -> list[Scan]:
-    """Away from the origin: rays of a sensor that tilts and turns to a floor, a round wall and a ball that comes by."""
+    """Far from the origin: rays of a rotating sensor to a floor, a round wall and a passing ball."""
     random = np.random.default_rng(seed)
     scans = []
     for frame in range(frames):
@@ -54,7 +54,7 @@ def street(frames: int = 5, thin: int = 1, seed: int = 0) -> list[Scan]:
 
 
 def of_ball(s: Scan):
-    """Points nearer than wall and floor: those of the ball."""
+    """Points closer than wall and floor: those of the ball."""
     away = s.points - s.position
     return (np.hypot(*away[:, :2].T) < 11) & (away[:, 2] > -4.9)
 
@@ -68,8 +68,8 @@ def run(scans, params=COARSE, probe=SILENT, sensor=SENSOR):
 
 
 def context(scans, probe=SILENT, sensor=SENSOR):
-    sane = [scan(0, [(0.0, 0.0, 0.0)])]  # the extent is of no use to Removert
-    return Context(Extent.of(*sane), sensor, probe, raw_map=np.concatenate([s.points for s in scans]))
+    unused = [scan(0, [(0.0, 0.0, 0.0)])]  # Removert does not use the extent
+    return Context(Extent.of(*unused), sensor, probe, raw_map=np.concatenate([s.points for s in scans]))
 
 
 def labels(method, scans):
@@ -94,7 +94,7 @@ VARIANTS = [
 
 
 @pytest.mark.parametrize("variant", range(len(VARIANTS)))
-def test_agrees_with_the_reference_point_by_point(variant):
+def test_reasons_match_the_reference(variant):
     scans, params = street(thin=10, seed=variant), dataclasses.replace(COARSE, **VARIANTS[variant])
     odd = np.array([(np.nan, 0, 0), (np.inf, 1, 1), scans[2].position, (37.2, -12, 40)], np.float32)
     scans[2] = dataclasses.replace(scans[2], points=np.concatenate([odd, scans[2].points]))
@@ -104,10 +104,11 @@ def test_agrees_with_the_reference_point_by_point(variant):
     )
     for s in scans:
         reference.observe(s)
-    expected = [reason for s in scans for reason in reference.explain(s)]
+    labelled = [reference.label(s) for s in scans]
+    expected = [reason for s, each in zip(scans, labelled, strict=True) for reason in reference.reasons(s, each)]
     assert [reason for s in scans for reason in names(method, s)] == expected
     dynamic = labels(method, scans)
-    np.testing.assert_array_equal(dynamic, [value for s in scans for value in reference.label(s)])
+    np.testing.assert_array_equal(dynamic, [value for each in labelled for value in each])
     assert 20 < dynamic.sum() < 0.9 * len(dynamic)
     np.testing.assert_array_equal(labels(run(scans, params, probe), scans), dynamic)
     assert ("reverted" in expected) == bool(params.revert_resolutions)
@@ -115,7 +116,7 @@ def test_agrees_with_the_reference_point_by_point(variant):
     assert [reason in removed for reason in expected] == dynamic.tolist()
 
 
-def test_the_ball_goes_and_the_rest_stays():
+def test_the_ball_is_removed_and_the_rest_is_kept():
     scans = street()
     dynamic, ball = labels(run(scans), scans), np.concatenate([of_ball(s) for s in scans])
     assert dynamic[ball].mean() > 0.9
@@ -124,7 +125,7 @@ def test_the_ball_goes_and_the_rest_stays():
 
 
 @pytest.mark.parametrize("values", [{}, {"revert_resolutions": (0.4,)}, {"port": True}, {"scan_neighbours": 2}])
-def test_threads_and_listeners_decide_nothing(values):
+def test_labels_do_not_depend_on_threads_or_the_probe(values):
     scans, params = street(), dataclasses.replace(COARSE, **values)
     answer = labels(run(scans, params), scans)
     codes = [run(scans, params).label(s).reasons for s in scans[:2]]
@@ -139,8 +140,8 @@ def test_threads_and_listeners_decide_nothing(values):
 
 
 @pytest.mark.parametrize("port", [False, True])
-def test_map_points_beyond_reach_are_left_out_and_nothing_else_changes(port):
-    """A return far away, where nothing else is, lets each scan reach the whole of three streets."""
+def test_ignoring_map_points_beyond_reach_changes_no_label(port):
+    """With one very distant return, each scan reaches all of the three streets."""
     near, params = [], dataclasses.replace(COARSE, port=port, elevation=(-30.0, 60.0))
     for k, s in enumerate(street(4, thin=10) * 3):
         shift = np.array([300.0 * (k // 4), 0, 0])
@@ -152,7 +153,7 @@ def test_map_points_beyond_reach_are_left_out_and_nothing_else_changes(port):
     assert 0 < expected.mean() < 0.5
 
 
-def test_removal_is_final_and_begin_forgets():
+def test_removal_is_final_and_begin_discards_it():
     scans = street()
     method = run(scans)
     final = labels(method, scans)
@@ -167,11 +168,11 @@ def test_removal_is_final_and_begin_forgets():
     np.testing.assert_array_equal(labels(method, scans), final)
 
 
-def test_what_a_reason_says():
-    """Along one ray: a thing at 5 m that is gone, a wall at 10 m seen thrice, and something behind it."""
+def test_reasons_of_points_along_a_ray():
+    """Along one ray: an object at 5 m that disappears, a wall at 10 m seen three times, and a point behind it."""
     wall, thing, behind, above = (10.0, 0, 0), (5.0, 0, 0), (15.0, 0, 0), (1.0, 0, 5.0)
-    beside = (0.0, 20.0, 0.0)
-    scans = [scan(0, [thing, above]), scan(1, [wall]), scan(2, [wall, beside]), scan(3, [behind]), scan(4, [wall])]
+    left = (0.0, 20.0, 0.0)
+    scans = [scan(0, [thing, above]), scan(1, [wall]), scan(2, [wall, left]), scan(3, [behind]), scan(4, [wall])]
     method = run(scans, dataclasses.replace(COARSE, voxel=0.0))
     nearer = "nearer_than_scan_at_res_1"
     expected = [[nearer, "out_of_view"], [nearer], [nearer, "hidden"], ["hidden"], [nearer]]
@@ -188,15 +189,15 @@ def test_the_threshold_is_a_fraction_of_the_range(nearer, removed):
         assert run(scans).label(scans[0]).dynamic.tolist() == [removed]
 
 
-def test_a_point_is_static_again_where_the_revert_image_does_not_see_past_it():
-    """Beside the ray to the wall: in its pixel of 4 degrees, not in that of 1 degree."""
+def test_points_that_are_not_flagged_in_the_revert_image_are_static():
+    """A point next to the ray to the wall: in the same pixel of 4 degrees, but not of 1 degree."""
     thing = 5 * np.array([np.cos(0.03), np.sin(0.03), 0])
     scans = [scan(0, [thing]), scan(1, [(10.0, 0, 0)])]
     params = RemovertParams(resolutions=(0.25,), voxel=0.0)
     assert names(run(scans, params), scans[0]) == ["nearer_than_scan_at_res_1"]
     params = dataclasses.replace(params, revert_resolutions=(1.0,))
     assert names(run(scans, params), scans[0]) == ["reverted"]
-    reverted = scan(2, 10 * thing / 5)  # this scan looks past it in the fine image, too
+    reverted = scan(2, 10 * thing / 5)  # this scan sees past it in the fine image, too
     assert names(run([*scans, reverted], params), scans[0]) == ["nearer_than_scan_at_res_1"]
 
 
@@ -210,7 +211,7 @@ def test_the_port_judges_one_map_point_of_a_pixel():
     assert run(scans, port).label(scans[0]).dynamic.tolist() == [True, False, False]
 
 
-def test_states_are_those_announced_and_fit_together():
+def test_states_are_those_declared_and_are_consistent():
     scans, probe = street(), MemoryProbe()
     method = run(scans, probe=probe)
     emitted = {name: {type(value) for value in values} for name, values in probe.values.items()}
@@ -232,13 +233,13 @@ def test_states_are_those_announced_and_fit_together():
     assert len(accused) == len(points) > 50
 
 
-def test_two_resolutions_show_two():
+def test_two_resolutions_have_states_of_two():
     scans, probe = street(2, thin=10), MemoryProbe()
     run(scans, dataclasses.replace(COARSE, resolutions=(0.5, 0.3)), probe=probe)
     assert {name[-1] for name in probe.values} - {"d"} == {"1", "2"}  # and accused
 
 
-def test_a_picture_shows_up_above_and_left_to_the_left():
+def test_pictures_have_up_at_the_top_and_left_on_the_left():
     views = image_views((0.5, 0.1), (-30.0, 10.0), (-180.0, 180.0))
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
     points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
@@ -275,15 +276,15 @@ def test_odd_scans_are_kept(points, values):
     assert np.array([name == "out_of_view" for name in names(method, s)])[unplaced].all()
 
 
-def test_without_a_field_of_view_the_user_is_told():
+def test_a_missing_field_of_view_is_an_error():
     with pytest.raises(UsageError, match=r"elevation=\[LOWEST,HIGHEST\]"):
         run(street(1), sensor=Sensor())
     scans = street(thin=10)
-    told = run(scans, dataclasses.replace(COARSE, elevation=(-30.0, 30.0)), sensor=Sensor())
-    np.testing.assert_array_equal(labels(told, scans), labels(run(scans), scans))
+    given = run(scans, dataclasses.replace(COARSE, elevation=(-30.0, 30.0)), sensor=Sensor())
+    np.testing.assert_array_equal(labels(given, scans), labels(run(scans), scans))
 
 
-def test_presets_fit():
+def test_preset_values():
     assert resolve(Removert, preset="av2").params.resolutions == (2.5, 1.5)
     assert resolve(Removert, preset="kitti").params == dataclasses.replace(RemovertParams(), resolutions=(2.5, 2.2, 2))
     port = resolve(Removert, preset="port").params
@@ -308,6 +309,6 @@ def test_presets_fit():
     ],
     ids=str,
 )
-def test_values_that_make_no_sense_are_refused(values):
+def test_invalid_parameters_are_rejected(values):
     with pytest.raises(ValueError, match=next(iter(values)).removeprefix("revert_")):
         RemovertParams(**values)

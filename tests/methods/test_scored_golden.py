@@ -1,4 +1,4 @@
-"""Maps of the public programs, scored: as the public scripts print, and every point as other libraries say."""
+"""Maps of the public programs, scored: the scores of the public scripts, and every label as by other libraries."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ ERASOR = {"mini": (89.65, 26.58, 48.82), "kitti_tracking_0012": (97.90, 80.86, 8
 
 
 @pytest.mark.parametrize("program", PRINTED)
-def test_maps_of_the_public_programs_score_as_the_public_scripts_print(mini, tmp_path, program):
+def test_maps_of_the_public_programs_score_as_in_the_public_scripts(mini, tmp_path, program):
     kept = mini.points[~mini.removed[program]]
     write_pcd(tmp_path / "map.pcd", dict(zip("xyz", kept.T, strict=True)))
     result = dv.score(tmp_path / "map.pcd", dv.open(mini.shared / "golden/mini"))
     assert [result.metrics[name] for name in ("SA", "DA", "AA")] == pytest.approx(PRINTED[program], abs=0.005)
 
 
-def test_every_labelled_point_of_erasors_map_as_by_scipy_and_open3d(golden):
+def test_scores_of_the_erasor_map_match_scipy_and_open3d(golden):
     import open3d as o3d
 
     path = golden.shared / f"golden/erasor/{golden.name}.pcd"

@@ -1,4 +1,4 @@
-"""SeeThrough against a plain reference, and what it promises: whole objects, followed while they stand, with feet."""
+"""SeeThrough against a plain reference, and its properties: whole objects with their feet, followed when parked."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def plane(low: float, high: float, step: float, z: float = 0.0) -> np.ndarray:
 
 
 def block(x: float, y: float, low: float = 0.0, high: float = 1.5, wide: float = 1.0) -> np.ndarray:
-    """The sides of a box that look towards negative x, and its top."""
+    """The front of a box, facing negative x, and its top."""
     along, up = np.meshgrid(np.arange(-wide / 2, wide / 2, 0.08), np.arange(low, high, 0.08))
     front = np.stack([np.full(along.size, x), y + along.ravel(), up.ravel()], 1)
     deep, across = np.meshgrid(np.arange(0, 1.5, 0.08), np.arange(-wide / 2, wide / 2, 0.08))
@@ -61,20 +61,20 @@ def block(x: float, y: float, low: float = 0.0, high: float = 1.5, wide: float =
 
 
 def wall(x: float = 14.0) -> np.ndarray:
-    """Far behind, fine enough for rays through every voxel at half the way."""
+    """A wall in the background, dense enough for rays through every voxel half way to it."""
     y, z = (a.ravel() for a in np.meshgrid(np.arange(-9, 9, 0.1), np.arange(0, 6, 0.1)))
     return np.stack([np.full(len(y), x), y, z], 1)
 
 
 def seen(frame: int, *things: np.ndarray) -> Scan:
-    """A scan from 1.8 m above the origin of things that hide nothing of each other: rays end where points are."""
+    """A scan from 1.8 m above the origin of objects that do not hide each other."""
     return Scan(frame, np.concatenate(things).astype(np.float32), pose(0.0, 0.0, 1.8))
 
 
 GROUND = plane(-1, 13, 0.1)
 
 
-def test_labels_are_those_of_a_plain_reference() -> None:
+def test_labels_match_the_reference() -> None:
     thin = [dataclasses.replace(scan, points=scan.points[::7], labels=None, origins=None) for scan in crossing(9)]
     reference, method = Reference(COARSE), running(thin, COARSE)
     for scan in thin:
@@ -84,47 +84,47 @@ def test_labels_are_those_of_a_plain_reference() -> None:
     differing = sum(
         int((method.label(scan).dynamic != labels).sum()) for scan, labels in zip(thin, expected, strict=True)
     )
-    assert differing <= 2, "rays through corners of voxels alone may be walked otherwise"
+    assert differing <= 2, "only rays through corners of voxels may be traversed differently"
 
 
-def test_a_mover_falls_whole_and_what_stands_stays() -> None:
+def test_a_moving_object_is_removed_completely_and_static_objects_are_kept() -> None:
     places = np.linspace(-4, 4, 12)
     scans = [seen(k, GROUND, wall(), block(7.0, y), block(4.0, 6.0)) for k, y in enumerate(places)]
     method = running(scans)
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0))
     for scan in scans:
-        why = method.label(scan).reasons
-        moving = why[n : n + b]
+        codes = method.label(scan).reasons
+        moving = codes[n : n + b]
         high = scan.points[n : n + b, 2] > 0.25
         assert np.isin(moving[high], SEEN_THROUGH).all()
-        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.14]].all(), "feet fall with the rest"
-        assert not REMOVED[why[:n]].any()
-        assert not REMOVED[why[n + b :]].any()
+        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.14]].all(), "feet are removed with their object"
+        assert not REMOVED[codes[:n]].any()
+        assert not REMOVED[codes[n + b :]].any()
 
 
-def test_a_car_that_came_and_parked_is_followed_where_it_stands() -> None:
+def test_a_car_that_arrives_and_parks_is_followed() -> None:
     places = [*np.linspace(-4.0, 2.0, 12), *[2.0] * 90]
     scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
     method = running(scans)
     n = len(GROUND) + len(wall())
     reasons = [method.label(scan).reasons[n:] for scan in scans]
     high = [scan.points[n:, 2] > 0.25 for scan in scans]
-    assert all(REMOVED[why[up]].all() for why, up in zip(reasons, high, strict=True))
-    assert (reasons[-1][high[-1]] == FOLLOWED_ON).all(), "it stood for longer than its place was seen empty"
+    assert all(REMOVED[codes[up]].all() for codes, up in zip(reasons, high, strict=True))
+    assert (reasons[-1][high[-1]] == FOLLOWED_ON).all(), "it is parked for longer than its voxels were seen clear"
     always = running(scans[12:])
-    assert not any(always.label(scan).dynamic.any() for scan in scans[12:]), "one that never moves stays"
+    assert not any(always.label(scan).dynamic.any() for scan in scans[12:]), "an object that never moves is kept"
 
 
-def test_what_stood_for_long_and_drove_off_has_waited() -> None:
+def test_a_parked_car_that_drives_off_has_waited() -> None:
     places = [*[-2.0] * 60, *np.linspace(-1.6, 1.6, 9)]
     scans = [seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0)) for k, y in enumerate(places)]
     method, alone = running(scans), running(scans[:60])
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
-        why, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
-        assert (why[n : n + b][high] == WAITED).all(), "its place was seen clear through too seldom to prove anything"
-        assert not REMOVED[why[n + b :]].any()
-        assert not alone.label(scan).dynamic.any(), "nobody has seen it move yet"
+        codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
+        assert (codes[n : n + b][high] == WAITED).all(), "its voxels were seen clear too rarely for a majority"
+        assert not REMOVED[codes[n + b :]].any()
+        assert not alone.label(scan).dynamic.any(), "it has not moved in these scans"
 
 
 def test_reflections_below_the_ground_do_not_lower_it() -> None:
@@ -133,33 +133,33 @@ def test_reflections_below_the_ground_do_not_lower_it() -> None:
     slope = GROUND + GROUND[:, :1] * [0, 0, 0.1]
     points = np.concatenate([slope, below, [[2.0, 2.0, 1.0]]]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
-    relief.add(points, voxels)
-    height = relief.height(points, voxels, np.zeros(3))
+    ground, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
+    ground.add(points, voxels)
+    height = ground.height(points, voxels, np.zeros(3))
     assert np.abs(height[: len(slope)][(slope[:, :2] < 12).all(1)]).max() < 0.13, (
-        "half a column's width up or down the slope, and what it is pressed"
+        "half a column's width up or down the slope, plus the limit on the slope"
     )
     assert height[-1] == pytest.approx(0.8, abs=0.13)
 
 
-def test_ground_under_a_roof_is_the_ground_beside_it() -> None:
+def test_ground_under_a_roof_is_the_ground_next_to_it() -> None:
     around = GROUND[(np.abs(GROUND[:, 0] - 5) > 2) | (np.abs(GROUND[:, 1] - 5) > 2)]
     roof = plane(3.0, 7.0, 0.1, 1.4)
     points = np.concatenate([around, roof]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
-    relief.add(points, voxels)
-    assert (relief.height(points, voxels, np.zeros(3))[len(around) :] > 0.5).all()
+    ground, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
+    ground.add(points, voxels)
+    assert (ground.height(points, voxels, np.zeros(3))[len(around) :] > 0.5).all()
 
 
-def test_where_no_ground_is_known_nothing_is_low_and_a_stray_return_costs_nothing() -> None:
+def test_without_known_ground_nothing_is_low_and_stray_returns_take_no_memory() -> None:
     points = np.concatenate([GROUND, [[3000.0, 2500.0, 1.0], [-3000.0, 0.0, 1.0]]]).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
-    relief, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
-    assert np.isinf(relief.height(points, voxels, np.zeros(3))).all()
-    relief.add(points, voxels)
+    ground, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
+    assert np.isinf(ground.height(points, voxels, np.zeros(3))).all()
+    ground.add(points, voxels)
     tracemalloc.start()
-    height = relief.height(points, voxels, np.zeros(3))
+    height = ground.height(points, voxels, np.zeros(3))
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert np.isinf(height[-2:]).all()
@@ -170,7 +170,7 @@ def test_where_no_ground_is_known_nothing_is_low_and_a_stray_return_costs_nothin
 @pytest.mark.plain
 @given(st.integers(0, 2**32 - 1), st.integers(0, 3))
 @settings(max_examples=15)
-def test_growing_is_a_dilation(seed: int, times: int) -> None:
+def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
     from scipy import ndimage
 
     random = np.random.default_rng(seed)
@@ -214,16 +214,17 @@ def test_objects_are_connected_components(seed: int, size: float) -> None:
     assert firsts == sorted(firsts)
 
 
-def test_a_label_is_decided_once_and_told_again() -> None:
+def test_labels_are_decided_once_and_repeated() -> None:
     scans = [scan.without_truth() for scan in crossing(10)]
     method = running(scans)
     first = [method.label(scan).dynamic for scan in scans]
     for scan, labels in reversed(list(zip(scans, first, strict=True))):
-        np.testing.assert_array_equal(method.label(scan).dynamic, labels)
-        np.testing.assert_array_equal(REMOVED[method.label(scan).reasons], labels)
+        again = method.label(scan)
+        np.testing.assert_array_equal(again.dynamic, labels)
+        np.testing.assert_array_equal(REMOVED[again.reasons], labels)
 
 
-def test_states_tell_what_was_seen_and_change_nothing() -> None:
+def test_states_show_clear_voxels_and_do_not_change_labels() -> None:
     scans = [scan.without_truth() for scan in crossing(8)]
     probe = MemoryProbe()
     watched, alone = running(scans, probe=probe), running(scans)
@@ -235,7 +236,7 @@ def test_states_tell_what_was_seen_and_change_nothing() -> None:
     assert set(np.unique(probe.values["objects"][-1].classes)) >= {0, 1, 2}
 
 
-def test_what_has_no_voxel_is_kept_and_says_so() -> None:
+def test_points_without_a_voxel_are_kept_with_their_own_reason() -> None:
     scans = [scan.without_truth() for scan in crossing(6)]
     odd = scans[2].points.copy()
     odd[:3] = [[np.nan, 0, 0], [4000, 0, 0], [0, np.inf, 0]]
@@ -244,11 +245,12 @@ def test_what_has_no_voxel_is_kept_and_says_so() -> None:
     method.begin(Context(Extent.of(*[s for k, s in enumerate(scans) if k != 2])))
     for scan in scans:
         method.observe(scan)
-    assert (method.label(scans[2]).reasons[:3] == OUT_OF_REACH).all()
-    assert not method.label(scans[2]).dynamic[:3].any()
+    given = method.label(scans[2])
+    assert (given.reasons[:3] == OUT_OF_REACH).all()
+    assert not given.dynamic[:3].any()
 
 
-def test_the_crossing_is_cleaned() -> None:
+def test_most_of_the_crossing_is_labelled_correctly() -> None:
     scans = crossing(14)
     method = running([scan.without_truth() for scan in scans])
     kept = removed = static = dynamic = 0
@@ -272,12 +274,12 @@ def test_the_crossing_is_cleaned() -> None:
         ({"ground_height": float("nan")}, "ground_height"),
     ],
 )
-def test_senseless_parameters_are_refused(values: dict[str, float], word: str) -> None:
+def test_invalid_parameters_are_rejected(values: dict[str, float], word: str) -> None:
     with pytest.raises(ValueError, match=word):
         SeeThroughParams(**values)  # type: ignore[arg-type]
 
 
-def test_every_reason_is_kept_or_removed() -> None:
+def test_every_reason_belongs_to_one_label() -> None:
     assert all(reason.meaning.startswith(("kept", "removed")) for reason in REASONS)
     assert REMOVED[[SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED]].all()
     assert not REMOVED[[LOW, OUT_OF_REACH]].any()

@@ -1,1 +1,1 @@
-"""Methods written plainly, point by point, to compare the fast ones with."""
+"""Slow, simple implementations of the methods, point by point, for comparison."""

@@ -1,4 +1,4 @@
-"""BeautyMap, slow and obvious: a dictionary of columns, sets of slices, one point after another."""
+"""A slow, simple BeautyMap: a dictionary of columns, sets of slices, one point after another."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Reference:
         return not self.blocked(di, dj, k)
 
     def blocked(self, di, dj, k):
-        """Whether the line to (di, dj) from the sensor meets something; x and y are columns from the window's edge."""
+        """Whether the line from the sensor to (di, dj) is blocked; x and y are columns from the edge of the window."""
         n, a = max(abs(di), abs(dj)), self.half
         step = di / n, dj / n
         x, y, t = a, a, 0.0
@@ -123,5 +123,5 @@ class Reference:
 
 
 def gap_below(numbers, k):
-    """Whether two numbers in a row are missing between the least and k."""
+    """Whether two consecutive numbers between the least and k are missing."""
     return any(b - a > 2 for a, b in pairwise(sorted(n for n in numbers if n <= k)))

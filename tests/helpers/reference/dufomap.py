@@ -1,4 +1,4 @@
-"""DUFOMap slowly and plainly: sets of voxels, and walks from voxel to voxel in double precision."""
+"""A slow, simple DUFOMap: sets of voxels, and voxel traversal in double precision."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def key(point: np.ndarray, resolution: float) -> Key:
 
 
 class Walk:
-    """Voxels along a ray; start and direction in voxels. Of equal borders x, then y, then z comes first."""
+    """Voxels along a ray; start and direction in voxels. Ties in the order x, y, z."""
 
     def __init__(self, start: list[float], direction: list[float]):
         self.start, self.direction = start, direction
         self.voxel = [math.floor(s) for s in start]
 
     def next(self) -> tuple[int, float]:
-        """The axis of the next border, and how far it is from the start."""
+        """The axis of the next border, and its distance from the start."""
         borders = [k + (d > 0) for k, d in zip(self.voxel, self.direction, strict=True)]
         away = [(b - s) / d if d else math.inf for b, s, d in zip(borders, self.start, self.direction, strict=True)]
         axis = min(range(3), key=lambda a: away[a])

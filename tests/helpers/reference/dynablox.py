@@ -26,31 +26,31 @@ class Reference:
         return tuple((np.floor(np.asarray(point, float) * (1.0 / self.p.resolution)).astype(int) - self.low).tolist())
 
     def observe(self, scan):
-        """The reason of each point."""
+        """Reason code of each point."""
         self.frame += 1
         keys = [self.key(point) if self.in_range(scan, point) else None for point in scan.points]
-        why = self.judge(scan, keys)
+        codes = self.judge(scan, keys)
         self.learn({key for key in keys if key is not None})
         self.integrate(scan, keys)
-        return why
+        return codes
 
     def in_range(self, scan, point):
         r = math.dist(point.astype(float), scan.position) if np.isfinite(point).all() else math.nan
         return r > 0 and self.p.min_range <= r <= (self.p.max_range or math.inf)
 
     def judge(self, scan, keys):
-        why = [OUT_OF_RANGE if k is None else REVOKED if self.revoked[k] else NEVER_FREE for k in keys]
+        codes = [OUT_OF_RANGE if k is None else REVOKED if self.revoked[k] else NEVER_FREE for k in keys]
         for cluster in self.merged(scan, self.grown(keys)):
             small, large = len(cluster) < self.p.min_cluster, len(cluster) > self.p.max_cluster
             for i in cluster:
                 if self.free[keys[i]]:
-                    why[i] = FREE_SMALL if small else FREE_LARGE if large else FREE
+                    codes[i] = FREE_SMALL if small else FREE_LARGE if large else FREE
                 elif not small and not large:
-                    why[i] = BESIDE
-        return why
+                    codes[i] = BESIDE
+        return codes
 
     def grown(self, keys):
-        """Lists of points; a cluster is grown to its end before the next begins."""
+        """Lists of points; each cluster is grown completely before the next."""
         points = {}
         for i, key in enumerate(keys):
             if key is not None:

@@ -1,4 +1,4 @@
-"""ERASOR slowly and plainly: a list of points per voxel, a list of voxels per bin, eigenvectors from LAPACK."""
+"""A slow, simple ERASOR: a list of points per voxel, a list of voxels per bin, eigenvectors from LAPACK."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ def centroids(points: np.ndarray, size: float) -> dict[Key, np.ndarray]:
 
 
 class Reference:
-    """Reasons by voxel of the raw map; ``removed`` holds what the map lost."""
+    """Reasons by voxel of the raw map."""
 
     def __init__(self, params, raw_map: np.ndarray, height: float):
         self.p, self.height, self.seen = params, height, 0
         self.map = centroids(raw_map, params.map_voxel)
         self.order = ["beyond_range", "outside_height_band", "too_few_points", "map_not_higher", "low_bin"]
         self.order += ["ground_of_flagged_bin", "bin_ratio"]
-        self.why = dict.fromkeys(self.map, "beyond_range")
+        self.reasons = dict.fromkeys(self.map, "beyond_range")
 
     def observe(self, scan: Scan) -> None:
         self.seen += 1
         if self.seen % self.p.removal_interval:
             return
         foot = scan.position - (0, 0, self.height)
-        left = {key: point for key, point in self.map.items() if self.why[key] != "bin_ratio"}
+        left = {key: point for key, point in self.map.items() if self.reasons[key] != "bin_ratio"}
         map_bins = self.in_bins(left, foot)
         scan_bins = self.in_bins(centroids(scan.points, self.p.query_voxel), foot)
         for b, keys in map_bins.items():
             for key, reason in self.reasons(b, keys, scan_bins.get(b, []), left, foot).items():
-                self.why[key] = max(self.why[key], reason, key=self.order.index)
+                self.reasons[key] = max(self.reasons[key], reason, key=self.order.index)
         self.last = map_bins, scan_bins
 
     def in_bins(self, points: dict[Key, np.ndarray], foot: np.ndarray) -> dict[object, list]:
@@ -87,5 +87,6 @@ class Reference:
             ground = (points - centre) @ normal < self.p.ground_distance
         return ground
 
-    def explain(self, scan: Scan) -> list[str]:
-        return [self.why[voxel_of(point, self.p.map_voxel)] for point in scan.points]
+    def names(self, scan: Scan) -> list[str]:
+        """Names of the reasons of a scan's points."""
+        return [self.reasons[voxel_of(point, self.p.map_voxel)] for point in scan.points]

@@ -1,4 +1,4 @@
-"""OctoMap slowly and plainly: a dict of log-odds, and a walk from voxel to voxel in double precision."""
+"""A slow, simple OctoMap: a dict of log-odds, and a voxel traversal in double precision."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def key(point: np.ndarray, resolution: float) -> Key:
 
 
 def walk(origin: np.ndarray, end: np.ndarray, resolution: float) -> list[Key]:
-    """Voxels from the origin's to the last before the end's (Amanatides and Woo 1987); of equal borders z, y, x."""
+    """Voxels from the origin's up to, not including, the end's (Amanatides and Woo 1987); ties in the order z, y, x."""
     o, e = ([float(c) * (1.0 / resolution) for c in p] for p in (origin, end))
     k, goal = list(key(origin, resolution)), key(end, resolution)
     d = [e[a] - o[a] for a in range(3)]

@@ -1,4 +1,4 @@
-"""Removert slowly and plainly: a dictionary of pixels per image, points one by one, all in double precision."""
+"""A slow, simple Removert: a dictionary of pixels per image, points one by one, all in double precision."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Span = tuple[float, float]
 
 
 def pixel(local: np.ndarray, resolution: float, elevation: Span, azimuth: Span, clamp: bool = False):
-    """(row, column) of a point in the image's frame; None outside, or at the centre."""
+    """(row, column) of a point in the frame of the image; None if outside, or at the centre."""
     x, y, z = local
     if not 0 < np.linalg.norm(local) < math.inf:
         return None
@@ -35,7 +35,7 @@ def centroids(points: np.ndarray, size: float) -> dict[object, np.ndarray]:
 
 
 def name(i: int, point: np.ndarray, size: float) -> object:
-    """Of the map point that stands for a raw point: its number in the raw map, or its voxel."""
+    """Key of a raw point's map point: its row in the raw map, or its voxel."""
     return tuple(math.floor(c * np.float32(1 / size)) for c in point) if size else i
 
 
@@ -44,7 +44,7 @@ class Reference:
         self.p, self.raw_map = params, raw_map
         self.view = elevation, azimuth
         self.map = centroids(raw_map, params.voxel)
-        self.nearer: dict[object, set[int]] = defaultdict(set)  # resolutions at which a scan looks past a map point
+        self.nearer: dict[object, set[int]] = defaultdict(set)  # resolutions at which a scan sees past a map point
         self.surfaces: dict[object, int] = defaultdict(int)  # scans with a surface there, at the first resolution
         self.in_view: set[object] = set()
         self.first: dict[int, int] = {}
@@ -129,10 +129,11 @@ class Reference:
         squares = np.sort((away**2).sum(1))[: self.p.scan_neighbours]
         return float(squares.mean()) if len(squares) == self.p.scan_neighbours else math.inf
 
-    def explain(self, scan: Scan) -> list[str]:
-        return [self.why(key, dynamic) for key, dynamic in zip(self.keys(scan), self.label(scan), strict=True)]
+    def reasons(self, scan: Scan, dynamic: list[bool]) -> list[str]:
+        """Names of reasons, for the labels from ``label``."""
+        return [self.reason(key, removed) for key, removed in zip(self.keys(scan), dynamic, strict=True)]
 
-    def why(self, key: object, dynamic: bool) -> str:
+    def reason(self, key: object, dynamic: bool) -> str:
         if key is None:
             return "out_of_view"
         if dynamic == self.removed(key):

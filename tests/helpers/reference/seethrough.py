@@ -1,4 +1,4 @@
-"""SeeThrough slowly and plainly: dicts of voxels, sets of neighbours, and a flood fill."""
+"""A slow, simple SeeThrough: dicts of voxels, sets of neighbours, and a flood fill."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Reference:
         self.passed: Counter[Key] = Counter()
         self.clear: Counter[Key] = Counter()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
-        # By place the last scan with a mover, and how often that one was judged dynamic by then: when labels are asked
-        # for, and while scans are observed. And the last scans with anything that is not low, and with what is dynamic.
+        # By quarter column: the last scan with a dynamic object, and the number of scans in which it was dynamic, for
+        # ``label`` and for ``observe``. Then the last scans with points that are not low, and with dynamic points.
         self.movers: dict[tuple[int, int], tuple[int, int]] = {}
         self.so_far: dict[tuple[int, int], tuple[int, int]] = {}
         self.seen: dict[tuple[int, int], int] = {}
@@ -65,7 +65,7 @@ class Reference:
         layers = self.layers.get(column, {})
         least = max(3, int(0.03 * sum(map(len, layers.values()))))
         pairs = {z: layers[z] + layers.get(z - 1, []) for z in layers}
-        # A layer of its own may end a pair, too.
+        # A single layer may also be the lower one of a pair.
         pairs |= {z + 1: layers[z] for z in layers if z + 1 not in layers}
         enough = [z for z in sorted(pairs) if len(pairs[z]) >= least]
         if not enough:
@@ -83,13 +83,14 @@ class Reference:
             known = [f for f in window if f < math.inf]
             pit = 4 * sum(f <= floor[x, y] + PIT for f in known) < len(known)
             steady[x, y] = math.inf if pit else floor[x, y]
+        # The minimum over all cells of their floor plus the maximum rise to them, in straight and diagonal steps.
         step, pressed = SLOPE * 8 * self.params.resolution, {}
-        for x, y in cells:  # the least of all cells plus what the way to them may rise: straight and slanting steps
-            ways = (
-                f + step * (abs(abs(i - x) - abs(j - y)) + math.sqrt(2) * min(abs(i - x), abs(j - y)))
-                for (i, j), f in steady.items()
-            )
-            pressed[x, y] = min(ways)
+        known_cells = np.array([c for c in cells if steady[c] < math.inf]).reshape(-1, 2)
+        floors = np.array([steady[tuple(c)] for c in known_cells.tolist()])
+        for x, y in cells:
+            dx, dy = np.abs(known_cells - (x, y)).T
+            ways = floors + step * (np.abs(dx - dy) + math.sqrt(2) * np.minimum(dx, dy))
+            pressed[x, y] = float(ways.min(initial=math.inf))
         return pressed
 
     def label(self, scan: Scan) -> np.ndarray:
@@ -100,7 +101,7 @@ class Reference:
     def judge(
         self, scan: Scan, now: int, movers: dict
     ) -> tuple[np.ndarray, set[tuple[int, int]], set[tuple[int, int]]]:
-        """Answers, and the places of points that are not low, and of those of objects that move by themselves."""
+        """Labels, the places of points that are not low, and the places of objects that are dynamic by their votes."""
         params, size, points = self.params, self.params.resolution, scan.points
         inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
         voxel = {i: key(points[i], size) for i in inside}
@@ -147,12 +148,12 @@ class Reference:
         return dynamic, {self.quarter(voxel[i]) for i in up}, moving
 
     def left(self, place: tuple[int, int], now: int) -> bool:
-        """Whether the last that was seen in a place is a dynamic object that is there now or later."""
+        """Whether the last object seen in a place is dynamic, in this scan or later."""
         last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
 
     def votes(self, k: Key) -> int:
-        """Of a voxel, in thousandths of a scan."""
+        """The vote of a voxel, thousandths of a scan."""
         against = Fraction(self.hits[k], 3) + self.passed[k] - self.clear[k]
         return math.floor(1000 * min(self.clear[k], self.params.votes) * min(self.clear[k] / against, 1))
 
