@@ -168,7 +168,8 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
         yield f"Use these parameters with: dynaviz run {found.best.method} SEQ --config {found.preset}"
     every = [*board.rows, *board.trials]
     kept, failed = sum(row.kept for row in every), len(board.failed)
-    done = f"{len(every) - failed} runs finished" + (f" ({kept} from before)" if kept else "")
+    finished = len(every) - failed
+    done = f"{finished} run{'s' * (finished != 1)} finished" + (f" ({kept} from before)" if kept else "")
     yield f"{done}, {failed} failed. The files of each run are in {out}/SEQUENCE/METHOD."
     if board.failed:
         log = board.failed[0].folder / "error.log"
