@@ -167,7 +167,7 @@ def _copy_run(stream: rr.RecordingStream, side: Side) -> None:
 
 def _write_properties(stream: rr.RecordingStream, comparison: Comparison) -> None:
     sequence = comparison.sequence
-    properties = {
+    properties: dict[str, Any] = {
         "schema": paths.SCHEMA,
         "kind": COMPARISON,
         "title": comparison.title,
@@ -208,11 +208,11 @@ def _write_gains_by_frame(
         values = np.where(gain * sign > 0, gain, 0.0)
         stream.send_columns(path, indexes=[frames], columns=rr.Scalars.columns(scalars=values))
     marked = sorted(change.frame for change in listed)
-    style = rr.SeriesPoints(colors=NOBODY, markers="diamond", marker_sizes=4, names="listed in the report")
-    stream.log(CHANGED, style, static=True)
+    marks = rr.SeriesPoints(colors=NOBODY, markers="diamond", marker_sizes=4, names="listed in the report")
+    stream.log(CHANGED, marks, static=True)
     if marked:
-        marks = rr.TimeColumn(paths.FRAME, sequence=marked)
-        stream.send_columns(CHANGED, indexes=[marks], columns=rr.Scalars.columns(scalars=gain[marked]))
+        frames = rr.TimeColumn(paths.FRAME, sequence=marked)
+        stream.send_columns(CHANGED, indexes=[frames], columns=rr.Scalars.columns(scalars=gain[marked]))
 
 
 def _write_distances(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
