@@ -86,8 +86,8 @@ class Reference:
 
     def learn(self, with_points):
         reached = []
-        occupied = [k for k in map(tuple, np.argwhere(self.updated)) if self.distance[k] < self.near]
-        for k in {tuple(map(int, k)) for k in occupied} | with_points:
+        occupied = np.argwhere(self.updated & (self.distance < self.near)).tolist()
+        for k in {tuple(k) for k in occupied} | with_points:
             on_end = self.last[k] >= 0 and self.frame - self.last[k] <= self.p.temporal_buffer
             self.count[k] = self.count[k] + 1 if on_end else 1
             self.last[k] = self.frame

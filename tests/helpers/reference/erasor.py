@@ -12,14 +12,14 @@ from dynaviz.scan import Scan
 Key = tuple[int, int, int]
 
 
-def voxel_of(point: np.ndarray, size: float) -> Key:
-    return tuple(math.floor(np.float32(c) * np.float32(1 / size)) for c in point)
+def voxels_of(points: np.ndarray, size: float) -> list[Key]:
+    return [tuple(key) for key in np.floor(points * np.float32(1 / size)).astype(int).tolist()]
 
 
 def centroids(points: np.ndarray, size: float) -> dict[Key, np.ndarray]:
     members = defaultdict(list)
-    for point in points:
-        members[voxel_of(point, size)].append(point.astype(np.float64))
+    for key, point in zip(voxels_of(points, size), points.astype(np.float64), strict=True):
+        members[key].append(point)
     return {key: np.mean(inside, 0).astype(np.float32) for key, inside in members.items()}
 
 
@@ -31,19 +31,19 @@ class Reference:
         self.map = centroids(raw_map, params.map_voxel)
         self.order = ["beyond_range", "outside_height_band", "too_few_points", "map_not_higher", "low_bin"]
         self.order += ["ground_of_flagged_bin", "bin_ratio"]
-        self.reasons = dict.fromkeys(self.map, "beyond_range")
+        self.by_voxel = dict.fromkeys(self.map, "beyond_range")
 
     def observe(self, scan: Scan) -> None:
         self.seen += 1
         if self.seen % self.p.removal_interval:
             return
         foot = scan.position - (0, 0, self.height)
-        left = {key: point for key, point in self.map.items() if self.reasons[key] != "bin_ratio"}
+        left = {key: point for key, point in self.map.items() if self.by_voxel[key] != "bin_ratio"}
         map_bins = self.in_bins(left, foot)
         scan_bins = self.in_bins(centroids(scan.points, self.p.query_voxel), foot)
         for b, keys in map_bins.items():
             for key, reason in self.reasons(b, keys, scan_bins.get(b, []), left, foot).items():
-                self.reasons[key] = max(self.reasons[key], reason, key=self.order.index)
+                self.by_voxel[key] = max(self.by_voxel[key], reason, key=self.order.index)
         self.last = map_bins, scan_bins
 
     def in_bins(self, points: dict[Key, np.ndarray], foot: np.ndarray) -> dict[object, list]:
@@ -89,4 +89,4 @@ class Reference:
 
     def names(self, scan: Scan) -> list[str]:
         """Names of the reasons of a scan's points."""
-        return [self.reasons[voxel_of(point, self.p.map_voxel)] for point in scan.points]
+        return [self.by_voxel[key] for key in voxels_of(scan.points, self.p.map_voxel)]

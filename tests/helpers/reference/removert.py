@@ -39,6 +39,10 @@ def name(i: int, point: np.ndarray, size: float) -> object:
     return tuple(math.floor(c * np.float32(1 / size)) for c in point) if size else i
 
 
+def as_cloud(points: list[np.ndarray]) -> np.ndarray:
+    return np.array(points, float).reshape(-1, 3)
+
+
 class Reference:
     def __init__(self, params, raw_map: np.ndarray, elevation: Span, azimuth: Span):
         self.p, self.raw_map = params, raw_map
@@ -117,15 +121,15 @@ class Reference:
         keys = self.keys(scan)
         if not self.p.scan_neighbours:
             return [key is not None and self.removed(key) for key in keys]
-        own = [point for key, point in zip(keys, scan.points, strict=True) if key is not None]
-        left = [point for key, point in self.map.items() if not self.removed(key)]
+        own = as_cloud([point for key, point in zip(keys, scan.points, strict=True) if key is not None])
+        left = as_cloud([point for key, point in self.map.items() if not self.removed(key)])
         return [
             key is not None and abs(self.density(point, own) - self.density(point, left)) >= self.p.scan_difference
             for key, point in zip(keys, scan.points, strict=True)
         ]
 
-    def density(self, point: np.ndarray, cloud: list[np.ndarray]) -> float:
-        away = np.array(cloud, float).reshape(-1, 3) - point.astype(float)
+    def density(self, point: np.ndarray, cloud: np.ndarray) -> float:
+        away = cloud - point.astype(float)
         squares = np.sort((away**2).sum(1))[: self.p.scan_neighbours]
         return float(squares.mean()) if len(squares) == self.p.scan_neighbours else math.inf
 
