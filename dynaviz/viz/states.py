@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,6 @@ PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
 DARK = 0.2  # of the colour scale, reserved for empty pixels, so that they differ from the lowest value
-
-# Viridis at nine even steps: from dark to bright, also with colour blindness.
-VIRIDIS = np.array(
-    [
-        (68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140),
-        (40, 174, 128), (94, 201, 98), (173, 220, 48), (253, 231, 37),
-    ],
-    np.float64,
-)  # fmt: skip
 
 
 def legend(state: State) -> Any:
@@ -130,9 +122,19 @@ def _picture(values: F32, state: State) -> Any:
 
 
 def _coloured(values: F32, value_range: tuple[float, float] | None) -> U8:
+    """(N, 3) uint8 RGB of (N,) values."""
     low, high = value_range or _range(values)
-    at = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1) * (len(VIRIDIS) - 1)
-    return np.stack([np.interp(at, np.arange(len(VIRIDIS)), channel) for channel in VIRIDIS.T], 1).astype(np.uint8)
+    share = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1)
+    return _viridis()[(255 * share).round().astype(np.uint8)]
+
+
+@cache
+def _viridis() -> U8:
+    """(256, 3) uint8 RGB, from dark to bright, also with colour blindness."""
+    import cv2
+
+    levels = np.arange(256, dtype=np.uint8)[:, None]
+    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], np.uint8)
 
 
 def _range(values: F32) -> tuple[float, float]:
