@@ -1,4 +1,4 @@
-"""The contracts of labellers and methods: whoever decides which points of a scan are dynamic, and why."""
+"""The contracts of labellers and methods, which decide which points of a scan are dynamic, and why."""
 
 from __future__ import annotations
 

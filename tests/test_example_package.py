@@ -14,7 +14,7 @@ Code = Callable[..., str]
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Code:
-    """Run code with the example installed beside everything else."""
+    """Run code with the example installed in addition to everything else."""
     call = python_with(EXAMPLE, tmp_path_factory.mktemp("site"))
 
     def run(code: str, *arguments: str) -> str:

@@ -63,10 +63,10 @@ def test_it_runs_outside_the_checkout(command: Command) -> None:
     assert "cannot be loaded" not in listed
     assert all(name in listed for name in ("erasor", "hdl64e", "av2", "semantickitti", "street_vlp16", "confusion"))
     command("dynaviz", "simulate", "demo", "street", "--frames", "5")
-    told = command("dynaviz", "run", "erasor", "street", "-o", "run")
-    assert "compiling kernels, first run only" in told
-    assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", told, re.MULTILINE), told
-    assert "Warning" not in told
+    output = command("dynaviz", "run", "erasor", "street", "-o", "run")
+    assert "compiling kernels, first run only" in output
+    assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", output, re.MULTILINE), output
+    assert "Warning" not in output
     assert " DA  Kept: " in command("dynaviz", "failures", "run/run.rrd")
     command("dynaviz", "report", "run", "-o", "report.html")
     assert "compiling" not in command("dynaviz", "run", "erasor", "street", "-o", "again")

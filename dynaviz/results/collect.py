@@ -21,14 +21,14 @@ HINT = "Give a folder with results in it, or the result.json of a run ('dynaviz 
 
 @dataclass(frozen=True)
 class StudyRun:
-    """One run of a study, or what became of it.
+    """One run of a study: its result, or its error.
 
     Attributes:
         file: its ``result.json`` or ``error.json``.
-        result: None where it failed.
-        error: why it failed; None where it did not.
-        method, sequence, variant: what was to run on what.
-        given: the path that a user named and in which it was found.
+        result: None if the run failed.
+        error: why the run failed; None if it did not.
+        method, sequence, variant: what ran on what.
+        given: the path given by the user under which it was found.
     """
 
     file: Path
@@ -41,55 +41,55 @@ class StudyRun:
 
     @property
     def folder(self) -> Path:
-        """Where its files are."""
+        """The folder of its files."""
         return self.file.parent
 
     @property
     def label(self) -> str:
-        """The method, and what sets this run of it apart."""
+        """The method, and what distinguishes this run from its other runs."""
         return run_label(self.method, self.variant, self.result is not None and self.result.online)
 
     @property
     def recording(self) -> Path | None:
-        """The run's recording, where there is one."""
+        """The recording of the run; None if it has none."""
         path = self.folder / "run.rrd"
         return path if path.is_file() else None
 
 
 def collect(paths: Sequence[str | os.PathLike[str]]) -> list[StudyRun]:
-    """Find all results, and all failures of a bench, in folders and below them.
+    """Find all results and all failed runs of a bench in folders and their subfolders.
 
     Args:
-        paths: folders, or ``result.json`` files by whatever name.
+        paths: folders, or ``result.json`` files of any name.
 
     Returns:
-        One cell a folder, sorted by folder within each path; what two paths hold is found once.
+        One run per folder, sorted by folder within each path; a run under two of the paths is listed once.
 
     Raises:
-        DataError: for a path that does not exist or holds no result, and for a file that is none.
+        DataError: for a path that does not exist or contains no result, and for a file that is not a result.
     """
     cells: dict[Path, StudyRun] = {}
     for given in map(Path, paths):
         found = list(_found(given))
         if not found:
-            raise DataError(given, "holds no result.json, nor does any folder in it", hint=HINT)
+            raise DataError(given, "contains no result.json, and neither does any subfolder", hint=HINT)
         for file in found:
             cells.setdefault(file.resolve(), _cell(file, given))
     return list(cells.values())
 
 
 def combined(results: Sequence[Result]) -> Result:
-    """Results of one method on several sequences as one: each metric combines its own sections, by adding counts.
+    """Combine the results of one method on several sequences: each metric combines its own sections by adding counts.
 
     Args:
         results: at least one, of the same method and parameters.
 
     Raises:
-        DynavizError: where they were scored in different ways.
+        DynavizError: if they were scored in different ways.
     """
     first = results[0]
     if len({result.scoring for result in results}) > 1:
-        raise DynavizError("results of different scorings do not combine. Score all sequences the same way.")
+        raise DynavizError("results of different scorings cannot be combined. Score all sequences the same way.")
     sections: dict[str, Any] = {}
     for metric in registry.loadable("metrics").values():
         if combine := getattr(metric, "combine", None):
@@ -124,7 +124,7 @@ def _runtime(runtimes: Sequence[Runtime]) -> Runtime:
 
 
 def _found(given: Path) -> Iterator[Path]:
-    """The files that stand for cells: of a folder's two, its result."""
+    """The result or error file of each run; the result if a folder contains both."""
     if given.is_file():
         yield given
         return
@@ -150,5 +150,5 @@ def _failed(file: Path, given: Path) -> StudyRun:
             method, sequence, error = (str(facts[key]) for key in ("method", "sequence", "error"))
             variant = str(facts.get("variant") or "")
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            raise DataError(file, "does not tell which run failed, and why", hint=hint) from None
+            raise DataError(file, "does not state which run failed, and why", hint=hint) from None
     return StudyRun(file, None, error, method, sequence, variant, given)

@@ -81,10 +81,10 @@ def test_each_method_has_a_page_that_tells_what_its_code_tells(site: Site) -> No
     for handle in registry.handles("methods"):
         if handle.package == "dynaviz_methods":
             kind, page = handle.load(), site(f"methods/{handle.name}.html")
-            told = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
-            told += [state.name for state in kind.info.emits]
-            assert told
-            assert [name for name in told if f"<code>{name}</code>" not in page] == []
+            names = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
+            names += [state.name for state in kind.info.emits]
+            assert names
+            assert [name for name in names if f"<code>{name}</code>" not in page] == []
             assert "{{" not in page
 
 

@@ -19,7 +19,7 @@ MAIN = "from dynaviz.cli import main; main()"
 
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Python:
-    """Call Python with the template installed beside everything else."""
+    """Call Python with the template installed in addition to everything else."""
     return python_with(TEMPLATE, tmp_path_factory.mktemp("site"))
 
 
