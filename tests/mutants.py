@@ -1,4 +1,4 @@
-"""Change the evaluation in one place at a time, and list the changes that no test detects; tests/README.md explains them.
+"""Change the evaluation in one place at a time and list the changes that no test notices (see tests/README.md).
 
     python tests/mutants.py [MODULE ...] [--sample N]
 

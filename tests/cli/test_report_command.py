@@ -79,11 +79,11 @@ def broken(folder: Path, name: str, content: str) -> Path:
     ("given", "message"),
     [
         (lambda folder: (folder.parent / "nowhere",), "does not exist"),
-        (lambda folder: (folder.parent / "empty",), "holds no result.json"),
+        (lambda folder: (folder.parent / "empty",), "contains no result.json"),
         (lambda folder: (folder, "-o", "x.docx"), "Give --format csv|html|latex|md"),
         (lambda folder: (folder, "--format", "htlm"), "Did you mean 'html'?"),
         (lambda folder: (broken(folder, "result.json", "{"),), "b/result.json: not valid JSON"),
-        (lambda folder: (broken(folder, "error.json", json.dumps({"error": 1})),), "b/error.json: does not tell"),
+        (lambda folder: (broken(folder, "error.json", json.dumps({"error": 1})),), "b/error.json: does not state"),
     ],
 )
 def test_errors_take_one_line(report, folder, given, message):
