@@ -2,11 +2,11 @@
 
     python docs/draw.py                      # everything, some minutes
     python docs/draw.py dufomap              # the page of one method
-    python docs/draw.py tutorial             # the tutorial and the pages on recordings
+    python docs/draw.py demo                 # the README, the tutorial and the pages on recordings
     python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
 
-Simulates its scenes into a temporary folder. Writes docs/pictures/*.jpg and docs/methods/measured.json, then updates
-the pages as ``docs/generate.py`` does.
+Simulates its scenes into a temporary folder. Writes the pictures in docs/ and docs/pictures/, and
+docs/methods/measured.json. Then updates the pages as ``docs/generate.py`` does.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import Any
 import cv2
 import generate
 import numpy as np
+from PIL import Image
 
 import dynaviz as dv
 from dynaviz import registry
@@ -42,10 +43,14 @@ STATES = {  # the state in a method's picture, and its frame: 24 unless another 
 CASES = 4  # failure cases on the page of a method
 OF_A_CASE = ("kind", "cost", "cause", "what", "frames", "moved", "range", "low", "high", "reasons")  # for its sentence
 HALF = (760, 620)  # pixels of each half of a method's picture
-
+GAP = 8  # white pixels between the halves
+TILE = (480, 330)  # pixels of a method in the overview of all states
+TILES = 3  # in a row
 
 BAR = 36  # pixels of the viewer's own bar, above the window
 WINDOW = (1400, 800 + BAR)
+WIDE = (1600, 864 + BAR)  # shows the full titles of a comparison
+PALETTE = 192  # colours of a PNG
 
 
 def main(arguments: list[str]) -> None:
@@ -55,13 +60,15 @@ def main(arguments: list[str]) -> None:
         folder = Path(temporary)
         known = json.loads(MEASURED.read_text()) if MEASURED.exists() else {"methods": {}}
         known |= {"scene": SCENE, "frames": FRAMES}
-        names = names or [*generate.methods(), "tutorial"]
-        if "tutorial" in names and drawn:
-            of_tutorial(folder)
-        if methods := [name for name in names if name != "tutorial"]:
+        names = names or [*generate.methods(), "demo"]
+        if "demo" in names and drawn:
+            of_demo(folder)
+        if methods := [name for name in names if name != "demo"]:
             sequence = simulate(SCENE, folder / SCENE, frames=FRAMES)
             for name in methods:
                 known["methods"][name] = of_method(name, sequence, folder, drawn)
+            if drawn:
+                overview(known["methods"])
         known["methods"] = dict(sorted(known["methods"].items()))
         MEASURED.write_text(json.dumps(known, indent=1) + "\n")
     generate.main([])
@@ -75,10 +82,10 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
     state, frame = STATES.get(name, (emits[0].name, FRAME))
     if drawn:
         left, right = (picture(recording, folder, frame, view, HALF) for view in ("map", state))
-        both = np.full((max(len(left), len(right)), left.shape[1] + 8 + right.shape[1], 3), 255, np.uint8)
+        both = np.full((max(len(left), len(right)), left.shape[1] + GAP + right.shape[1], 3), 255, np.uint8)
         both[: len(left), : left.shape[1]] = left
         both[: len(right), -right.shape[1] :] = right
-        save(both, name)
+        save(both, f"pictures/{name}.jpg")
     counts, found = result.counts, result.sections.plain()["failures"]
     return {
         "metrics": {key: result.metrics[key] for key in ("SA", "DA", "AA")},
@@ -91,20 +98,39 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
     }
 
 
-def of_tutorial(folder: Path) -> None:
-    """Draw the demo, for the tutorial and the pages on recordings."""
+def of_demo(folder: Path) -> None:
+    """Draw the demo, for the README, the tutorial and the pages on recordings."""
     street = simulate("demo", folder / "demo/street")
-    runs = {name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap")}
+    runs = {name: folder / f"demo-{name}.rrd" for name in ("octomap", "dufomap", "beautymap", "erasor")}
     for name, recording in runs.items():
         dv.run(name, street, record=recording)
-    save(picture(runs["octomap"], folder, 41, None, WINDOW), "window")
-    save(picture(runs["octomap"], folder, 41, "frame", (1100, 640)), "frame")
-    save(picture(runs["octomap"], folder, 41, "failures", (520, 560)), "failures")
-    save(picture(runs["octomap"], folder, 41, "wrong points per frame", (900, 400)), "wrong")
-    save(picture(runs["octomap"], folder, 41, "FN: distance [m]", (900, 400)), "distance")
-    save(picture(runs["octomap"], folder, 41, "hit", (1100, 640)), "hit")
-    dv.compare(runs["octomap"], runs["dufomap"], out=folder / "compare.rrd")
-    save(picture(folder / "compare.rrd", folder, 35, None, WINDOW), "compared")
+    octomap = runs["octomap"]
+    save(picture(octomap, folder, 41, None, WIDE), "recording.png")
+    save(picture(octomap, folder, 41, None, WINDOW), "pictures/window.jpg")
+    save(picture(octomap, folder, 41, "frame", (1100, 640)), "pictures/frame.jpg")
+    save(picture(octomap, folder, 41, "failures", (520, 560)), "pictures/failures.jpg")
+    save(picture(octomap, folder, 41, "wrong points per frame", (900, 400)), "pictures/wrong.jpg")
+    save(picture(octomap, folder, 41, "FN: distance [m]", (900, 400)), "pictures/distance.jpg")
+    save(picture(octomap, folder, 41, "hit", (1100, 640)), "pictures/hit.jpg")
+    two = folder / "compare.rrd"
+    dv.compare(octomap, runs["dufomap"], out=two)
+    save(picture(two, folder, 35, None, WIDE), "pictures/compared.jpg")
+    dv.compare(runs["beautymap"], runs["erasor"], out=two)
+    save(picture(two, folder, 20, None, WIDE), "compare.png")
+
+
+def overview(measured: dict[str, Any]) -> None:
+    """Collect the states from the pictures of all methods in docs/states.jpg, for methods/README.md."""
+    tiles = []
+    for name in generate.methods():
+        both = np.asarray(cv2.imread(str(DOCS / f"pictures/{name}.jpg")), np.uint8)
+        right = both[:, (both.shape[1] + GAP) // 2 :]
+        tile = np.asarray(cv2.resize(right, TILE, interpolation=cv2.INTER_AREA), np.uint8)
+        label = f"{name}: {measured[name]['state']}"
+        cv2.putText(tile, label, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.65, (255, 255, 255), 1, cv2.LINE_AA)
+        tiles.append(tile)
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % TILES)
+    save(np.vstack([np.hstack(tiles[start : start + TILES]) for start in range(0, len(tiles), TILES)]), "states.jpg")
 
 
 def picture(recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int]) -> U8:
@@ -115,8 +141,12 @@ def picture(recording: Path, folder: Path, frame: int, view: str | None, size: t
 
 
 def save(image: U8, name: str) -> None:
-    """Write a picture to docs/pictures."""
-    cv2.imwrite(str(DOCS / f"pictures/{name}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 82, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+    """Write a picture (BGR) to a file in docs; a PNG gets a palette, which makes it much smaller."""
+    if name.endswith(".png"):
+        colours = Image.fromarray(np.ascontiguousarray(image[..., ::-1]))
+        colours.quantize(PALETTE, kmeans=2, dither=Image.Dither.NONE).save(DOCS / name, optimize=True)
+    else:
+        cv2.imwrite(str(DOCS / name), image, [cv2.IMWRITE_JPEG_QUALITY, 82, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
 
 if __name__ == "__main__":

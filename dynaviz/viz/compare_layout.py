@@ -52,7 +52,7 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
         return blueprint(_column(numbers))
-    which = "right in this frame: green only A, purple only B, white none"
+    which = "right in this frame: green A, purple B, white neither"
     context = [GROUND, f"a/{paths.TRAJECTORY}"]
     where = solid("whole run: green A better, purple B better", [WHERE, PLACES, *context], above(places), COMPARE)
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]

@@ -27,7 +27,7 @@ def test_a_run_is_shown_without_problems(tmp_path: Path) -> None:
         (
             "two",
             {"A octomap resolution=0.15", "B octomap resolution=0.6", "whole run: green A better, purple B better",
-             "right in this frame: green only A, purple only B, white none", "report", "SA [%]: A green, B purple"},
+             "right in this frame: green A, purple B, white neither", "report", "SA [%]: A green, B purple"},
         ),
         ("many", {"A octomap resolution=0.15: whole run", "SA [%]: A green, B purple, C yellow", "report"}),
         ("scores", {"report", "FN: distance [m]", "FP: distance [m]"}),
