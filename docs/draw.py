@@ -50,6 +50,7 @@ TILES = 3  # in a row
 BAR = 36  # pixels of the viewer's own bar, above the window
 WINDOW = (1400, 800 + BAR)
 WIDE = (1600, 864 + BAR)  # shows the full titles of a comparison
+LIST = 612  # pixels of the list of failures; the viewer's time panel covers the rows below
 PALETTE = 192  # colours of a PNG
 
 
@@ -108,7 +109,7 @@ def of_demo(folder: Path) -> None:
     save(picture(octomap, folder, 41, None, WIDE), "recording.png")
     save(picture(octomap, folder, 41, None, WINDOW), "pictures/window.jpg")
     save(picture(octomap, folder, 41, "frame", (1100, 640)), "pictures/frame.jpg")
-    save(picture(octomap, folder, 41, "failures", (520, 560)), "pictures/failures.jpg")
+    save(picture(octomap, folder, 41, "failures", (520, 740))[:LIST], "pictures/failures.jpg")
     save(picture(octomap, folder, 41, "wrong points per frame", (900, 400)), "pictures/wrong.jpg")
     save(picture(octomap, folder, 41, "FN: distance [m]", (900, 400)), "pictures/distance.jpg")
     save(picture(octomap, folder, 41, "hit", (1100, 640)), "pictures/hit.jpg")
