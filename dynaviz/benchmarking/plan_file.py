@@ -174,7 +174,9 @@ def _recorded(entry: Mapping[str, Any], place: str) -> SequenceSpec:
     if "seed" in entry:
         raise UsageError(f"{place}: seed applies to a simulated scene only")
     frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
-    name = entry.get("name") or Path(entry["path"].rpartition(":")[2]).name
+    path, _, query = entry["path"].partition("?")  # implant:SEQUENCE?cars=6&seed=3
+    short = "-".join(filter(None, (Path(path.rpartition(":")[2]).name, query)))
+    name = entry.get("name") or re.sub("[&=:]", "-", short)
     options: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
     return SequenceSpec(name, entry["path"], frames, entry.get("stride", 1), **options)
 

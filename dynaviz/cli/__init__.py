@@ -25,6 +25,7 @@ from dynaviz.cli import (
     download,
     export_labels,
     failures,
+    implant,
     info,
     list,
     repair,
@@ -69,8 +70,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, download, convert,
-    export_labels, view, shot, repair
+    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, implant, download,
+    convert, export_labels, view, shot, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

@@ -22,6 +22,7 @@ class Dataset(Sequence, Protocol):
     Attributes:
         layout: the files of the format, in a few words, for messages.
         fallback: optional; True for a general format that is tried only if no other format matches.
+        nested: optional; True for a format whose path names another sequence, with options; it is passed on as it is.
     """
 
     layout: ClassVar[str]
@@ -72,7 +73,8 @@ def is_sequence(text: str) -> bool:
         UsageError: for an unknown format.
     """
     dataset, path = _parse(text)
-    return (dataset is not None and path.exists()) or any(each.matches(path) for each in _datasets())
+    named = dataset is not None and (path.exists() or getattr(dataset, "nested", False))
+    return named or any(each.matches(path) for each in _datasets())
 
 
 def _parse(text: str) -> tuple[type[Dataset] | None, Path]:
@@ -80,7 +82,8 @@ def _parse(text: str) -> tuple[type[Dataset] | None, Path]:
     prefix, colon, rest = text.partition(":")
     if not colon or not prefix.isidentifier() or Path(text).exists():
         return None, Path(os.path.abspath(text))
-    return registry.load("datasets", prefix), Path(os.path.abspath(rest))
+    dataset = registry.load("datasets", prefix)
+    return dataset, Path(rest if getattr(dataset, "nested", False) else os.path.abspath(rest))
 
 
 def _accepts(dataset: type[Dataset], options: Mapping[str, Any]) -> bool:

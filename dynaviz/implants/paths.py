@@ -1,0 +1,81 @@
+"""Random paths over the ground: arcs, and paths along the trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz.arrays import F64
+from dynaviz.simulate.movers import Route
+
+SPACING = 0.5  # metres between points of a path
+ARCS, FOLLOWED = 300, 120  # paths to choose from
+NEAREST = 4.0  # metres from the sensor
+ASIDE = 9.0  # metres from the trajectory
+AHEAD = 60.0  # metres by which the trajectory is extended at both ends
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A path: (P, 2) float64, metres, in the direction of travel; and the row that is reached at a chosen time."""
+
+    xy: F64
+    anchor: int
+
+
+def arcs(sensor: F64, far: float, bend: float, longest: float, rng: np.random.Generator) -> list[Path]:
+    """Arcs in random directions through random places around the sensor, (2,) metres."""
+    distance, angle = rng.uniform(NEAREST, far, ARCS), rng.uniform(0, 2 * np.pi, ARCS)
+    heading, curvature = rng.uniform(0, 2 * np.pi, ARCS), rng.normal(0, bend, ARCS)
+    anchor = int(longest / 2 / SPACING)
+    s = SPACING * np.arange(-anchor, anchor + 1)
+    # Points of an arc with chords of SPACING: each step turns by curvature * SPACING.
+    turn = heading[:, None] + curvature[:, None] * (s + SPACING / 2)
+    x, y = (np.cumsum(SPACING * f(turn), axis=1) for f in (np.cos, np.sin))
+    start = sensor + np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
+    xy = np.stack([x - x[:, anchor, None], y - y[:, anchor, None]], axis=-1) + start[:, None]
+    return [Path(points, anchor) for points in xy]
+
+
+def followed(positions: F64, frame: int, far: float, longest: float, rng: np.random.Generator) -> list[Path]:
+    """Paths parallel to the trajectory, (F, 2) metres; those on its left mostly in the opposite direction.
+
+    Empty if the sensor hardly moves.
+    """
+    kept = [0]
+    for row in range(1, len(positions)):
+        if np.hypot(*(positions[row] - positions[kept[-1]])) > 1.5:
+            kept.append(row)
+    if len(kept) < 4:
+        return []
+    middle = positions[kept]
+    middle[1:-1] = (middle[:-2] + middle[1:-1] + middle[2:]) / 3  # smooths the noise of the poses
+    ends = [(middle[0] - middle[2], middle[0]), (middle[-1] - middle[-3], middle[-1])]
+    first, last = (end + AHEAD * direction / np.hypot(*direction) for direction, end in ends)
+    route = Route(np.concatenate([[first], middle, [last]]), rounds=2)
+    station = route.distance[np.hypot(*(route.xy - positions[frame]).T).argmin()]
+    found = []
+    for _ in range(FOLLOWED):
+        left, along = rng.uniform(-ASIDE, ASIDE), station + rng.uniform(-far, far)
+        opposite = (left > 0) == (rng.random() < 0.8)
+        line = route.shifted(left)
+        at = float(np.interp(along, route.distance, line.distance))
+        low, high = max(0.0, at - longest / 2), min(line.length, at + longest / 2)
+        if high - low < 2 * SPACING or not low <= at <= high:
+            continue
+        s = np.arange(low, high, SPACING)
+        x, y, _ = line.at(s)
+        xy, anchor = np.stack([x, y], axis=1), int(np.clip((at - low) / SPACING, 0, len(s) - 1))
+        found.append(Path(xy[::-1], len(s) - 1 - anchor) if opposite else Path(xy, anchor))
+    return found
+
+
+def swerved(path: Path, aside: float, beyond: float) -> Path:
+    """A path whose last 14 m move to the side (metres to the left), and go on straight for the length of a bumper."""
+    line = Route(path.xy)
+    left = np.clip((line.distance - line.distance[-1] + 14.0) / 10.0, 0, 1)
+    shifted = line.shifted(aside * left**2 * (3 - 2 * left)).xy
+    direction = (shifted[-1] - shifted[-2]) / np.hypot(*(shifted[-1] - shifted[-2]))
+    steps = SPACING * np.arange(1, int(np.ceil(beyond / SPACING)) + 1)
+    return Path(np.concatenate([shifted, shifted[-1] + steps[:, None] * direction]), len(shifted) - 1)

@@ -1,0 +1,220 @@
+"""Choose paths and schedules for movers in the free space of a sequence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz.arrays import F64, Bool
+from dynaviz.implants.options import ImplantOptions
+from dynaviz.implants.paths import SPACING, Path, arcs, followed, swerved
+from dynaviz.implants.scene import Implant
+from dynaviz.implants.schedule import cruise, park, pause
+from dynaviz.implants.space import TALL, FreeSpace
+from dynaviz.implants.survey import CELL, Survey
+
+MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
+VISIBLE = 40.0  # metres from the sensor
+STEEPEST = 0.15  # metres per metre
+STANDING = 8.0  # metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
+APART = 0.4  # metres to dynamic points and other movers
+TRIED = 60  # best paths for which a schedule is checked
+TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What movers of a kind need and do.
+
+    Attributes:
+        discs: centres along the axis, metres, of the discs that cover the footprint.
+        radius: of a disc, metres.
+        speeds: lowest and highest, m/s.
+        bend: standard deviation of the curvature, 1/m.
+        lengths: shortest and longest path, metres.
+        braking: m/s^2.
+        far: metres from the sensor, at most, where a path is started.
+        berth: metres to the sensor, in addition to the radius.
+        tall: height class in ``FreeSpace.clearance``.
+    """
+
+    discs: tuple[float, ...]
+    radius: float
+    speeds: tuple[float, float]
+    bend: float
+    lengths: tuple[float, float]
+    braking: float
+    far: float
+    berth: float
+    tall: str = "low"
+
+
+KINDS = {
+    "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 28.0, 2.0),
+    "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 30.0, 1.8, "high"),
+    "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 22.0, 1.6),
+    "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 18.0, 1.4),
+}
+ORDER = {"trucks": "truck", "cars": "car", "parks": "car", "cyclists": "cyclist", "persons": "person"}
+"""Kind of each option; the largest are placed first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The movers that found a place, and how many of each option did not."""
+
+    implants: tuple[Implant, ...]
+    missing: Counter[str]
+
+
+def plan(options: ImplantOptions, survey: Survey, space: FreeSpace) -> Plan:
+    """Place movers one after another; the same options and scans give the same plan.
+
+    Each mover takes the best of some random paths: arcs through the free space near the sensor, and paths that follow
+    the trajectory at some offset. It keeps clear of every point that is not dynamic, of dynamic points and other movers
+    at the time, and of the sensor.
+    """
+    planner = _Planner(survey, space)
+    placed: list[Implant] = []
+    missing: Counter[str] = Counter()
+    first = 10 ** len(str(survey.instances)) if survey.instances else 0
+    for stream, (option, name) in enumerate(ORDER.items()):
+        for number in range(getattr(options, option)):
+            rng = np.random.default_rng([options.seed, 1, stream, number])
+            found = planner.place(name, option == "parks", number, first + len(placed) + 1, rng)
+            if found is None:
+                missing[option] += 1
+            else:
+                placed.append(found)
+    return Plan(tuple(placed), missing)
+
+
+class _Planner:
+    """Places movers; each keeps clear of the earlier ones."""
+
+    def __init__(self, survey: Survey, space: FreeSpace) -> None:
+        self._survey, self._space = survey, space
+        self._tracks: list[tuple[F64, float]] = []
+
+    def place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
+        """Place one mover, or return None if no path fits."""
+        kind, times = KINDS[name], self._survey.times
+        waits, brushes = number % 3 == 2 and not parks, name == "person" and number % 2 == 1
+        speed = float(rng.uniform(*kind.speeds))
+        frame = int(rng.integers(len(times)))
+        shape = int(rng.integers(2**31))
+        wait = float(rng.uniform(0.15, 0.4)) * (times[-1] - times[0])
+        stop = times[0] + float(rng.uniform(0.3, 0.6)) * (times[-1] - times[0])
+        note = "parks" if parks else "waits" if waits else "brushes along obstacles" if brushes else "moves"
+        for path in self._best_paths(kind, frame, parks, brushes, rng):
+            length, at = SPACING * (len(path.xy) - 1), SPACING * path.anchor
+            if parks:
+                schedule = park(0.0, length, speed, stop, times[-1] + 1, kind.braking)
+            elif waits:
+                schedule = pause(0.0, length, speed, at, times[frame] - wait / 2, min(wait, 8.0), kind.braking)
+            else:
+                schedule = cruise(0.0, length, speed, at, times[frame]).round(3)
+            track = np.column_stack([path.xy, self._space.height(path.xy)]).round(3)
+            mover = Implant(name, instance, shape, track, schedule, note)
+            discs = footprints(mover, times)
+            berth = max(kind.berth, STANDING) if (parks or waits) and kind.radius > 1 else kind.berth
+            if self._free(discs, kind.radius, berth):
+                self._tracks.append((discs, kind.radius))
+                return mover
+        return None
+
+    def _best_paths(
+        self, kind: Kind, frame: int, parks: bool, brushes: bool, rng: np.random.Generator
+    ) -> Iterator[Path]:
+        """Free parts of random paths, the best first."""
+        positions = self._survey.positions[:, :2]
+        anchor = positions[frame]
+        candidates = [*arcs(anchor, kind.far, kind.bend, kind.lengths[1], rng)]
+        candidates += followed(positions, frame, kind.far, kind.lengths[1], rng) if kind.radius > 0.4 else []
+        scored: list[tuple[float, int, Path]] = []
+        for number, candidate in enumerate(candidates):
+            path = self._trimmed(candidate, kind)
+            if path is None or (parks and SPACING * path.anchor < kind.lengths[0]):
+                continue
+            if parks:
+                path = self._beside(Path(path.xy[: path.anchor + 1], path.anchor), kind)
+            clear = self._space.clear(path.xy, kind.tall) - kind.radius
+            score = min(SPACING * len(path.xy) / kind.lengths[1], 1.0) + 0.3 * rng.random()
+            score += 0.5 * self._in_sight(anchor, path.xy[path.anchor])
+            score += 1.5 * float((clear < TIGHT).mean()) if brushes else 0.0
+            score -= float(clear[-1]) / 4 if parks else 0.0
+            scored.append((-score, number, path))
+        for _, _, path in sorted(scored)[:TRIED]:
+            yield path
+
+    def _trimmed(self, path: Path, kind: Kind) -> Path | None:
+        """The free part of a path around its anchor; None if it is too short or too steep."""
+        free = self._open(path.xy, kind)
+        if not free[path.anchor]:
+            return None
+        before, after = free[: path.anchor][::-1], free[path.anchor :]
+        first = path.anchor - (int(before.argmin()) if not before.all() else len(before))
+        last = path.anchor + (int(after.argmin()) if not after.all() else len(after)) - 1
+        spare = int(np.ceil(kind.discs[-1] / SPACING))  # the body reaches beyond its centre
+        first, last = first + spare, last - spare
+        if SPACING * (last - first) < kind.lengths[0] or not first <= path.anchor <= last:
+            return None
+        return Path(path.xy[first : last + 1], path.anchor - first)
+
+    def _open(self, xy: F64, kind: Kind) -> Bool:
+        """(N,) bool: whether a disc fits at each of (N, 2) points, on ground that is not steep."""
+        z = self._space.height(xy)
+        flat = np.abs(np.diff(z, append=z[-1])) <= STEEPEST * SPACING  # False where the ground is unknown
+        return flat & (self._space.clear(xy, kind.tall) >= kind.radius + MARGIN)
+
+    def _beside(self, path: Path, kind: Kind) -> Path:
+        """A path whose end swerves to the side, as far as there is room."""
+        for aside in (2.5, -2.5, 2.0, -2.0, 1.5, -1.5, 1.0, -1.0):
+            other = swerved(path, aside, kind.discs[-1])
+            if self._open(other.xy, kind).all():
+                return Path(other.xy[: len(path.xy)], other.anchor)
+        return path
+
+    def _in_sight(self, a: F64, b: F64) -> bool:
+        """Whether no obstacle lies between two places, (2,) metres."""
+        steps = np.linspace(0, 1, int(np.hypot(*(b - a)) / CELL) + 2)[:, None]
+        column = np.floor((a + steps * (b - a)) / CELL).astype(np.int64) - self._space.origin
+        column = column[((column >= 0) & (column < self._space.shape)).all(1)]
+        return not (self._space.lowest[column[:, 0], column[:, 1]] < TALL["low"]).any()
+
+    def _free(self, discs: F64, radius: float, berth: float) -> bool:
+        """Whether a mover is seen, and keeps clear of the sensor, of dynamic points and of other movers."""
+        survey = self._survey
+        to_sensor = _distance(discs, survey.positions[:, None, :2])
+        seen = to_sensor < VISIBLE
+        if seen.sum() < min(10, max(1, len(seen) // 4)) or (to_sensor < radius + berth).any():
+            return False
+        for other, other_radius in self._tracks:
+            if (_distance(discs, other) < radius + other_radius + APART).any():
+                return False
+        for frame in np.flatnonzero(np.isfinite(discs[:, 0, 0])):
+            points = survey.dynamic[frame][:, :2].astype(np.float64)
+            if len(points) and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART:
+                return False
+        return True
+
+
+def footprints(mover: Implant, times: F64) -> F64:
+    """(F, D, 2) metres: centres of the mover's discs in the plane at some times; NaN while it is absent."""
+    seconds, metres = mover.schedule.T
+    x, y, yaw = mover.route.at(np.interp(times, seconds, metres))
+    along = np.array(KINDS[mover.kind].discs)
+    centres = np.stack([x[:, None] + along * np.cos(yaw)[:, None], y[:, None] + along * np.sin(yaw)[:, None]], axis=-1)
+    centres[(times < seconds[0]) | (times > seconds[-1])] = np.nan
+    return centres
+
+
+def _distance(a: F64, b: F64) -> F64:
+    """(F,) smallest distance between (F, A, 2) and (F, B, 2) in each frame; infinite where one is absent."""
+    offset = a[:, :, None] - b[:, None]
+    apart = np.hypot(offset[..., 0], offset[..., 1])
+    nearest: F64 = np.where(np.isnan(apart), np.inf, apart).min((1, 2))
+    return nearest
