@@ -125,7 +125,8 @@ def _coloured(values: F32, value_range: tuple[float, float] | None) -> U8:
     """(N, 3) uint8 RGB of (N,) values."""
     low, high = value_range or _range(values)
     share = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1)
-    return _viridis()[(255 * share).round().astype(np.uint8)]
+    colours: U8 = _viridis()[(255 * share).round().astype(np.uint8)]
+    return colours
 
 
 @cache
