@@ -11,6 +11,7 @@ from helpers.worlds import InMemory
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
 from dynaviz.results.collect import combined
+from dynaviz.results.result import Result
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
@@ -21,19 +22,32 @@ def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
     assert RunRecording(tmp_path / "here.rrd").result.metrics == result.metrics
 
 
-def test_nothing_is_written_unasked(little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_written_without_out_or_record(
+    little_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     recorded = dv.run("octomap", little_room, out="kept", record="scores")
     assert dv.run("octomap", little_room).labels_sha256 == recorded.labels_sha256
     assert [file.name for file in tmp_path.iterdir()] == ["kept"]
 
 
-def test_a_way_to_record_that_is_none(little_room: InMemory) -> None:
+def test_a_result_stores_the_preset_and_the_origin_of_each_parameter(little_room: InMemory, tmp_path: Path) -> None:
+    """Also for a run from Python, which has no command line to read them from."""
+    dv.run("octomap", little_room, preset="av2", settings=("prob_hit=0.6",), out=tmp_path, record="none")
+    result = Result.load(tmp_path / "result.json")
+    assert result.preset == "av2"
+    assert result.parameters.keys() == result.parameter_origins.keys()
+    assert result.parameter_origins["prob_hit"] == "--set"
+    assert set(result.parameter_origins.values()) == {"default", "preset av2", "--set"}
+    assert dv.run("octomap", little_room).preset is None
+
+
+def test_an_invalid_record_mode_is_rejected(little_room: InMemory) -> None:
     with pytest.raises(UsageError, match=r"record = all: give full, errors, scores, none, or the path of an \.rrd"):
         dv.run("octomap", little_room, record="all")
 
 
-def test_a_seed_or_a_view_that_is_none(little_room: InMemory) -> None:
+def test_an_invalid_seed_and_a_view_without_a_recording_are_rejected(little_room: InMemory) -> None:
     with pytest.raises(UsageError, match="seed = -1: give 0"):
         dv.run("octomap_g", little_room, seed=-1)
     with pytest.raises(UsageError, match=r"give out=FOLDER or record=FILE\.rrd"):
