@@ -11,6 +11,7 @@ from dynaviz import params, registry
 from dynaviz.arrays import U8, Bool
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.metric import Labelled
+from dynaviz.progress import Progress
 from dynaviz.scan import Sequence
 
 
@@ -23,9 +24,7 @@ def default_panel() -> tuple[str, ...]:
     return tuple(name for name in names if name in installed)
 
 
-def undisputed(
-    sequence: Sequence, panel: tuple[str, ...], progress: Callable[[str, int, int], None]
-) -> Callable[[int], Bool]:
+def undisputed(sequence: Sequence, panel: tuple[str, ...], progress: Progress) -> Callable[[int], Bool]:
     """Run the methods of a panel, with their default parameters, on a sequence.
 
     Returns:

@@ -17,6 +17,7 @@ from dynaviz.implants.plan import plan
 from dynaviz.implants.scene import ImplantScene
 from dynaviz.implants.space import FreeSpace
 from dynaviz.implants.survey import Survey
+from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence, select_frames
 from dynaviz.sensors import Sensor
 
@@ -71,9 +72,7 @@ class ImplantedSequence:
         return cls.of(open_sequence(text, poses=poses, points_in=points_in, deskew=deskew), options)
 
     @classmethod
-    def of(
-        cls, base: Sequence, options: ImplantOptions, progress: Callable[[str, int, int], None] = lambda *_: None
-    ) -> Self:
+    def of(cls, base: Sequence, options: ImplantOptions, progress: Progress = silent) -> Self:
         """Plan movers for a sequence, or take them from the scene file.
 
         Raises:
