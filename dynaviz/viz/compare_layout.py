@@ -9,6 +9,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from dynaviz.arrays import F64
+from dynaviz.colours import Colour
 from dynaviz.viz import paths
 from dynaviz.viz.layout import blueprint, follow, solid
 
@@ -24,7 +25,7 @@ REPORT = "compare/report"  # Markdown
 
 SIDES = "abcdefgh"  # roots of the runs
 COLOURS: tuple[
-    tuple[str, paths.Colour], ...
+    tuple[str, Colour], ...
 ] = (  # of the runs; A and B differ from each other and from outcomes with any colour vision
     ("green", (90, 220, 120)),
     ("purple", (190, 80, 230)),

@@ -6,8 +6,8 @@ from collections import defaultdict
 
 import rerun as rr
 
+from dynaviz import colours
 from dynaviz.scan import Outcome
-from dynaviz.viz import paths
 from dynaviz.viz.sink import RecordingFile
 
 BATCH = 10  # frames; a killed run loses at most this many values of each curve
@@ -46,5 +46,5 @@ def style(path: str) -> rr.SeriesLines:
     """Name and colour of a curve, from its path."""
     words = path.split("/")[1:]
     name = words[0] if words[1:] == ["so_far"] else words[-1] if words[-1] in _WRONG else " ".join(words)
-    colour = paths.COLOURS[_WRONG[name]] if name in _WRONG else paths.SERIES.get(words[0])
+    colour = colours.FIRM[_WRONG[name]] if name in _WRONG else colours.SCORES.get(words[0])
     return rr.SeriesLines(names=name.replace("_", " "), colors=colour, widths=1.5)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
+from dynaviz import colours
 from dynaviz.arrays import F64
 from dynaviz.method import MethodInfo
 from dynaviz.probe import RangeImage, Scalar, State
@@ -121,7 +122,7 @@ def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = 
         name=name,
         origin=origin,
         contents=[f"/{path}" for path in contents],
-        background=[*paths.BACKGROUND, 255],
+        background=[*colours.BACKGROUND, 255],
         line_grid=False,
         eye_controls=eye,
     )
@@ -130,7 +131,7 @@ def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = 
 def _state(method: str, state: State) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
-        return rrb.Spatial2DView(name=state.name, origin=path, background=[*paths.BACKGROUND, 255])
+        return rrb.Spatial2DView(name=state.name, origin=path, background=[*colours.BACKGROUND, 255])
     return solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY], follow())
 
 

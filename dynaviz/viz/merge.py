@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz.arrays import F32, F64, U8, Bool
+from dynaviz.colours import Colour
 from dynaviz.comparison.answers import Answers
 from dynaviz.comparison.counts import (
     BOTH,
@@ -55,9 +56,9 @@ LEGEND = (
     "Colours in each run's own views: blue dynamic, removed; orange dynamic, kept; yellow static, removed; "
     "grey static, kept."
 )
-NOBODY: paths.Colour = (235, 235, 235)
-EVERYBODY: paths.Colour = (110, 110, 118)
-DARK: paths.Colour = (62, 64, 72)
+NOBODY: Colour = (235, 235, 235)
+EVERYBODY: Colour = (110, 110, 118)
+DARK: Colour = (62, 64, 72)
 RUNS = [colour for _, colour in COLOURS]
 SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, by agreement
 DYNAMIC_SCALE = 1.5  # dynamic points are drawn this much larger: they are few, and each counts more
@@ -73,7 +74,7 @@ class Side:
 
     root: str
     name: str
-    colour: paths.Colour
+    colour: Colour
     recording: RunRecording
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dynaviz.colours import Colour
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Outcome
 
@@ -62,17 +63,6 @@ def boxes(name: str) -> str:
     return f"{WORLD}/{name}"
 
 
-Colour = tuple[int, int, int]
-
-# Blue, orange and yellow differ in hue and lightness with every kind of colour blindness; grey stays in the background.
-COLOURS: dict[Outcome, Colour] = {
-    Outcome.STATIC_KEPT: (128, 128, 136),
-    Outcome.DYNAMIC_REMOVED: (86, 160, 233),
-    Outcome.FALSE_POSITIVE: (245, 225, 80),
-    Outcome.FALSE_NEGATIVE: (240, 70, 20),
-    Outcome.UNLABELLED_KEPT: (96, 96, 104),
-    Outcome.UNLABELLED_REMOVED: (170, 110, 150),
-}
 NAMES: dict[Outcome, str] = {
     Outcome.STATIC_KEPT: "static, kept",
     Outcome.DYNAMIC_REMOVED: "dynamic, removed",
@@ -80,12 +70,6 @@ NAMES: dict[Outcome, str] = {
     Outcome.FALSE_NEGATIVE: "false negative: dynamic, but kept",
     Outcome.UNLABELLED_KEPT: "unlabelled, kept",
     Outcome.UNLABELLED_REMOVED: "unlabelled, removed",
-}
-SERIES: dict[str, Colour] = {  # curves of the headline scores
-    "SA": (86, 180, 233),
-    "DA": (230, 120, 20),
-    "AA": (240, 240, 240),
-    "HA": (160, 130, 200),
 }
 CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend
     (128, 128, 136),
@@ -97,4 +81,3 @@ CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of 
     (213, 94, 0),
     (204, 121, 167),
 )
-BACKGROUND: Colour = (18, 20, 26)

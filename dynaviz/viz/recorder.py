@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import rerun as rr
 
+from dynaviz import colours
 from dynaviz.comparison import answers
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.summary import SequenceSummary
@@ -176,7 +177,7 @@ class Recorder(Listener):
         }
 
     def _write_legends(self) -> None:
-        legend = [(int(o), paths.NAMES[o], paths.COLOURS[o]) for o in Outcome]
+        legend = [(int(o), paths.NAMES[o], colours.BRIGHT[o]) for o in Outcome]
         self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
         for state in self._states.values():
             if (context := states.legend(state)) is not None:
@@ -195,18 +196,20 @@ class Recorder(Listener):
         edges, total = histogram.edges.copy(), histogram.counts.sum(0)
         if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the previous one
             edges[-1] = 2 * edges[-2] - edges[-3]
-        self._open.log(f"{path}/run", _bars(total, edges), static=True)
+        self._open.log(f"{path}/run", _bars(path, total, edges), static=True)
         if total.sum():
             width = 0.003 * (edges[-1] - edges[0])
-            line = rr.BarChart([float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=_MARK)
+            line = rr.BarChart(
+                [float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=colours.NEUTRAL
+            )
             self._open.log(f"{path}/p10", line, static=True)
         for (frame, *_), counts in zip(self._outcomes.frames, histogram.counts, strict=True):
             self._open.at(frame, None)
-            self._open.log(path, _bars(counts, edges))
+            self._open.log(path, _bars(path, counts, edges))
 
     def _mark_worst(self) -> None:
         worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst())
-        style = rr.SeriesPoints(colors=[240, 240, 240], markers="diamond", marker_sizes=4, names="worst frames")
+        style = rr.SeriesPoints(colors=colours.NEUTRAL, markers="diamond", marker_sizes=4, names="worst frames")
         self._open.log(paths.WORST, style, static=True)
         if worst:
             frames, wrong = zip(*worst, strict=True)
@@ -222,12 +225,14 @@ class Recorder(Listener):
         self._open.log(paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO))
 
 
-_MARK = paths.COLOURS[Outcome.FALSE_NEGATIVE]
+_ERRORS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
-def _bars(counts: Any, edges: Any) -> rr.BarChart:
+def _bars(path: str, counts: Any, edges: Any) -> rr.BarChart:
+    outcome = _ERRORS.get(path.split("/")[1])
+    colour = colours.NEUTRAL if outcome is None else colours.FIRM[outcome]
     middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
-    return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=paths.COLOURS[Outcome.DYNAMIC_REMOVED])
+    return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=colour)
 
 
 def _tenth(counts: Any, edges: Any) -> float:

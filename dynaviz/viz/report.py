@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dynaviz import colours
 from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.results.result import Result
@@ -176,16 +177,6 @@ def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
     return "### Points by reason\n\n" + _table([head, *rows]) if rows else ""
 
 
-_COLOUR_WORDS = {
-    Outcome.STATIC_KEPT: "grey",
-    Outcome.DYNAMIC_REMOVED: "blue",
-    Outcome.FALSE_POSITIVE: "yellow",
-    Outcome.FALSE_NEGATIVE: "orange",
-    Outcome.UNLABELLED_KEPT: "dark grey",
-    Outcome.UNLABELLED_REMOVED: "pink",
-}
-
-
 def _how_to_read(mode: str) -> str:
     if mode == "scores":
         return "### How to read this recording\n\nIt contains only numbers (`--record scores`); no points are drawn."
@@ -193,14 +184,14 @@ def _how_to_read(mode: str) -> str:
         "errors": "all dynamic points are drawn, one false positive per 0.2 m voxel, and kept static points as one map",
         "full": "every point of every frame is drawn; the map of the whole run is downsampled",
     }[mode]
-    colours = [(word, paths.NAMES[outcome]) for outcome, word in _COLOUR_WORDS.items()]
+    rows = [(word, paths.NAMES[outcome]) for outcome, word in colours.WORDS.items()]
     views = (
         "- **map**: the whole run; wrong points of all frames are highlighted.\n"
         "- **frame**: the points of the frame at the time cursor, and the sensor. Drag the cursor to replay.\n"
         "- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
         "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
     )
-    legend = _table([("colour", "point"), *colours])
+    legend = _table([("colour", "point"), *rows])
     return f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} (`--record {mode}`)."
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from dynaviz import colours
 from dynaviz.arrays import F32, F64, U16, Bool
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
@@ -121,18 +122,18 @@ class MapDrawing:
     def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
         """Draw the boxes of the first ``count`` cases: by frame, and over all frames."""
         few = slice(count)
-        colours = np.array([paths.COLOURS[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
+        shades = np.array([colours.BRIGHT[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
         labels, path = np.array(cases.labels[few], object), paths.boxes(name)
         numbers = [str(number) for number in range(1, len(labels) + 1)]
         low, size = cases.low[few], (cases.high - cases.low)[few]
-        whole = rr.Boxes3D(mins=low, sizes=size, colors=colours, labels=numbers, radii=EDGES, fill_mode=WIRES)
+        whole = rr.Boxes3D(mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES)
         self._sink.log(f"{path}/cases", whole, static=True)
         self._sink.log(path, rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=True), static=True)
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
         columns = rr.Boxes3D.columns(
-            centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=colours[case], labels=labels[case].tolist()
+            centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=shades[case], labels=labels[case].tolist()
         )
         lengths = np.bincount(cases.frames[order], minlength=len(self._trajectory))
         self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))

@@ -1,0 +1,80 @@
+"""Colours with a fixed meaning, in recordings, plots and reports. One hue has one meaning everywhere.
+
+Two shades per meaning: ``BRIGHT`` for points and boxes on the dark background of 3D views and maps, ``FIRM`` for curves
+and bars on a page that may be white or black. Orange always is a ghost (a dynamic point that was kept), yellow a hole
+(a static point that was removed), blue a dynamic point that was removed, grey a static point that was kept.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+from dynaviz.scan import Outcome
+
+Colour = tuple[int, int, int]  # RGB, 0 to 255
+
+BACKGROUND: Colour = (18, 20, 26)  # of 3D views and maps, in every theme
+NEUTRAL: Colour = (135, 135, 140)  # marks without a meaning of their own, on white and on black
+
+BRIGHT: dict[Outcome, Colour] = {
+    Outcome.STATIC_KEPT: (118, 118, 126),
+    Outcome.DYNAMIC_REMOVED: (86, 170, 240),
+    Outcome.FALSE_POSITIVE: (255, 240, 130),
+    Outcome.FALSE_NEGATIVE: (255, 125, 0),
+    Outcome.UNLABELLED_KEPT: (92, 92, 100),
+    Outcome.UNLABELLED_REMOVED: (190, 120, 170),
+}
+FIRM: dict[Outcome, Colour] = {
+    Outcome.STATIC_KEPT: NEUTRAL,
+    Outcome.DYNAMIC_REMOVED: (30, 125, 205),
+    Outcome.FALSE_POSITIVE: (172, 153, 40),
+    Outcome.FALSE_NEGATIVE: (198, 77, 0),
+    Outcome.UNLABELLED_KEPT: NEUTRAL,
+    Outcome.UNLABELLED_REMOVED: (170, 95, 150),
+}
+WORDS: dict[Outcome, str] = {
+    Outcome.STATIC_KEPT: "grey",
+    Outcome.DYNAMIC_REMOVED: "blue",
+    Outcome.FALSE_POSITIVE: "yellow",
+    Outcome.FALSE_NEGATIVE: "orange",
+    Outcome.UNLABELLED_KEPT: "dark grey",
+    Outcome.UNLABELLED_REMOVED: "pink",
+}
+SCORES: dict[str, Colour] = {  # a score has the hue of the errors that lower it
+    "SA": FIRM[Outcome.FALSE_POSITIVE],
+    "DA": FIRM[Outcome.FALSE_NEGATIVE],
+    "AA": NEUTRAL,
+    "HA": (150, 105, 205),
+}
+METHODS: dict[str, Colour] = {  # for good: a method keeps its colour whatever else is in the figure
+    "beautymap": (255, 60, 135),
+    "dufomap": (225, 15, 210),
+    "dynablox": (135, 60, 135),
+    "erasor": (195, 0, 0),
+    "octomap": (150, 165, 0),
+    "octomap_g": (30, 105, 75),
+    "octomap_gf": (90, 150, 255),
+    "removert": (210, 135, 90),
+    "seethrough": (75, 60, 255),
+}
+
+
+OTHERS: tuple[Colour, ...] = (
+    (0, 140, 140), (140, 95, 50), (60, 150, 60), (90, 125, 155), (150, 105, 205), (190, 100, 120), (10, 122, 191),
+    (125, 125, 60),
+)  # fmt: skip
+
+
+def method_colour(name: str) -> Colour:
+    """The colour of a method, the same in every figure, on white and on black.
+
+    Args:
+        name: of the method, as on the command line. The checksum of an unknown name picks one of ``OTHERS``; two
+            unknown methods may share it, so give them different markers.
+    """
+    return METHODS.get(name) or OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
+
+
+def web(colour: Colour) -> str:
+    """A colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)

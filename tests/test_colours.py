@@ -1,0 +1,46 @@
+"""Colours differ to every eye, and are visible on every background."""
+
+from __future__ import annotations
+
+import pytest
+from helpers.colour_vision import EYES, contrast, smallest_difference
+
+from dynaviz import colours, registry
+from dynaviz.scan import Outcome
+
+WHITE, BLACK = (255, 255, 255), (16, 18, 20)
+SCORED = (Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
+WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_outcomes_differ_and_errors_stand_out(eye: str) -> None:
+    assert smallest_difference([colours.BRIGHT[o] for o in SCORED], eye) > 30
+    assert min(contrast(colours.BRIGHT[o], colours.BACKGROUND, eye) for o in SCORED) > 4
+    kept = colours.BRIGHT[Outcome.STATIC_KEPT]
+    assert all(
+        contrast(colours.BRIGHT[o], colours.BACKGROUND, eye) > 1.3 * contrast(kept, colours.BACKGROUND, eye)
+        for o in WRONG
+    )
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_curves_and_bars_are_visible_on_white_and_on_black(eye: str) -> None:
+    drawn = [*colours.FIRM.values(), *colours.SCORES.values(), colours.NEUTRAL]
+    assert min(contrast(colour, page, eye) for colour in drawn for page in (WHITE, BLACK)) > 2.7
+    assert smallest_difference([colours.SCORES[score] for score in ("SA", "DA", "AA")], eye) > 11
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_methods_differ(eye: str) -> None:
+    assert smallest_difference(colours.METHODS.values(), eye) > 20
+    every = [*colours.METHODS.values(), *colours.OTHERS]
+    assert min(contrast(colour, page, eye) for colour in every for page in (WHITE, BLACK)) > 1.9
+
+
+def test_each_method_has_a_colour_for_good() -> None:
+    built_in = {handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"}
+    assert built_in == set(colours.METHODS)
+    assert colours.method_colour("erasor") == (195, 0, 0)
+    assert colours.method_colour("mine") == colours.method_colour("mine") in colours.OTHERS
+    assert colours.web((195, 0, 10)) == "#c3000a"
