@@ -5,7 +5,8 @@ Rules for a file in this folder:
 - It calls no function of another file, because numba's cache on disk does not notice changes there.
 - Its functions are compiled with ``cache=True``.
 - Results do not depend on the number of threads: threads write either equal values, or integers of their own.
-- Parallel kernels run on the main thread only.
+- Parallel kernels are called as ``kernels.FILE.function``, so that they can run one at a time where numba's threading
+  layer does not allow more (``workqueue``).
 
 The first run is dominated by compilation. Do not assign an array to a slice: the formatting of its error message takes
 three seconds to compile. Give counters that are passed to other functions a type: a bare 0 compiles these twice.
@@ -13,8 +14,11 @@ three seconds to compile. Give counters that are passed to other functions a typ
 
 from __future__ import annotations
 
+import functools
 import importlib
 import os
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,13 +28,15 @@ from numpy.typing import DTypeLike, NDArray
 
 COMPILING = "compiling kernels, first run only ..."
 _listening = False
+_one_at_a_time = threading.RLock()
 
 
 def __getattr__(name: str) -> ModuleType:
     if name.startswith("_"):
         raise AttributeError(name)
     _announce_compilation()
-    return importlib.import_module(f"dynaviz.kernels.{name}")
+    module = globals()[name] = _safe_for_threads(importlib.import_module(f"dynaviz.kernels.{name}"))
+    return module
 
 
 def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
@@ -60,6 +66,34 @@ def compiled() -> bool:
     """Whether an earlier process has stored compiled kernels on disk."""
     folders = [folder] if (folder := os.environ.get("NUMBA_CACHE_DIR")) else __path__
     return any(next(Path(folder).glob("**/*.nbi"), None) for folder in folders)
+
+
+def _safe_for_threads(module: ModuleType) -> ModuleType:
+    """The module, or a copy whose kernels run one at a time.
+
+    With numba's threading layers ``tbb`` and ``omp``, several threads may call parallel kernels at once. With
+    ``workqueue``, the only layer where neither library is installed, that ends the process.
+    """
+    kernels = {name: value for name, value in vars(module).items() if hasattr(value, "targetoptions")}
+    if not any(kernel.targetoptions.get("parallel") for kernel in kernels.values()):
+        return module
+    import numba
+
+    numba.get_num_threads()  # loads the threading layer
+    if numba.threading_layer() != "workqueue":
+        return module
+    copy = ModuleType(module.__name__, module.__doc__)
+    vars(copy).update(vars(module), **{name: _locked(kernel) for name, kernel in kernels.items()})
+    return copy
+
+
+def _locked(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(kernel)
+    def call(*arguments: Any) -> Any:
+        with _one_at_a_time:
+            return kernel(*arguments)
+
+    return call
 
 
 def _announce_compilation() -> None:

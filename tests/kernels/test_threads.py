@@ -1,0 +1,78 @@
+"""Runs in several threads of one process give the labels that they give one after the other."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from helpers.worlds import room
+
+from dynaviz import api
+
+METHODS = ("octomap", "dufomap")  # both have parallel kernels
+THREADS = 8
+
+IN_THREADS = """
+import json, sys
+sys.path.insert(0, {tests!r})
+from kernels.test_threads import labels_in_threads
+import numba
+print(json.dumps([labels_in_threads(), numba.threading_layer()]))
+"""
+
+
+def labels(method: str) -> str:
+    return api.run(method, room(3, 300), threads=2).labels_sha256
+
+
+def labels_in_threads() -> list[str]:
+    """Digests of the labels of eight runs at once."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(labels, METHODS * (THREADS // len(METHODS))))
+
+
+@pytest.fixture(scope="module")
+def serial() -> list[str]:
+    return [labels(method) for method in METHODS] * (THREADS // len(METHODS))
+
+
+def test_runs_in_threads(serial: list[str]) -> None:
+    assert labels_in_threads() == serial
+
+
+def test_runs_in_threads_of_an_event_loop(serial: list[str]) -> None:
+    async def every() -> list[str]:
+        return await asyncio.gather(*(asyncio.to_thread(labels, method) for method in METHODS))
+
+    assert asyncio.run(every()) == serial[: len(METHODS)]
+
+
+def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) -> None:
+    """This threading layer of numba ends the process if two threads use it at once."""
+    tests = Path(__file__).parents[1]
+    environment = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue", "PYTHONPATH": str(tests)}
+    code = IN_THREADS.format(tests=str(tests))
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [serial, "workqueue"]
+
+
+def test_recordings_in_threads(tmp_path: Path) -> None:
+    """Files of runs at once, in different folders, are those of a single run."""
+    from dynaviz.viz.reader import RunRecording  # not needed by the child process above
+
+    with ThreadPoolExecutor(3) as pool:
+        results = list(pool.map(lambda k: api.run("octomap", room(3, 300), out=tmp_path / str(k)), range(3)))
+    clouds = [(tmp_path / str(k) / "static_map.pcd").read_bytes() for k in range(3)]
+    assert len(set(clouds)) == 1
+    for k, result in enumerate(results):
+        recording = RunRecording(tmp_path / str(k) / "run.rrd")
+        assert recording.result is not None
+        assert recording.result.labels_sha256 == result.labels_sha256
+        assert [answers.frame for answers in recording.answers()] == [0, 1, 2]
