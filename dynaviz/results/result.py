@@ -19,7 +19,16 @@ import msgspec
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
-from dynaviz.results.sections import CaseTotals, Environment, FailureCase, Machine, Runtime, Sections, SequenceInfo
+from dynaviz.results.sections import (
+    CaseTotals,
+    Environment,
+    FailureCase,
+    Machine,
+    RemovedCluster,
+    Runtime,
+    Sections,
+    SequenceInfo,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -80,6 +89,11 @@ class Result:
         return self.sections.counts
 
     @property
+    def has_truth(self) -> bool:
+        """Whether the sequence has ground truth, so that points are known to be right or wrong."""
+        return self.metrics.get("SA") is not None or self.metrics.get("DA") is not None
+
+    @property
     def failures(self) -> tuple[FailureCase, ...]:
         """The failure cases, costliest first; empty if no metric looked for them."""
         return self.sections.failures.cases if self.sections.failures else ()
@@ -88,6 +102,11 @@ class Result:
     def causes(self) -> Mapping[str, Mapping[str, CaseTotals]]:
         """Cases and points by kind of error and cause, most points first; empty if no metric looked for them."""
         return self.sections.failures.causes if self.sections.failures else {}
+
+    @property
+    def clusters(self) -> tuple[RemovedCluster, ...]:
+        """Clusters of removed points, most suspicious first; empty for runs with ground truth."""
+        return self.sections.removals.clusters if self.sections.removals else ()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""

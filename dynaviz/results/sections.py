@@ -95,13 +95,17 @@ class FrameRow(_Row, frozen=True, kw_only=True):
 
 
 class ObjectRow(_Row, frozen=True, kw_only=True):
-    """An object, by class and instance number."""
+    """An object, by class and instance number.
+
+    ``reasons``: wrongly kept points by reason, most frequent first; None in results of earlier versions.
+    """
 
     class_: int | None = field(name="class", default=None)
     instance: int | None = None
     first_frame: int = 0
     last_frame: int = 0
     points: int = 0
+    reasons: Mapping[str, int] | None = None
 
 
 class Breakdown(Struct, frozen=True):
@@ -149,6 +153,9 @@ class FailureCase(Struct, frozen=True):
         cause: the failure cause (``dynaviz.method.Cause``), or None.
         class_, instance: of the ground truth, or None.
         what: what it is, in words; sentence: a description for the reader.
+        behaviour: what the object or place did (``dynaviz.results.behaviour.Behaviour``), or None if unknown. It
+            depends on the data alone, ``cause`` on the method.
+        ground: share of the points on the ground, 0 to 1; None if unknown.
     """
 
     kind: str
@@ -168,6 +175,8 @@ class FailureCase(Struct, frozen=True):
     instance: int | None = None
     what: str = ""
     sentence: str = ""
+    behaviour: str | None = None
+    ground: float | None = None
 
     @property
     def metric(self) -> str:
@@ -188,6 +197,84 @@ class Failures(Struct, frozen=True):
     cases: tuple[FailureCase, ...] = ()
     causes: Mapping[str, Mapping[str, CaseTotals]] = {}
     others: CaseTotals = CaseTotals()
+
+
+class RemovedInterval(Struct, frozen=True, kw_only=True):
+    """Points and removed points in an interval of range, metres; the open end is None."""
+
+    low: float | None = field(name="from", default=None)
+    high: float | None = field(name="to", default=None)
+    points: int = 0
+    removed: int = 0
+
+
+class RemovedFrame(Struct, frozen=True):
+    """Points and removed points of a frame: its position in the run, and its number in the data set."""
+
+    frame: int
+    index: int
+    points: int = 0
+    removed: int = 0
+
+
+class RemovedCluster(Struct, frozen=True):
+    """Removed points that belong together, in a run without ground truth: possibly right, possibly wrong.
+
+    Attributes:
+        points: how many points were removed; a point counts once per frame.
+        first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
+        low, high: corners, (3,) metres, world frame.
+        range: from the sensor, metres.
+        moved: metres, how far the cluster moved.
+        reasons: points by reason, most frequent first.
+        ground: share of the points on the ground, 0 to 1.
+        kept_near: share of the points next to points that were kept, 0 to 1.
+        suspicion: 0 (looks like a mover) to 1 (looks like a static surface).
+        why: what makes it suspicious, in words, strongest first; may be empty.
+        what: what it looks like, in words; sentence: a description for the reader.
+    """
+
+    points: int
+    first_frame: int
+    last_frame: int
+    worst_frame: int
+    frames: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    range: RangeSpan
+    moved: float
+    reasons: Mapping[str, int]
+    ground: float | None = None
+    kept_near: float | None = None
+    suspicion: float = 0.0
+    why: tuple[str, ...] = ()
+    what: str = ""
+    sentence: str = ""
+
+
+class Removals(Struct, frozen=True):
+    """What a run removed, with or without ground truth.
+
+    Attributes:
+        points, removed: all points, and those that were removed.
+        reasons: removed points by reason, most frequent first.
+        range: by range from the sensor; frame: by frame.
+        clusters: at most 100, most suspicious first; only for runs without ground truth.
+        others: clusters that are not listed.
+    """
+
+    points: int = 0
+    removed: int = 0
+    reasons: Mapping[str, int] = {}
+    range: tuple[RemovedInterval, ...] = ()
+    frame: tuple[RemovedFrame, ...] = ()
+    clusters: tuple[RemovedCluster, ...] = ()
+    others: CaseTotals = CaseTotals()
+
+    @property
+    def percent(self) -> float | None:
+        """Removed points in percent of all; None without points."""
+        return 100.0 * self.removed / self.points if self.points else None
 
 
 class ReasonCost(Struct, frozen=True):
@@ -239,6 +326,7 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     error_distance: Mapping[str, ErrorDistances] = {}
     failures: Failures | None = None
     reasons: Reasons | None = None
+    removals: Removals | None = None
     voxelwise: Voxelwise | None = None
     other: Mapping[str, Any] = {}
 
