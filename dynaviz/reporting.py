@@ -58,7 +58,7 @@ class Study:
         """
         if run.recording is None:
             return None
-        from dynaviz.viz import paths
+        from dynaviz.viz import classes, paths
         from dynaviz.viz.reader import RunRecording
 
         recording = RunRecording(run.recording)
@@ -68,7 +68,7 @@ class Study:
             return None
         return Overview(
             np.concatenate([part["Points3D:positions"] for part in drawn]),
-            np.concatenate([part["Points3D:class_ids"].astype(np.uint8) for part in drawn]),
+            np.concatenate([classes.outcomes(part["Points3D:class_ids"]) for part in drawn]),
         )
 
 

@@ -7,7 +7,7 @@ from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeIma
 from dynaviz.scan import Outcome
 
 APPLICATION = "dynaviz"
-SCHEMA = 1  # version of a recording's content; readers refuse newer ones
+SCHEMA = 2  # version of a recording's content; readers refuse newer ones
 
 FRAME = "frame"  # timeline: position in the run, 0, 1, ...
 SENSOR_TIME = "sensor_time"  # timeline: the stamps of the data, if any

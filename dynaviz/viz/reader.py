@@ -21,7 +21,7 @@ from dynaviz.comparison.answers import ARCHETYPE, Answers
 from dynaviz.errors import DataError
 from dynaviz.method import Cause, Reason
 from dynaviz.results.result import Result
-from dynaviz.viz import paths
+from dynaviz.viz import classes, paths
 from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
@@ -212,7 +212,7 @@ class RunRecording(AnyRecording):
             yield DrawnPoints(
                 frame,
                 xyz,
-                components["Points3D:class_ids"].astype(np.uint8),
+                classes.outcomes(components["Points3D:class_ids"]),
                 components.get("dynaviz.Scan:point", every).astype(np.int64),
                 components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
             )

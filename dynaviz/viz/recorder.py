@@ -23,7 +23,7 @@ from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
 from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
-from dynaviz.viz import paths, sink, states, viewer
+from dynaviz.viz import classes, paths, sink, states, viewer
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import layout
 from dynaviz.viz.report import OutcomeCounts, before, failure_list, listed, report
@@ -85,7 +85,7 @@ class Recorder(Listener):
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write the properties of the run."""
         info = run.labeller.info
-        self._info, drawn = info, self.mode != "scores"
+        self._info, self._has_labels, drawn = info, run.sequence.has_labels, self.mode != "scores"
         self._states = {state.name: state for state in info.emits} if drawn else {}
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
         self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
@@ -95,7 +95,7 @@ class Recorder(Listener):
             self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
         )
         self._curves = Curves(self._sink)
-        self._scene = MapDrawing(self._sink, summary.extent, self.mode == "full") if drawn else None
+        self._scene = MapDrawing(self._sink, summary.extent, len(info.reasons), self.mode == "full") if drawn else None
         params = dataclasses.asdict(run.params)
         self._sink.properties(**self._facts(run, summary, params), complete=False)
         self._write_legends()
@@ -177,7 +177,7 @@ class Recorder(Listener):
         }
 
     def _write_legends(self) -> None:
-        legend = [(int(o), paths.NAMES[o], colours.BRIGHT[o]) for o in Outcome]
+        legend = classes.legend(self._info.reasons, self._has_labels)
         self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
         for state in self._states.values():
             if (context := states.legend(state)) is not None:

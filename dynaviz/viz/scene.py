@@ -6,12 +6,12 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, U16, Bool
+from dynaviz.arrays import F32, F64, U8, Bool
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import KeySet, in_key_range, pack, voxel_downsample
-from dynaviz.viz import paths
+from dynaviz.viz import classes, paths
 from dynaviz.viz.sink import RecordingFile
 
 VOXEL = 0.2  # metres: edge of the voxels used to downsample the map and the false positives of a frame
@@ -54,19 +54,27 @@ class DownsampledMap:
     def __init__(self, size: float, cap: int) -> None:
         self.size, self.cap = size, cap
         self._seen = KeySet()
-        self._parts: list[F32] = []
+        self._points: list[F32] = [np.empty((0, 3), np.float32)]
+        self._reasons: list[U8] = [np.empty(0, np.uint8)]
 
-    def add(self, points: F32) -> None:
-        """Add (N, 3) finite points; the first point of each voxel is kept."""
-        self._parts.append(points[self._seen.add(pack(points, self.size))])
+    def add(self, points: F32, reasons: U8) -> None:
+        """Add (N, 3) finite points and their (N,) reason codes; the first point of each voxel is kept."""
+        first = self._seen.add(pack(points, self.size))
+        self._points.append(points[first])
+        self._reasons.append(reasons[first])
 
-    def points(self) -> F32:
-        """(M, 3) float32: the points, downsampled with larger voxels if they exceed the cap."""
-        left, size = np.concatenate([np.empty((0, 3), np.float32), *self._parts]), self.size
-        while len(left) > self.cap:
+    def thinned(self) -> tuple[F32, U8]:
+        """(M, 3) float32 points and their (M,) reason codes, downsampled further if they exceed the cap.
+
+        They are ordered by reason: equal codes next to each other compress to almost nothing.
+        """
+        points, reasons, size = np.concatenate(self._points), np.concatenate(self._reasons), self.size
+        while len(points) > self.cap:
             size *= GROWTH
-            left = left[voxel_downsample(left, size)[0]]
-        return left
+            first = voxel_downsample(points, size)[0]
+            points, reasons = points[first], reasons[first]
+        order = np.argsort(reasons, kind="stable")
+        return points[order], reasons[order]
 
 
 class MapDrawing:
@@ -75,11 +83,12 @@ class MapDrawing:
     Args:
         sink: where to draw.
         extent: of the sequence.
+        named: number of reasons in the method's legend.
         full: draw every point of every frame; otherwise only dynamic and removed points, the latter downsampled.
     """
 
-    def __init__(self, sink: RecordingFile, extent: Extent, full: bool) -> None:
-        self._sink, self._full = sink, full
+    def __init__(self, sink: RecordingFile, extent: Extent, named: int, full: bool) -> None:
+        self._sink, self._named, self._full = sink, named, full
         # Voxels are counted from the middle of the map, which may be far from the origin.
         self._middle: F32 = np.round(
             np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
@@ -102,7 +111,8 @@ class MapDrawing:
         local = labelled.scan.points - self._middle
         finite = in_key_range(local, FINE)
         for outcome, downsampled in self._maps.items():
-            downsampled.add(local[finite & (labelled.outcome == outcome)])
+            chosen = finite & (labelled.outcome == outcome)
+            downsampled.add(local[chosen], labelled.reasons[chosen])
         if self._full:
             self._draw(labelled, np.arange(len(local)), None)
         else:
@@ -111,11 +121,10 @@ class MapDrawing:
     def finish(self) -> None:
         """Draw the map of the whole run and the trajectory of the sensor."""
         for path, kinds in MAPS.items():
-            points = [self._maps[o].points() + self._middle for o in kinds]
-            classes = np.repeat(np.array(kinds, np.uint16), [len(p) for p in points])
-            self._sink.log(
-                path, rr.Points3D(np.concatenate(points), class_ids=classes, radii=_radii(classes)), static=True
-            )
+            points, reasons = zip(*[self._maps[o].thinned() for o in kinds], strict=True)
+            outcome = np.repeat(np.array(kinds, np.uint8), [len(p) for p in points])
+            cloud = self._cloud(np.concatenate(points) + self._middle, outcome, np.concatenate(reasons))
+            self._sink.log(path, cloud, static=True)
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
@@ -139,9 +148,8 @@ class MapDrawing:
         self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
-        classes = labelled.outcome[chosen].astype(np.uint16)
-        xyz = labelled.scan.points[chosen]
-        self._sink.log(paths.SCAN, rr.Points3D(xyz, class_ids=classes, radii=_radii(classes)))
+        cloud = self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], labelled.reasons[chosen])
+        self._sink.log(paths.SCAN, cloud)
         if len(chosen) and stands_for is not None:
             details = {
                 "point": chosen.astype(np.uint32),
@@ -150,13 +158,18 @@ class MapDrawing:
             }
             self._sink.log(paths.SCAN, rr.DynamicArchetype("dynaviz.Scan", components=details))
 
+    def _cloud(self, xyz: F32, outcome: U8, reasons: U8) -> rr.Points3D:
+        """Points with their class; without ``show_labels=False`` the viewer would print it at each of a few points."""
+        ids = classes.encode(outcome, reasons, self._named)
+        return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
 
-def _radii(classes: U16) -> F32:
-    """(N,) radii, smaller for larger classes; negative, which means screen units to the viewer."""
-    counts = np.bincount(classes, minlength=len(RADII))
+
+def _radii(outcome: U8) -> F32:
+    """(N,) radii, smaller for larger outcomes; negative, which means screen units to the viewer."""
+    counts = np.bincount(outcome, minlength=len(RADII))
     shrunk = RADII * (np.maximum(counts, FEW) / FEW) ** -0.25
     sizes: F32 = -np.maximum(shrunk, SMALLEST).astype(np.float32)
-    return sizes[classes]
+    return sizes[outcome]
 
 
 def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:

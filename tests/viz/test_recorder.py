@@ -22,7 +22,7 @@ from dynaviz.probe import MemoryProbe
 from dynaviz.scan import Outcome, Scan, outcomes
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import pack
-from dynaviz.viz import paths
+from dynaviz.viz import classes, paths
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 
@@ -104,11 +104,19 @@ def test_the_map_contains_one_kept_point_per_voxel(little_room: InMemory, tmp_pa
     kept = np.concatenate([e.scan.points[e.outcome == Outcome.STATIC_KEPT] for e in expected(little_room)])
     xyz = recording.static(paths.MAP)["Points3D:positions"]
     middle = np.round(np.median(Extent.of(*little_room.scans).cells, axis=0) * CELL).astype(np.float32)
-    assert set(recording.static(paths.MAP)["Points3D:class_ids"]) == {Outcome.STATIC_KEPT}
+    reasons = {
+        tuple(p.round(3)): r for e in expected(little_room) for p, r in zip(e.scan.points, e.reasons, strict=True)
+    }
+    for path, outcome in (
+        (paths.MAP, Outcome.STATIC_KEPT), (paths.MAP_WRONG, Outcome.FALSE_NEGATIVE),
+        (paths.REMOVED, Outcome.DYNAMIC_REMOVED), (paths.REMOVED_WRONG, Outcome.FALSE_POSITIVE),
+    ):  # fmt: skip
+        drawn = recording.static(path)
+        assert set(classes.outcomes(drawn["Points3D:class_ids"])) == {outcome}
+        assert not drawn["Points3D:show_labels"].any()
+        codes = [reasons[tuple(p.round(3))] for p in drawn["Points3D:positions"]]
+        assert (drawn["Points3D:class_ids"] % classes.REASONS).tolist() == codes
     assert len(xyz) == len(np.unique(pack(kept - middle, 0.2)))
-    assert set(recording.static(paths.MAP_WRONG)["Points3D:class_ids"]) == {Outcome.FALSE_NEGATIVE}
-    assert set(recording.static(paths.REMOVED)["Points3D:class_ids"]) == {Outcome.DYNAMIC_REMOVED}
-    assert set(recording.static(paths.REMOVED_WRONG)["Points3D:class_ids"]) == {Outcome.FALSE_POSITIVE}
 
 
 def test_properties_describe_the_run(little_room: InMemory, tmp_path: Path) -> None:

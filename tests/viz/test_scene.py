@@ -15,12 +15,16 @@ from dynaviz.viz.scene import DownsampledMap
 def test_a_map_keeps_one_point_per_voxel_below_its_cap(seed: int, cap: int) -> None:
     random = np.random.default_rng(seed)
     points = random.uniform(-1, 1, (200, 3)).astype(np.float32)
+    codes = random.integers(0, 5, 200).astype(np.uint8)
     roomy, tight = DownsampledMap(0.2, 1000), DownsampledMap(0.2, cap)
-    for part in np.array_split(points, 5):
-        roomy.add(part)
-        tight.add(part)
-    assert len(roomy.points()) == len(np.unique(pack(points, 0.2)))
-    assert 1 <= len(tight.points()) <= cap
-    known = {tuple(p) for p in points}
-    assert {tuple(p) for p in roomy.points()} <= known
-    assert {tuple(p) for p in tight.points()} <= {tuple(p) for p in roomy.points()}
+    for part, its_codes in zip(np.array_split(points, 5), np.array_split(codes, 5), strict=True):
+        roomy.add(part, its_codes)
+        tight.add(part, its_codes)
+    (many, reasons), (few, some) = roomy.thinned(), tight.thinned()
+    assert len(many) == len(np.unique(pack(points, 0.2)))
+    assert 1 <= len(few) <= cap
+    known = {tuple(p): code for p, code in zip(points, codes, strict=True)}
+    assert all(known[tuple(p)] == code for p, code in zip(many, reasons, strict=True))
+    assert all(known[tuple(p)] == code for p, code in zip(few, some, strict=True))
+    assert {tuple(p) for p in few} <= {tuple(p) for p in many}
+    assert (np.diff(reasons.astype(int)) >= 0).all()
