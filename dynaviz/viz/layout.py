@@ -1,78 +1,118 @@
-"""The viewer's layout, built from the states of a method; it is part of the recording."""
+"""The viewer's layout, built from the states of a method and from what a run found; it is part of the recording."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from dynaviz import colours
 from dynaviz.arrays import F64
 from dynaviz.method import MethodInfo
-from dynaviz.probe import RangeImage, Scalar, State
+from dynaviz.probe import RangeImage, Scalar, State, Voxels
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.viz import paths
 
 STACK = 4  # range images in one tab
+CLEAR = 0.4  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
+IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 
-WRONG = "wrong points per frame"  # no legend: it would hide the worst frames; the colours are those of the points
+# A plot shows only curves of the current timeline, so each has some for frames and some for cases: it is never empty.
+SCORE_CURVES = "scores [%]; by case: if fixed"
+WRONG = "wrong points per frame; by case: % lost"
+REMOVED = "removed points per frame; by case: points"
+_KINDS = ("false_negative", "false_positive")
 
 
-def layout(info: MethodInfo, extent: Extent, geometry: bool) -> rrb.Blueprint:
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a run found, as far as it decides the layout.
+
+    Attributes:
+        truth: whether the run had ground truth.
+        cases: whether there is a timeline of cases; the recording then opens at the first one.
+        state: name of the state to show first, or None.
+        reasons: paths of the curves of reasons to show; None for all.
+    """
+
+    truth: bool = True
+    cases: bool = False
+    state: str | None = None
+    reasons: tuple[str, ...] | None = None
+
+
+def layout(info: MethodInfo, extent: Extent, geometry: bool, found: Findings) -> rrb.Blueprint:
     """The layout of a run's recording.
 
-    Left: the map of the whole run with its wrong points; below it the points of the frame and the method's states.
-    Middle: failure cases, report and log. Right: scores, wrong points per frame, and distances of errors.
+    Left: the case, or behind it the map of the whole run; below it the points of the frame and the method's states.
+    Middle: the case in words, all cases, report and log. Right: scores, wrong points per frame, distances of errors.
 
     Args:
         info: of the method; each of its ``emits`` gets a view.
         extent: of the map, for the initial camera.
         geometry: whether the recording contains coordinates.
+        found: what the run found; while it is running, what can be expected.
     """
-    columns = [_text(), _numbers(info)]
+    columns = [_text(found), _numbers(info, found) if found.truth else _removed(info, found)]
     if geometry:
-        columns.insert(0, _world(info, extent))
+        columns.insert(0, _world(info, extent, found))
     body = rrb.Horizontal(*columns, column_shares=[10, 6, 5][-len(columns) :])
-    return blueprint(body)
+    return blueprint(body, paths.CASE if found.cases else paths.FRAME)
 
 
-def blueprint(body: Any) -> rrb.Blueprint:
-    """A layout with collapsed panels and the time cursor on frames."""
+def blueprint(body: Any, timeline: str = paths.FRAME) -> rrb.Blueprint:
+    """A layout with collapsed panels and the time cursor at the start of a timeline."""
     return rrb.Blueprint(
         body,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=paths.FRAME, fps=10.0, play_state="paused"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, fps=10.0, play_state="paused"),
         auto_layout=False,
         auto_views=False,
     )
 
 
-def _world(info: MethodInfo, extent: Extent) -> Any:
+def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
-    everything = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.CASES, *common], _eye(extent))
-    frame = solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, *common], follow())
-    states = _tabs(info)
-    below = rrb.Horizontal(frame, rrb.Tabs(*states)) if states else frame
-    return rrb.Vertical(everything, below, row_shares=[3, 2])
+    boxes = [paths.CASES, paths.CLUSTER_CASES]
+    above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
+    if found.cases:
+        case = [paths.CASE_BOX, paths.CASE_AROUND, paths.CASE_RAYS]
+        above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], follow(paths.CASE_AROUND)), above)
+    here = [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, paths.CLUSTERS, paths.CASE_AIM]
+    frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
+    tabs = _tabs(info, found)
+    below = rrb.Horizontal(frame, _open_at(found.state, tabs)) if tabs else frame
+    return rrb.Vertical(above, below, row_shares=[3, 2])
 
 
-def _text() -> Any:
+def _open_at(state: str | None, tabs: list[Any]) -> Any:
+    names = [tab.name for tab in tabs]
+    return rrb.Tabs(*tabs, active_tab=names.index(state) if state in names else 0)
+
+
+def _text(found: Findings) -> Any:
     others = rrb.Tabs(
         rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
         rrb.TextLogView(name="log", origin=paths.LOG),
     )
-    return rrb.Vertical(rrb.TextDocumentView(name="failures", origin=paths.FAILURE_LIST), others, row_shares=[5, 3])
+    cases = rrb.TextDocumentView(name="failures" if found.truth else "suspicious", origin=paths.FAILURE_LIST)
+    if not found.cases:
+        return rrb.Vertical(cases, others, row_shares=[5, 3])
+    case = rrb.TextDocumentView(name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT])
+    return rrb.Vertical(case, cases, others, row_shares=[4, 4, 3])
 
 
-def _tabs(info: MethodInfo) -> list[Any]:
+def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
     """A tab for each state that is drawn; consecutive range images share one, because they are wide and low."""
     tabs = []
     for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
-        views = [_state(info.name, state) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
+        views = [_state(info.name, state, found) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
         together = STACK if kind is RangeImage else 1
         for first in range(0, len(views), together):
             stack = views[first : first + together]
@@ -80,43 +120,61 @@ def _tabs(info: MethodInfo) -> list[Any]:
     return tabs
 
 
-def _numbers(info: MethodInfo) -> Any:
+def _numbers(info: MethodInfo, found: Findings) -> Any:
     others = [f"- {path}" for path in (*SO_FAR, f"{paths.WRONG}/**", paths.WORST)]
     scores = rrb.Tabs(
-        _curves("scores so far [%]", SO_FAR),
-        _curves("all scores", [f"{paths.SCORES}/**", *others]),
-        _curves("reasons", [f"{paths.REASONS}/**"]),
-        *[
-            _curves(state.name, [paths.state(info.name, state)])
-            for state in info.emits
-            if issubclass(state.kind, Scalar)
-        ],
+        _curves(SCORE_CURVES, [*SO_FAR, *IF_FIXED], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
+        _curves("all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
+        *_reasons_and_scalars(info, found),
     )
     distance = rrb.Tabs(
         _bars("FN: distance [m]", _run_histogram("false_negative")),
         _bars("FP: distance [m]", _run_histogram("false_positive")),
         _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
     )
-    wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST], rrb.PlotLegend(visible=False))
+    # No legend: it would hide the worst frames; the colours are those of the points.
+    wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST, f"{paths.CASE_COST}/**"])
     return rrb.Vertical(scores, wrong, distance)
 
 
-_KINDS = ("false_negative", "false_positive")
+def _removed(info: MethodInfo, found: Findings) -> Any:
+    """The plots of a run without ground truth."""
+    removed = _curves(REMOVED, [f"{paths.REMOVED_POINTS}/**", f"{paths.CASE_COST}/**"])
+    tabs = rrb.Tabs(removed, *_reasons_and_scalars(info, found))
+    return rrb.Vertical(tabs, rrb.TextDocumentView(name="removed", origin=paths.REMOVED_TEXT), row_shares=[1, 2])
+
+
+def _reasons_and_scalars(info: MethodInfo, found: Findings) -> list[Any]:
+    shown = [f"{paths.REASONS}/**"] if found.reasons is None else list(found.reasons)
+    return [
+        *([_curves("reasons", shown, rrb.Corner2D.LeftTop)] if shown else []),
+        *[
+            _curves(state.name, [paths.state(info.name, state)])
+            for state in info.emits
+            if issubclass(state.kind, Scalar)
+        ],
+    ]
 
 
 def _run_histogram(kind: str) -> list[str]:
     return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
 
 
-def _curves(name: str, contents: list[str], legend: Any = rrb.Corner2D.RightBottom) -> Any:
-    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend)
+def _curves(name: str, contents: list[str], legend: Any = None, limits: tuple[float, float] | None = None) -> Any:
+    axis = None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True)
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND, axis_y=axis)
+
+
+_NO_LEGEND = rrb.PlotLegend(visible=False)
 
 
 def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
-    return rrb.BarChartView(name=name, contents=contents, plot_legend=legend or rrb.PlotLegend(visible=False))
+    return rrb.BarChartView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND)
 
 
-def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD) -> Any:
+def solid(
+    name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD, overrides: Any = None
+) -> Any:
     """A 3D view without a grid."""
     return rrb.Spatial3DView(
         name=name,
@@ -125,14 +183,20 @@ def solid(name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = 
         background=[*colours.BACKGROUND, 255],
         line_grid=False,
         eye_controls=eye,
+        overrides=overrides,
     )
 
 
-def _state(method: str, state: State) -> Any:
+def _state(method: str, state: State, found: Findings) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
         return rrb.Spatial2DView(name=state.name, origin=path, background=[*colours.BACKGROUND, 255])
-    return solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY], follow())
+    errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_AROUND]
+    context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
+    return solid(
+        state.name, [path, *errors, *context], follow(paths.CASE_AROUND if found.cases else paths.RINGS),
+        overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state.kind is Voxels else None,
+    )  # fmt: skip
 
 
 def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:

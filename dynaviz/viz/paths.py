@@ -11,6 +11,7 @@ SCHEMA = 2  # version of a recording's content; readers refuse newer ones
 
 FRAME = "frame"  # timeline: position in the run, 0, 1, ...
 SENSOR_TIME = "sensor_time"  # timeline: the stamps of the data, if any
+CASE = "case"  # timeline: the listed cases, 1, 2, ..., costliest first
 
 ROOT = "/"  # the legend of outcomes
 WORLD = "world"
@@ -24,6 +25,15 @@ SENSOR = "world/sensor"  # the sensor's pose
 RINGS = "world/sensor/rings"  # circles around the sensor, at 10 m and 20 m
 FAILURES = "world/failures"  # a box around the wrong points of each failure case in this frame
 CASES = "world/failures/cases"  # static: a box around each case over all of its frames
+CLUSTERS = "world/clusters"  # the same two for the suspicious clusters of a run without ground truth
+CLUSTER_CASES = "world/clusters/cases"
+CASE_BOX = "world/case/box"  # the box of the case at the index; on the timeline of frames, of the frame's costliest
+CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
+CASE_AIM = "world/case/aim"  # a line from the sensor to it
+CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
+CASE_TEXT = "case"  # Markdown: what happened, and why
+CASE_COST = "case_cost"  # curves over the timeline of cases: what each costs
+CASE_SCORE = "case_score"  # the same: scores if the cases up to each were right
 
 ANSWERS = "answers"  # label, ground truth and reason of every point, lossless; not displayed
 SCORES = "scores"
@@ -31,6 +41,8 @@ WRONG = "scores/wrong_points"
 WORST = "scores/worst_frames"
 ERROR_DISTANCE = "error_distance"
 REASONS = "reasons"
+REMOVED_POINTS = "removed_points"  # curves of a run without ground truth
+REMOVED_TEXT = "report/removed"  # Markdown, the same
 REPORT = "report"
 FAILURE_LIST = "report/failures"
 LOG = "log"

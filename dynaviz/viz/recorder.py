@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
+from dynaviz.arrays import F64
 from dynaviz.comparison import answers
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.summary import SequenceSummary
@@ -23,10 +24,11 @@ from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.probe import State, Text, Value
 from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
-from dynaviz.viz import classes, paths, sink, states, viewer
+from dynaviz.viz import cases, classes, paths, sink, states, viewer
+from dynaviz.viz.case_timeline import CaseTimeline
 from dynaviz.viz.curves import Curves
-from dynaviz.viz.layout import layout
-from dynaviz.viz.report import OutcomeCounts, before, failure_list, listed, report
+from dynaviz.viz.layout import Findings, layout
+from dynaviz.viz.report import OutcomeCounts, before, failure_list, removed, report
 from dynaviz.viz.scene import MapDrawing
 
 STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states with coordinates
@@ -85,12 +87,13 @@ class Recorder(Listener):
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write the properties of the run."""
         info = run.labeller.info
-        self._info, self._has_labels, drawn = info, run.sequence.has_labels, self.mode != "scores"
+        self._info, self._run, self._extent, drawn = info, run, summary.extent, self.mode != "scores"
+        self._positions: list[F64] = []
         self._states = {state.name: state for state in info.emits} if drawn else {}
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
         self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
         name = run.sequence.name
-        blueprint = layout(info, summary.extent, geometry=drawn)
+        blueprint = layout(info, summary.extent, drawn, Findings(run.sequence.has_labels))
         self._sink = sink.RecordingFile(
             self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
         )
@@ -118,6 +121,7 @@ class Recorder(Listener):
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Write a frame: its points by outcome, the labels of all points, and the curves."""
         scan = labelled.scan
+        self._positions.append(scan.position)
         self._open.at(labelled.frame, scan.stamp_ns)
         self._draw_states(scan)
         if self._scene is not None:
@@ -126,35 +130,71 @@ class Recorder(Listener):
         packed = answers.Answers.of(labelled).packed()
         self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
         wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
-        for kind, count in zip(("false_negatives", "false_positives"), wrong, strict=True):
-            self._curves.add(f"{paths.WRONG}/{kind}", labelled.frame, scan.stamp_ns, count)
+        for path, count in self._counts(labelled, wrong):
+            self._curves.add(path, labelled.frame, scan.stamp_ns, count)
         for name, value in curves.items():
             self._curves.add(paths.curve(name), labelled.frame, scan.stamp_ns, value)
         self._open.flush()
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
-        """Write the map, figures and result, close the file, and give it its final name."""
+        """Write the map, figures, cases and result, close the file, and give it its final name.
+
+        Raises:
+            DataError: if the file cannot be written, or a scan cannot be read again for the evidence.
+        """
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
+        shown = {cases.FAILURES: len(cases.listed(result)), cases.CLUSTERS: len(cases.suspicious(result))}
         for name, figure in figures.items():
             if isinstance(figure, FrameHistograms):
                 self._histogram(paths.histogram(name), figure)
             elif self._scene is not None:
-                self._scene.boxes(name, figure, len(listed(result)))
+                self._scene.boxes(name, figure, shown.get(name, cases.LISTED))
         self._mark_worst()
+        found = self._show_cases(result, figures)
         self._report(report(self._info, result, self._outcomes, self.mode))
         self._document(paths.FAILURE_LIST, failure_list(result))
+        if not found.truth:
+            self._document(paths.REMOVED_TEXT, removed(self._info, result, self._outcomes))
+        self._open.layout(layout(self._info, self._extent, self._scene is not None, found))
         self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
         self._open.finish()
         self._sink = None
+
+    def _show_cases(self, result: Result, figures: Mapping[str, Figure]) -> Findings:
+        """Write the timeline of cases; returns what the layout needs to know."""
+        truth, curves = self._run.sequence.has_labels, self._outcomes.curves(self._info)
+        boxes = cases.boxes_of(result, figures)
+        shown = [] if boxes is None else cases.shown(result, boxes)
+        if boxes is None or not shown:
+            return Findings(truth, reasons=curves)
+        timeline = CaseTimeline(self._open, self._info, shown)
+        timeline.write_curves(result.metrics)
+        if self._scene is None:
+            timeline.write_texts()
+            return Findings(truth, True, reasons=curves)
+        state = timeline.draw(self._run.sequence, np.array(self._positions), boxes)
+        return Findings(truth, True, state, curves)
 
     @property
     def _open(self) -> sink.RecordingFile:
         if self._sink is None:
             raise RuntimeError("a recorder records one run: call begin before, and nothing after finish")
         return self._sink
+
+    def _counts(self, labelled: Labelled, wrong: tuple[int, int]) -> Iterator[tuple[str, int]]:
+        """The recorder's own curves at a frame: wrong points, or without ground truth removed points."""
+        if self._run.sequence.has_labels:
+            yield from zip(
+                (f"{paths.WRONG}/{kind}" for kind in ("false_negatives", "false_positives")), wrong, strict=True
+            )
+            return
+        by_reason = np.bincount(labelled.reasons[labelled.dynamic], minlength=len(self._info.reasons))
+        yield f"{paths.REMOVED_POINTS}/removed", int(by_reason.sum())
+        for code, reason in enumerate(self._info.reasons):
+            yield f"{paths.REASONS}/removed/{reason.name}", int(by_reason[code])
 
     def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
         info = run.labeller.info
@@ -177,7 +217,7 @@ class Recorder(Listener):
         }
 
     def _write_legends(self) -> None:
-        legend = classes.legend(self._info.reasons, self._has_labels)
+        legend = classes.legend(self._info.reasons, self._run.sequence.has_labels)
         self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
         for state in self._states.values():
             if (context := states.legend(state)) is not None:

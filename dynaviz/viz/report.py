@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,13 @@ from dynaviz.arrays import U8
 from dynaviz.method import MethodInfo
 from dynaviz.results.result import Result
 from dynaviz.results.scores import percentage_points_lost
-from dynaviz.results.sections import FailureCase
+from dynaviz.results.sections import FailureCase, RemovedCluster, RemovedInterval
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
+from dynaviz.viz.cases import listed, suspicious
 
 WORST = 5  # frames named in the report and marked on the curve
-LISTED = 20  # failure cases in the list and in the map, at most ...
-WORTH = 0.01  # ... that cost at least this share of the first one
+SMALLEST = 0.005  # percentage points: smaller costs would print as 0.00
 
 
 class OutcomeCounts:
@@ -37,6 +37,20 @@ class OutcomeCounts:
         missed, removed = (int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE))
         self.frames.append((frame, index, missed, removed))
         return missed, removed
+
+    def curves(self, info: MethodInfo) -> tuple[str, ...]:
+        """Paths of the curves of reasons that are not zero in all frames."""
+        kinds = {
+            "false_negative": Outcome.FALSE_NEGATIVE,
+            "false_positive": Outcome.FALSE_POSITIVE,
+            "removed": Outcome.UNLABELLED_REMOVED,
+        }
+        return tuple(
+            f"{paths.REASONS}/{kind}/{reason.name}"
+            for kind, outcome in kinds.items()
+            for code, reason in enumerate(info.reasons)
+            if self.points[outcome, code]
+        )
 
     def worst(self) -> list[tuple[int, int, int, int]]:
         """The frames with the most wrong points, worst first; frames without wrong points are left out."""
@@ -75,50 +89,98 @@ def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -
     return "\n\n".join(part for part in parts if part)
 
 
-def listed(result: Result) -> list[FailureCase]:
-    """The costliest failure cases."""
-    return [case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost]
-
-
 def failure_list(result: Result) -> str:
-    """The cost of each cause, and the costliest cases, numbered like their boxes."""
-    cases = listed(result)
-    if not cases:
-        return "No failure cases: there is no wrong point, or no ground truth."
-    rows = [
-        (
-            f"[{number}](recording://{paths.CASES}[#{number - 1}])",
-            case.worst_frame,
-            f"{_DID[case.kind]} {case.what}",
-            case.cause or "unknown",
-            f"{case.cost:.2f}",
-        )
-        for number, case in enumerate(cases, 1)
-    ]
-    return f"{_causes(result)}\n\n" + _table([("#", "frame", "what", "cause", "% lost"), *rows])
+    """The costliest cases by cause, holes and ghosts apart, numbered as on their timeline; or suspicious clusters."""
+    if listed(result):
+        return "\n\n".join(part for kind in KINDS for part in _by_cause(result, kind))
+    if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
+        head = "Removed points that may be static, most suspicious first. There is no ground truth to check them."
+        return f"{head}\n\n" + table([("#", "frame", "what", "why", "points"), *rows])
+    if result.counts.get("static_kept") or result.counts.get("dynamic_removed"):
+        return "No failure case: all labelled points are right."
+    return "There is no ground truth, so failures cannot be computed. **removed** sums up what was removed."
 
 
-_DID = {"false_positive": "removed", "false_negative": "kept"}
+KINDS = {  # kind: heading
+    "false_positive": "Holes (yellow): static points removed",
+    "false_negative": "Ghosts (orange): dynamic points kept",
+}
 
 
-def _causes(result: Result) -> str:
-    """A line per kind of error: its colour, and the cost of each cause, largest first."""
+def _by_cause(result: Result, kind: str) -> Iterator[str]:
+    """A heading with the loss, and a row per cause followed by its cases; nothing if there are no such cases."""
+    cases = [(number, case) for number, case in enumerate(listed(result), 1) if case.kind == kind]
+    costs = _costs(result, kind)
+    if not cases and not costs:
+        return
+    metric = "SA" if kind == "false_positive" else "DA"
+    score = result.metrics.get(metric)
+    yield f"### {KINDS[kind]}" + (f", {100 - score:.2f} % of {metric}" if score is not None else "")
+    by: dict[str, list[tuple[int, FailureCase]]] = {cause: [] for cause in costs}
+    for number, case in cases:
+        by.setdefault(case.cause or "unknown", []).append((number, case))
+    rows: list[tuple[Any, ...]] = []
+    for cause, members in by.items():
+        rows.append(("", f"**{cause}**", "", f"**{costs.get(cause, 0.0):.2f}**"))
+        rows += [
+            (_link(number, paths.CASES), _named(case), case.worst_frame, f"{case.cost:.2f}") for number, case in members
+        ]
+    yield table([("#", "cause, cases", "frame", "% lost"), *rows])
+
+
+def _costs(result: Result, kind: str) -> dict[str, float]:
+    """The cost of each cause in percentage points, largest first; without those that round to zero."""
     counts = result.counts
-    static, dynamic = (
-        counts["static_kept"] + counts["static_removed"],
-        counts["dynamic_kept"] + counts["dynamic_removed"],
+    first, second = (
+        ("static_kept", "static_removed") if kind == "false_positive" else ("dynamic_kept", "dynamic_removed")
     )
-    lines = []
-    for kind, colour, whole, score in (
-        ("false_positive", "Yellow", static, "SA"),
-        ("false_negative", "Orange", dynamic, "DA"),
-    ):
-        causes = result.causes.get(kind, {})
-        costs = {cause: float(percentage_points_lost(count.points, whole)) for cause, count in causes.items()}
-        parts = [f"{cause} {cost:.2f}" for cause, cost in costs.items() if cost >= 0.005]
-        if parts:
-            lines.append(f"**{colour}**: wrongly {_DID[kind]}. Loss of {score} by cause, in %: {', '.join(parts)}.")
-    return "\n\n".join(lines)
+    whole = counts.get(first, 0) + counts.get(second, 0)
+    costs = {cause: float(percentage_points_lost(n.points, whole)) for cause, n in result.causes.get(kind, {}).items()}
+    return {cause: cost for cause, cost in costs.items() if cost >= SMALLEST}
+
+
+def _named(case: FailureCase) -> str:
+    return f"{case.what}: {case.behaviour}" if case.behaviour else case.what
+
+
+def _link(number: int, boxes: str) -> str:
+    return f"[{number}](recording://{boxes}[#{number - 1}])"
+
+
+def _suspicious(case: RemovedCluster, number: int) -> tuple[Any, ...]:
+    return _link(number, paths.CLUSTER_CASES), case.worst_frame, case.what, ", ".join(case.why[:2]), f"{case.points:,}"
+
+
+def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
+    """What a run without ground truth removed: in total, by reason, by range, and the frames with the most."""
+    points = counts.points[[Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT]].sum(1)
+    total = int(points.sum())
+    gone = counts.points[Outcome.UNLABELLED_REMOVED]
+    parts = [f"## {int(points[0]):,} of {total:,} points removed ({100 * points[0] / max(total, 1):.2f} %)"]
+    parts.append("No ground truth: whether this is right is unknown.")
+    rows = [
+        (info.reasons[c].name, f"{gone[c]:,}") for c in np.argsort(-gone)[: len(info.reasons)] if c < len(info.reasons)
+    ]
+    if rows := [row for row in rows if row[1] != "0"]:
+        parts.append(table([("reason", "removed"), *rows]))
+    if (section := result.sections.removals) and section.range:
+        parts.append(table([("range [m]", "removed", "of", "%"), *map(_range_row, section.range)]))
+    if section and (most := sorted(section.frame, key=lambda frame: -frame.removed)[:WORST]):
+        rows = [
+            (frame.frame, f"{frame.removed:,}", f"{100 * frame.removed / max(frame.points, 1):.2f}") for frame in most
+        ]
+        parts.append(table([("frames with the most", "removed", "%"), *rows]))
+    return "\n\n".join(parts)
+
+
+def _range_row(row: RemovedInterval) -> tuple[str, ...]:
+    end = "and more" if row.high is None else f"to {row.high:g}"
+    return (
+        f"{row.low or 0:g} {end}",
+        f"{row.removed:,}",
+        f"{row.points:,}",
+        f"{100 * row.removed / max(row.points, 1):.2f}",
+    )
 
 
 def _sentences(result: Result) -> str:
@@ -132,7 +194,7 @@ def _sentences(result: Result) -> str:
     rest = len(result.failures) - len(rows) + others
     more = f"\n\n{rest:,} smaller cases are not shown; `dynaviz failures` lists more." if rest else ""
     head = ("#", "frames", "what happened", "reasons given by the method")
-    return "### Failure cases\n\n" + _table([head, *rows]) + more
+    return "### Failure cases\n\n" + table([head, *rows]) + more
 
 
 def _most(reasons: Mapping[str, int]) -> str:
@@ -146,14 +208,12 @@ def _title(info: MethodInfo, sequence: str) -> str:
 
 
 def _scores(result: Result) -> str:
-    return (
-        _table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
-    )
+    return table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
 
 
 def _counts(result: Result) -> str:
     rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.counts.items()]
-    return _table([("points", "count"), *rows]) if rows else ""
+    return table([("points", "count"), *rows]) if rows else ""
 
 
 def _percent(value: float | None) -> str:
@@ -164,7 +224,7 @@ def _worst(counts: OutcomeCounts) -> str:
     rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in counts.worst()]
     if not rows:
         return "No frame has wrong points." if counts.frames else ""
-    return "### Worst frames\n\n" + _table([("frame", "scan", "false negatives", "false positives"), *rows])
+    return "### Worst frames\n\n" + table([("frame", "scan", "false negatives", "false positives"), *rows])
 
 
 def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
@@ -174,7 +234,7 @@ def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
         if counts.points[:, code].any():
             rows.append((code, reason.name, *(f"{counts.points[o, code]:,}" for o in outcomes), reason.meaning))
     head = ("code", "reason", *(paths.NAMES[o].split(":")[0] for o in outcomes), "meaning")
-    return "### Points by reason\n\n" + _table([head, *rows]) if rows else ""
+    return "### Points by reason\n\n" + table([head, *rows]) if rows else ""
 
 
 def _how_to_read(mode: str) -> str:
@@ -191,13 +251,13 @@ def _how_to_read(mode: str) -> str:
         "- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
         "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
     )
-    legend = _table([("colour", "point"), *rows])
+    legend = table([("colour", "point"), *rows])
     return f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} (`--record {mode}`)."
 
 
 def _states(info: MethodInfo) -> str:
     rows = [(state.name, state.meaning) for state in info.emits]
-    return "### States of the method\n\n" + _table([("state", "meaning"), *rows]) if rows else ""
+    return "### States of the method\n\n" + table([("state", "meaning"), *rows]) if rows else ""
 
 
 def _run(info: MethodInfo, result: Result) -> str:
@@ -214,15 +274,16 @@ def _run(info: MethodInfo, result: Result) -> str:
         ("digest of the sequence", f"`{result.sequence.digest[:16]}`"),
         ("digest of the labels", f"`{(result.labels_sha256 or 'n/a')[:16]}`"),
     ]
-    return "### The run\n\n" + _table([("property", "value"), *rows])
+    return "### The run\n\n" + table([("property", "value"), *rows])
 
 
 def _parameters(params: Mapping[str, Any]) -> str:
     rows = [(name, json.dumps(value)) for name, value in params.items()]
-    return f"### Parameters ({len(rows)})\n\n" + _table([("name", "value"), *rows]) if rows else ""
+    return f"### Parameters ({len(rows)})\n\n" + table([("name", "value"), *rows]) if rows else ""
 
 
-def _table(rows: Iterable[Sequence[Any]]) -> str:
+def table(rows: Iterable[Sequence[Any]]) -> str:
+    """A Markdown table; the first row is its head."""
     head, *body = rows
     lines = [head, ["---"] * len(head), *body]
     return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)

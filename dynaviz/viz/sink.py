@@ -6,12 +6,14 @@ import contextlib
 import os
 import re
 import uuid
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from rerun.chunk import Chunk, RrdReader
 
 from dynaviz.errors import DataError
 from dynaviz.viz import paths, viewer
@@ -70,6 +72,12 @@ class RecordingFile:
             if stamp_ns is not None:
                 stream.set_time(paths.SENSOR_TIME, timestamp=np.datetime64(stamp_ns, "ns"))
 
+    def at_case(self, number: int) -> None:
+        """Set the index on the timeline of cases of everything logged from here on."""
+        for stream in self._streams:
+            stream.reset_time()
+            stream.set_time(paths.CASE, sequence=number)
+
     def log(self, path: str, *what: Any, static: bool = False) -> None:
         """Log archetypes to an entity."""
         for stream in self._streams:
@@ -83,11 +91,39 @@ class RecordingFile:
         for stream in self._streams:
             stream.send_columns(path, indexes=times, columns=columns)
 
+    def case_columns(self, path: str, numbers: Sequence[int], columns: Any) -> None:
+        """Log one value for each of several cases."""
+        for stream in self._streams:
+            stream.send_columns(path, indexes=[rr.TimeColumn(paths.CASE, sequence=numbers)], columns=columns)
+
     def properties(self, **values: Any) -> None:
         """Set properties of the recording, skipping empty strings; later values replace earlier ones."""
         kept = {name: value for name, value in values.items() if value != ""}
         for stream in self._streams:
             stream.send_property(paths.PROPERTIES, rr.AnyValues(**kept))
+
+    def chunks(self, chunks: Iterable[Chunk]) -> None:
+        """Write chunks, which contain their own times."""
+        ready = list(chunks)
+        for stream in self._streams:
+            rr.send_chunks(ready, recording=stream)
+
+    def layout(self, blueprint: Any) -> None:
+        """Replace the viewer's layout."""
+        for stream in self._streams:
+            stream.send_blueprint(blueprint, make_active=True, make_default=True)
+
+    def written(self, contents: Sequence[str]) -> Iterator[Chunk]:
+        """What was logged so far on the timeline of frames, below some entities, in any order.
+
+        Raises:
+            DataError: if the file cannot be written.
+        """
+        self.flush()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about the missing end of the file
+            reader = RrdReader(part_of(self.path))
+            yield from reader.stream().filter(content=[f"/{path}" for path in contents], has_timeline=paths.FRAME)
 
     def flush(self) -> None:
         """Write everything logged so far to the file; disconnect from a viewer that was closed.

@@ -1,0 +1,141 @@
+"""The cases that a recording shows: the costliest failures, or what looks suspicious without ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz.arrays import F64
+from dynaviz.metric import Figure, FrameBoxes
+from dynaviz.results.result import Result
+from dynaviz.results.sections import FailureCase, RemovedCluster
+from dynaviz.scan import Outcome
+
+LISTED = 20  # cases in the list and in the map, at most ...
+WORTH = 0.01  # ... that cost at least this share of the first one
+FAILURES, CLUSTERS = "failures", "clusters"  # figures with the boxes of cases
+DID = {"false_positive": "removed", "false_negative": "kept"}
+REASONS = 3  # named in the text of a case
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownCase:
+    """A case of the timeline ``case``.
+
+    Attributes:
+        number: its index, 1 for the first.
+        title: what it is, in a few words.
+        outcome: of its points.
+        frame: position in the run of its worst frame.
+        low, high: (3,) float64, metres, world frame: its box in that frame.
+        lost: percentage points of SA and of DA that it costs.
+        text: Markdown, without evidence.
+    """
+
+    number: int
+    title: str
+    outcome: Outcome
+    frame: int
+    low: F64
+    high: F64
+    lost: Mapping[str, float]
+    text: str
+
+    @property
+    def label(self) -> str:
+        """Number and title."""
+        return f"{self.number} {self.title}"
+
+
+def listed(result: Result) -> list[FailureCase]:
+    """The costliest failure cases."""
+    return [case for case in result.failures[:LISTED] if case.cost >= WORTH * result.failures[0].cost]
+
+
+def suspicious(result: Result) -> list[RemovedCluster]:
+    """The most suspicious clusters of removed points; none if the run had ground truth."""
+    removals = result.sections.removals
+    return list(removals.clusters[:LISTED]) if removals else []
+
+
+def boxes_of(result: Result, figures: Mapping[str, Figure]) -> FrameBoxes | None:
+    """The boxes of the shown cases by frame; None if no case is shown or no metric located them."""
+    boxes = figures.get(FAILURES if listed(result) else CLUSTERS)
+    return boxes if isinstance(boxes, FrameBoxes) else None
+
+
+def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
+    """The cases to show, in the order of their boxes."""
+    failures, clusters = listed(result), suspicious(result)
+    if failures:
+        texts = [(_failure_title(case), _lost(case), _failure_text(case, i, len(failures)))
+                 for i, case in enumerate(failures, 1)]  # fmt: skip
+    else:
+        texts = [
+            (_cluster_title(case), {}, _cluster_text(case, i, len(clusters))) for i, case in enumerate(clusters, 1)
+        ]
+    cases = []
+    for i, (case, (title, lost, text)) in enumerate(zip([*failures, *clusters], texts, strict=False)):
+        row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
+        low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
+        corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        cases.append(ShownCase(i + 1, title, Outcome(boxes.outcomes[i]), case.worst_frame, *corners, lost, text))
+    return cases
+
+
+def _lost(case: FailureCase) -> dict[str, float]:
+    return {case.metric: case.cost}
+
+
+def _failure_title(case: FailureCase) -> str:
+    return f"{DID[case.kind]} {case.what}"
+
+
+def _cluster_title(case: RemovedCluster) -> str:
+    return f"removed {case.what}".strip()
+
+
+def _failure_text(case: FailureCase, number: int, count: int) -> str:
+    lines = [
+        ("What it did", case.behaviour or ""),
+        ("Cause", case.cause or "unknown"),
+        ("When", _when(case)),
+        ("Where", _where(case)),
+        ("Reasons", shares(case.reasons)),
+    ]
+    title = f"## {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
+    return f"{title}\n\n{case.sentence}\n\n{_bullets(lines)}"
+
+
+def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
+    lines = [
+        ("Suspicious because", "; ".join(case.why)),
+        ("When", _when(case)),
+        ("Where", _where(case)),
+        ("Reasons", shares(case.reasons)),
+    ]
+    title = f"## {number} of {count}: {_cluster_title(case)}, {case.points:,} points, suspicion {case.suspicion:.2f}"
+    return f"{title}\n\n{case.sentence}\n\nWithout ground truth, judge for yourself.\n\n{_bullets(lines)}"
+
+
+def _when(case: FailureCase | RemovedCluster) -> str:
+    if case.first_frame == case.last_frame:
+        return f"frame {case.worst_frame}"
+    return f"frames {case.first_frame} to {case.last_frame}; shown is {case.worst_frame}, the worst one"
+
+
+def _where(case: FailureCase | RemovedCluster) -> str:
+    x, y = ((low + high) / 2 for low, high in zip(case.low[:2], case.high[:2], strict=True))
+    return f"{case.range.mean:.0f} m from the sensor, at ({x:.1f}, {y:.1f})"
+
+
+def shares(reasons: Mapping[str, int]) -> str:
+    """The most frequent reasons with their shares."""
+    total = sum(reasons.values())
+    return ", ".join(f"{name.replace('_', ' ')} {100 * n / total:.0f} %" for name, n in list(reasons.items())[:REASONS])
+
+
+def _bullets(lines: Sequence[tuple[str, str]]) -> str:
+    return "\n".join(f"- **{name}**: {text}" for name, text in lines if text)
