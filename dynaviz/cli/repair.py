@@ -22,17 +22,17 @@ def add_to(app: typer.Typer) -> None:
 
 def repair(
     broken: Annotated[
-        Path, typer.Argument(metavar="BROKEN.rrd", help="Truncated recording, or the .run.rrd.part of a killed run.")
+        Path, typer.Argument(metavar="BROKEN.rrd", help="Damaged recording, or the .run.rrd.part of a killed run.")
     ],
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Output file. [default: run.rrd for .run.rrd.part, else run-repaired.rrd]"),
     ] = None,
 ) -> None:
-    """Recover a recording whose writer was killed.
+    """Recover a recording that is damaged, or whose writer was killed.
 
-    The input file is not changed. Exit code 0: nothing to do, or no frame is missing, 3: frames are missing, 1:
-    nothing could be recovered.
+    Damaged parts are left out; all others are kept. The input file is not changed.
+    Exit code 0: nothing to do, or no frame is missing, 3: frames are missing, 1: nothing could be recovered.
 
     \b
     dynaviz repair recordings/demo/octomap/.run.rrd.part
@@ -49,13 +49,16 @@ def repair(
 
 def _summary(broken: Path, salvaged: SalvagedRecording) -> list[str]:
     """What was recovered, and what to do next."""
+    damaged = f" {salvaged.damaged} damaged chunk{'s' * (salvaged.damaged != 1)} left out." if salvaged.damaged else ""
+    if salvaged.path is None and damaged:
+        return [f"Nothing to recover in {broken}: what describes the run is damaged.", "Run the method again."]
     if salvaged.path is None:
         first = f"the first of its {salvaged.frames} frames" if salvaged.frames else "its first frame"
         return [f"Nothing to recover in {broken}: it ends before {first}.", "Run the method again."]
     if salvaged.path == broken:
         head = f"Nothing to do: {broken} can be opened, with {salvaged.answered} of {salvaged.frames} frames."
     else:
-        head = f"{_recovered(salvaged)} Written to {salvaged.path}."
+        head = f"{_recovered(salvaged)}{damaged} Written to {salvaged.path}."
     lines = [head, f"Open it with: {program()} view {salvaged.path}"]
     if not salvaged.finished:
         lines.append("Run the method again for the missing frames; it writes all files of the run again.")

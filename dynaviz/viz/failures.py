@@ -37,7 +37,8 @@ def failures_of(path: str | os.PathLike[str]) -> Failures:
     if recording.properties["mode"] == "scores":
         problem = "contains neither failure cases nor points to compute them from"
         raise DataError(path, problem, hint="Run the method again, or with --record errors")
-    return _compute(recording)
+    with recording.decoding():
+        return _compute(recording)
 
 
 def _compute(recording: RunRecording) -> Failures:

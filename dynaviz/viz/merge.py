@@ -153,10 +153,11 @@ def _copy_run(stream: rr.RecordingStream, side: Side) -> None:
     """Copy the entities that the layout shows to ``/SIDE``; curves get the run's name and colour."""
     recording = side.recording
     chunks = recording.store.stream().filter(content=["/" + path.removeprefix("/") for path in KEPT])
-    rr.send_chunks(
-        chunks.map(lambda chunk: chunk.with_entity_path(f"/{side.root}{chunk.entity_path}".rstrip("/"))),
-        recording=stream,
-    )
+    with recording.decoding():
+        rr.send_chunks(
+            chunks.map(lambda chunk: chunk.with_entity_path(f"/{side.root}{chunk.entity_path}".rstrip("/"))),
+            recording=stream,
+        )
     for path in recording.entities():
         words = path.split("/")
         if words[0] == paths.SCORES and path != paths.WORST:

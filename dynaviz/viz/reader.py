@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import warnings
@@ -18,10 +19,10 @@ from rerun.chunk import RrdReader
 
 from dynaviz.arrays import F32, F64, I64, U8
 from dynaviz.comparison.answers import ARCHETYPE, Answers
-from dynaviz.errors import DataError
+from dynaviz.errors import DataError, DynavizError
 from dynaviz.method import Cause, Reason
 from dynaviz.results.result import Result
-from dynaviz.viz import classes, paths
+from dynaviz.viz import chunks, classes, paths
 from dynaviz.viz.sink import of_part, part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
@@ -30,6 +31,7 @@ NEEDED = (  # properties that every recording of a run has
     "method", "title", "reasons_json", "sequence", "digest", "has_labels", "frames", "points", "mode", "params_json",
     "seed", "online", "complete",
 )  # fmt: skip
+COUNTS = ("schema", "frames", "points", "seed")  # properties that are integers
 COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
 
 
@@ -68,7 +70,19 @@ class AnyRecording:
     def __init__(self, path: str | os.PathLike[str]):
         self.path = Path(path)
         self.store = open_store(self.path)
-        self.kind, self.properties = self._read_properties()
+        with self.decoding():
+            self.kind, self.properties = self._read_properties()
+
+    @contextlib.contextmanager
+    def decoding(self) -> Iterator[None]:
+        """Turn the many types of errors of rerun, Arrow and numpy for damaged content into DataError."""
+        try:
+            yield
+        except DynavizError:
+            raise
+        except Exception as error:
+            reason = " ".join(str(error).replace(str(self.path), "").split())[-80:] or type(error).__name__
+            raise _damaged(self.path, f"contains damaged data ({reason})") from error
 
     @property
     def frames(self) -> int:
@@ -78,46 +92,53 @@ class AnyRecording:
     def facts(self) -> dict[str, str]:
         """A summary for display: names and values."""
         p = self.properties
-        runs = json.loads(p["comparison_json"])["runs"]
+        with self.decoding():
+            letters = {
+                run["letter"]: f"{run['name']}, {run['path']}" for run in json.loads(p["comparison_json"])["runs"]
+            }
         return {
             "comparison": p["title"],
             "sequence": p["sequence"],
             "digest": p["digest"],
             "frames": f"{self.frames:,}",
-            **{run["letter"]: f"{run['name']}, {run['path']}" for run in runs},
+            **letters,
             "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
         }
 
     def curve(self, path: str) -> tuple[I64, F64]:
         """Frames and values of a curve, in order; NaN where undefined; empty if there is no such curve."""
-        rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
+        with self.decoding():
+            rows = [(frame, float(c["Scalars:scalars"][0])) for frame, c in self.rows(path)]
         return np.array([f for f, _ in rows], np.int64), np.array([value for _, value in rows])
 
     def entities(self) -> list[str]:
         """All entity paths, sorted, without the leading slash."""
-        return sorted(str(path).removeprefix("/") for path in self.store.schema().entity_paths())
+        with self.decoding():
+            return sorted(str(path).removeprefix("/") for path in self.store.schema().entity_paths())
 
     def static(self, path: str) -> dict[str, Any]:
         """Static components of an entity; the last row wins if there are several."""
         found: dict[str, Any] = {}
-        for chunk in self.store.stream().filter(content=f"/{path}", is_static=True):
-            batch = chunk.to_record_batch()
-            for row in range(batch.num_rows):
-                found |= _row(batch, row, chunk.timeline_names)
+        with self.decoding():
+            for chunk in self.store.stream().filter(content=f"/{path}", is_static=True):
+                batch = chunk.to_record_batch()
+                for row in range(batch.num_rows):
+                    found |= _row(batch, row, chunk.timeline_names)
         return found
 
     def rows(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
         """Rows of an entity by frame; the parts of a row may be in several chunks, in any order."""
         places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
-        for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
-            batch = chunk.to_record_batch()
-            for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
-                places[frame].append((chunk, row))
-        for frame in sorted(places):
-            merged: dict[str, Any] = {}
-            for chunk, row in places.pop(frame):
-                merged |= _row(chunk.to_record_batch(), row, chunk.timeline_names)
-            yield frame, merged
+        with self.decoding():
+            for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
+                batch = chunk.to_record_batch()
+                for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
+                    places[frame].append((chunk, row))
+            for frame in sorted(places):
+                merged: dict[str, Any] = {}
+                for chunk, row in places.pop(frame):
+                    merged |= _row(chunk.to_record_batch(), row, chunk.timeline_names)
+                yield frame, merged
 
     def _read_properties(self) -> tuple[str, dict[str, Any]]:
         for kind in (paths.PROPERTIES, COMPARISON):
@@ -131,6 +152,13 @@ class AnyRecording:
         if kind == paths.PROPERTIES and (lacking := [name for name in NEEDED if name not in properties]):
             problem = f"was written by an older dynaviz and lacks {', '.join(lacking)}"
             raise DataError(self.path, problem, hint="Run the method again")
+        for name, value in properties.items():
+            if name.endswith("_json"):
+                json.loads(value)
+            elif not isinstance(value, np.integer if name in COUNTS else (str, np.generic)):
+                raise TypeError(f"{name} is a {type(value).__name__}")
+        if properties.get("complete") and "result_json" not in properties:
+            raise KeyError("result_json")
         return kind, properties
 
 
@@ -154,15 +182,17 @@ class RunRecording(AnyRecording):
     @property
     def result(self) -> Result | None:
         """The run's result; None if it did not finish."""
-        return Result.from_dict(json.loads(self.properties["result_json"]), self.path) if self.complete else None
+        with self.decoding():
+            return Result.from_dict(json.loads(self.properties["result_json"]), self.path) if self.complete else None
 
     @property
     def reasons(self) -> tuple[Reason, ...]:
         """The legend of the reason codes."""
-        return tuple(
-            Reason(reason["name"], reason["meaning"], Cause(reason["cause"]) if reason.get("cause") else None)
-            for reason in json.loads(self.properties["reasons_json"])
-        )
+        with self.decoding():
+            return tuple(
+                Reason(reason["name"], reason["meaning"], Cause(reason["cause"]) if reason.get("cause") else None)
+                for reason in json.loads(self.properties["reasons_json"])
+            )
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -209,20 +239,22 @@ class RunRecording(AnyRecording):
                 continue  # the incomplete last frame of a killed run
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
-            yield DrawnPoints(
-                frame,
-                xyz,
-                classes.outcomes(components["Points3D:class_ids"]),
-                components.get("dynaviz.Scan:point", every).astype(np.int64),
-                components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
-            )
+            with self.decoding():
+                points = DrawnPoints(
+                    frame,
+                    xyz,
+                    classes.outcomes(components["Points3D:class_ids"]),
+                    components.get("dynaviz.Scan:point", every).astype(np.int64),
+                    components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
+                )
+            yield points
 
 
 def open_store(path: Path) -> Any:
-    """Open any complete recording; chunks are read when they are used.
+    """Open any complete recording; chunks are checked now, and read by rerun when they are used.
 
     Raises:
-        DataError: if the file is not a recording, or is incomplete.
+        DataError: if the file is not a recording, is incomplete, or contains a damaged chunk.
     """
     try:
         with path.open("rb") as file:
@@ -233,6 +265,8 @@ def open_store(path: Path) -> Any:
         raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
     if head[:4] not in MAGIC:
         raise DataError(path, "is not a recording", at="byte 0", hint=_HINT)
+    if head[:4] == MAGIC[0] and (damage := chunks.first_damage(path)) is not None and not damage.truncated:
+        raise _damaged(path, f"contains a damaged chunk ({damage.problem})", at=f"byte {damage.at}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about an incomplete file; reported below
@@ -263,6 +297,11 @@ def _broken(path: Path, head: bytes) -> DataError:
         return DataError(path, problem, hint="Upgrade with: pip install -U dynaviz")
     hint = f"Salvage its frames with: dynaviz repair {path}"
     return DataError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
+
+
+def _damaged(path: Path, problem: str, at: str | None = None) -> DataError:
+    """The error for a recording of which a part is damaged."""
+    return DataError(path, problem, at=at, hint=f"Save all other parts with: dynaviz repair {path}")
 
 
 def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:

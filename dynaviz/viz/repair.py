@@ -1,4 +1,4 @@
-"""Salvage the recording of a killed run: every flushed frame, and the layout."""
+"""Salvage a recording that a killed run left behind, or that is damaged: every undamaged chunk, and the layout."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.viz import paths, viewer
+from dynaviz.viz import chunks, paths, viewer
 from dynaviz.viz.reader import MAGIC, AnyRecording, RunRecording, open_store
 from dynaviz.viz.sink import of_part
 
@@ -28,6 +28,7 @@ class SalvagedRecording:
         observed: frames with any data, at least ``answered``.
         frames: frames of the whole run; 0 if unknown.
         finished: whether the run finished, so that its result is there.
+        damaged: number of damaged chunks, which are left out.
     """
 
     path: Path | None
@@ -35,6 +36,7 @@ class SalvagedRecording:
     observed: int = 0
     frames: int = 0
     finished: bool = False
+    damaged: int = 0
 
     @property
     def whole(self) -> bool:
@@ -61,18 +63,18 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
     target = _free(proper or broken) if out is None else Path(out)
     if target.exists():
         raise UsageError(f"{target} exists already. Remove it, or choose another name with -o")
-    with _complete_copy(broken, target) as salvaged:
+    with _complete_copy(broken, target) as (salvaged, damaged):
         try:
             kind = AnyRecording(salvaged).kind
-        except DataError:  # not even the properties were written
-            return SalvagedRecording(None)
+        except DataError:  # not even the properties were written, or they are damaged
+            return SalvagedRecording(None, damaged=damaged)
         if kind != paths.PROPERTIES:
             raise UsageError(f"{broken} contains a {kind}, not a run. Write it again with dynaviz compare")
         found = _count_frames(salvaged)
         if not found.observed:
-            return SalvagedRecording(None, frames=found.frames)
+            return SalvagedRecording(None, frames=found.frames, damaged=damaged)
         os.replace(salvaged, target)
-    return SalvagedRecording(target, found.answered, found.observed, found.frames, found.finished)
+    return replace(found, path=target, damaged=damaged)
 
 
 def _check(broken: Path) -> None:
@@ -98,20 +100,26 @@ def _free(name: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _complete_copy(broken: Path, target: Path) -> Iterator[Path]:
-    """Copy all complete messages to a file next to the target, deleted after the block."""
+def _complete_copy(broken: Path, target: Path) -> Iterator[tuple[Path, int]]:
+    """Copy all undamaged chunks to a file next to the target, deleted after the block; and the number of damaged ones.
+
+    The end of a truncated file does not count.
+    """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".repair-", dir=target.parent) as folder:
-            salvaged = Path(folder) / "salvaged.rrd"
-            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(broken), "-o", str(salvaged)]
+            salvaged, source, damaged = Path(folder) / "salvaged.rrd", broken, 0
+            if (first := chunks.first_damage(broken)) is not None and not first.truncated:  # some end the program
+                source = Path(folder) / "undamaged.rrd"
+                damaged = chunks.copy_undamaged(broken, source)
+            command = [viewer.program(), "rrd", "merge", "--continue-on-error", str(source), "-o", str(salvaged)]
             done = subprocess.run(command, capture_output=True, check=False, text=True, errors="replace")
             if done.returncode:
                 message = (done.stderr.strip().splitlines() or ["no message"])[-1]
                 raise DataError(
                     target, f"cannot be written ({message[:200]})", hint="Free space or choose another folder with -o"
                 )
-            yield salvaged
+            yield salvaged, damaged
     except OSError as error:
         raise DataError(
             target, f"cannot be written ({error.strerror})", hint="Choose another folder with -o"
@@ -136,7 +144,9 @@ def _count_frames(path: Path) -> SalvagedRecording:
 def _observed(path: Path) -> int:
     """Number of frames with any state of the method; log lines do not count."""
     frames: set[int] = set()
-    for chunk in open_store(path).stream().filter(has_timeline=paths.FRAME):
-        if chunk.entity_path != f"/{paths.LOG}":
-            frames |= set(chunk.to_record_batch()[paths.FRAME].to_pylist())
+    recording = AnyRecording(path)
+    with recording.decoding():
+        for chunk in recording.store.stream().filter(has_timeline=paths.FRAME):
+            if chunk.entity_path != f"/{paths.LOG}":
+                frames |= set(chunk.to_record_batch()[paths.FRAME].to_pylist())
     return len(frames)

@@ -91,3 +91,19 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def messages(recording: bytes) -> list[tuple[int, bytes]]:
+    """Kinds and contents of the messages of a recording; the last one is its index."""
+    parts, at, kind = [], 12, -1
+    while kind:
+        kind, size = struct.unpack_from("<QQ", recording, at)
+        parts.append((kind, recording[at + 16 : at + 16 + size]))
+        at += 16 + size
+    return parts
+
+
+def recording_of(original: bytes, parts: list[tuple[int, bytes]]) -> bytes:
+    """A recording with the head and tail of another and these messages."""
+    end = 12 + sum(16 + len(content) for _, content in messages(original))
+    return original[:12] + b"".join(struct.pack("<QQ", kind, len(part)) + part for kind, part in parts) + original[end:]
