@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,14 +25,14 @@ class Breakdown:
     """Section ``breakdown``: lists ``range``, ``height``, ``frame`` and ``object`` with counts and percentages.
 
     Range and height bins include their lower edge, ``from``; None is an open end. Points without finite coordinates
-    count in the last bin.
+    count in the last bin. An object's ``reasons`` are the reasons of its wrongly kept points, most frequent first.
     """
 
     def __init__(self, info: MethodInfo) -> None:
         self._range = np.zeros((len(RANGES) - 1, len(Outcome)), np.int64)
         self._height = np.zeros((len(HEIGHTS) - 1, len(Outcome)), np.int64)
         self._frames: list[dict[str, Any]] = []
-        self._objects = _Objects()
+        self._objects = _Objects([reason.name for reason in info.reasons])
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
@@ -62,8 +62,10 @@ class Breakdown:
 class _Objects:
     """Counts by class and instance. An object that stops, and changes its class because of that, starts a new row."""
 
-    def __init__(self) -> None:
+    def __init__(self, reasons: Sequence[str]) -> None:
+        self._names = [*reasons, "unknown code"]
         self._by_outcome: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(Outcome), np.int64))
+        self._by_reason: defaultdict[tuple[int, int], I64] = defaultdict(lambda: np.zeros(len(self._names), np.int64))
         self._frames: dict[tuple[int, int], tuple[int, int]] = {}
 
     def add(self, labelled: Labelled) -> None:
@@ -78,10 +80,15 @@ class _Objects:
             np.int64(0) if ids is None else ids[chosen].astype(np.int64) for ids in (scan.classes, scan.instances)
         )
         keys, which = np.unique(classes << 32 | instances, return_inverse=True)
-        crossed = np.bincount(which * len(Outcome) + labelled.outcome[chosen], minlength=len(keys) * len(Outcome))
-        for packed, counts in zip(keys.tolist(), crossed.reshape(-1, len(Outcome)), strict=True):
+        outcome = labelled.outcome[chosen]
+        reasons = np.minimum(labelled.reasons[chosen], len(self._names) - 1)
+        kept = outcome == Outcome.FALSE_NEGATIVE
+        by_outcome = _cross(which, len(keys), outcome, len(Outcome))
+        by_reason = _cross(which[kept], len(keys), reasons[kept], len(self._names))
+        for packed, counts, wrong in zip(keys.tolist(), by_outcome, by_reason, strict=True):
             key = divmod(packed, 1 << 32)
             self._by_outcome[key] += counts
+            self._by_reason[key] += wrong
             self._frames[key] = self._frames.get(key, (labelled.frame, 0))[0], labelled.frame
 
     def rows(self) -> list[dict[str, Any]]:
@@ -91,7 +98,9 @@ class _Objects:
             counts, (first, last) = Counts.of_histogram(by_outcome), self._frames[of_class, instance]
             if counts.dynamic_removed + counts.dynamic_kept:
                 place = {"class": of_class, "instance": instance, "first_frame": first, "last_frame": last}
-                rows.append({**place, "points": int(by_outcome.sum()), **counts.row()})
+                wrong = self._by_reason[of_class, instance]
+                by_name = {self._names[k]: int(wrong[k]) for k in np.argsort(-wrong, kind="stable") if wrong[k]}
+                rows.append({**place, "points": int(by_outcome.sum()), **counts.row(), "reasons": by_name})
         return sorted(rows, key=lambda row: (-row["dynamic_kept"], row["class"], row["instance"]))
 
 
@@ -117,8 +126,13 @@ def _count_by_bin(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:
     bins = np.zeros(len(values), np.uint8)
     for edge in edges[1:-1]:
         bins += ~(values < edge)  # True for NaN, which counts in the last bin
-    crossed = np.bincount(bins * len(Outcome) + outcome, minlength=(len(edges) - 1) * len(Outcome))
-    return crossed.reshape(-1, len(Outcome))
+    return _cross(bins, len(edges) - 1, outcome, len(Outcome))
+
+
+def _cross(rows: Any, n_rows: int, columns: Any, n_columns: int) -> I64:
+    """(n_rows, n_columns) numbers of points, from the row and the column of each point."""
+    crossed = np.bincount(rows.astype(np.int64) * n_columns + columns, minlength=n_rows * n_columns)
+    return crossed.reshape(n_rows, n_columns)
 
 
 def _rows(edges: tuple[float, ...], by_outcome: I64) -> list[dict[str, Any]]:

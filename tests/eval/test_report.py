@@ -160,8 +160,8 @@ def test_the_page_is_well_formed_self_contained_and_sorted(study):
 )
 def test_the_best_are_bold(study, numbers, best):
     made = tables(study(*(result(f"m{k}", numbers=n) for k, n in enumerate(numbers))))
-    assert {row[0].text for row in made.first.rows if row[1].bold} == {f"m{k}" for k in best}
-    assert {row[0].text for row in made.tables[0].rows if row[3].bold} == {f"m{k}" for k in best}
+    assert {row[0].text for row in made.glance.rows if row[1].bold} == {f"m{k}" for k in best}
+    assert {row[0].text for row in made.accuracy.rows if row[3].bold} == {f"m{k}" for k in best}
 
 
 COUNTS = st.tuples(*[st.integers(0, 10**9)] * 4)
@@ -185,13 +185,13 @@ def test_combined_scores_are_those_of_all_points(several):
 def test_no_combined_scores_if_runs_are_missing(study):
     made = tables(study(result("octomap", "a"), result("erasor", "a"), result("octomap", "b")))
     assert not made.combined
-    assert "missing erasor on b" in " ".join(made.tables[0].notes)
+    assert "missing erasor on b" in " ".join(made.accuracy.notes)
 
 
 def test_different_parameters_are_reported(study):
     made = tables(study(result("octomap", "a"), result("octomap", "b", parameters={"resolution": 0.2})))
     assert made.combined
-    assert "octomap had different parameters" in " ".join(made.tables[0].notes)
+    assert "octomap had different parameters" in " ".join(made.accuracy.notes)
 
 
 def test_scorings_are_never_mixed(study):
@@ -201,7 +201,7 @@ def test_scorings_are_never_mixed(study):
     assert [(board.title, len(board.rows)) for board in made.boards] == [("hall (mask)", 2), ("hall (nn)", 1)]
     assert made.boards[0].best("AA") == {"a"}
     assert not made.combined
-    assert "cannot be compared" in " ".join(made.first.notes)
+    assert "cannot be compared" in " ".join(made.glance.notes)
 
 
 def test_sequences_with_equal_names_have_separate_boards(study):
@@ -241,7 +241,7 @@ def test_runtimes_of_other_machines_are_labelled_and_recorded_ones_marked(study)
             result("e", runtime={}),
         )
     )
-    rows = {row[0].text: row for row in made.tables[1].rows}
+    rows = {row[0].text: row for row in made.runtime.rows}
     assert [value.text for value in rows["d"][:3]] == ["d", "Linux x86_64, 2 cores, 8 threads", "0.100 ± 0.000"]
     assert rows["c"][2].text.endswith("†")
     assert rows["e"][2].text == "n/a"
@@ -250,7 +250,7 @@ def test_runtimes_of_other_machines_are_labelled_and_recorded_ones_marked(study)
 
 def test_parameters_of_another_program_are_unknown(study):
     made = tables(study(result("a", scoring="nn", sections={"source": {"file": "x.pcd"}})))
-    assert made.tables[1].rows[0][-1].text == "n/a"
+    assert made.runtime.rows[0][-1].text == "n/a"
 
 
 def test_reasons_replace_missing_causes(study):
@@ -262,17 +262,16 @@ def test_reasons_replace_missing_causes(study):
         },
     )
     made = tables(study(plain))
-    assert made.first.rows[0][2].text == "dynamic kept: reason too_high (−20.0 DA)"
-    failures = next(table for table in made.tables if table.name == "failures")
-    assert failures.rows[0][2].text == "seen 9.50, low 0.50"
-    assert "reasons are shown instead of causes" in " ".join(failures.notes)
+    assert made.glance.rows[0][2].text == "dynamic kept: reason too_high (−20.0 DA)"
+    assert [value.text for value in made.failures.rows[0]] == ["a", "10.00", "20.00"]
+    assert "a, static removed: seen 9.50, low 0.50; a, dynamic kept: too_high 20.00" in " ".join(made.failures.notes)
 
 
 def test_published_numbers_of_a_public_sequence(study):
     public = {"name": "semantickitti_00", "digest": "d", "frames": 141, "points": 17362230}
     indices = {"breakdown": {"frame": [{"frame": 0, "index": 4390}, {"frame": 140, "index": 4530}]}}
     made = tables(study(result("octomap", sequence=public, sections=indices)))
-    (table,) = made.public.values()
+    table = made.by_board[0].published
     row = next(row for row in table.rows if row[0].text == "OctoMap")
     assert [value.text for value in row[1:5]] == ["68.05", "99.69", "82.37", "80.89"]
     assert [value.text for value in row[5:9]] == ["90.00", "80.00", "84.85", "84.71"]
@@ -295,12 +294,12 @@ def test_published_numbers_of_a_public_sequence(study):
 def test_what_matches_a_public_sequence_is_reported(study, facts, indices, message):
     frames = {"breakdown": {"frame": [{"frame": k, "index": index} for k, index in enumerate(indices)]}}
     made = tables(study(result("octomap", sequence={"digest": "d", **facts}, sections=frames)))
-    (table,) = made.public.values()
+    table = made.by_board[0].published
     assert message in table.notes[0]
 
 
 def test_other_sequences_have_no_published_numbers(study):
-    assert not tables(study(*TWO)).public
+    assert tables(study(*TWO)).by_board[0].published is None
 
 
 def latex_rows(text: str) -> list[list[str]]:

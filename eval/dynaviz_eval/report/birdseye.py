@@ -1,28 +1,40 @@
-"""Bird's-eye pictures of the map: the ground truth, and what each method left of it (paper, Figs. 6 and 7)."""
+"""Pictures of a map, from above or from the side: the ground truth, and each method's result (paper, Figs. 6, 7)."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F64, U8, Bool, Intp
+from dynaviz.arrays import F64, U8, Intp
+from dynaviz.colours import BACKGROUND as GROUND_COLOUR
+from dynaviz.colours import BRIGHT, web
 from dynaviz.errors import DataError
 from dynaviz.reporting import Overview, Study
 from dynaviz.scan import Outcome
-from dynaviz_eval.report.boards import ScoreBoard
-from dynaviz_eval.report.figures import best_of_each_method
+from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
+from dynaviz_eval.report.table import many
 
-MAX_WIDTH, MAX_HEIGHT = 640, 480  # pixels
+MAX_SIZE = (640, 480)  # pixels
 SHADES = 24  # of grey, by height
 MARGIN = 2.0  # metres around the map
 SCALE_BAR = 10  # metres
-BACKGROUND, UNKNOWN, GHOST, HOLE, RIGHT, GREY = range(6)  # palette indices; shades of grey start at the last
-_COLOURS = ((18, 20, 26), (48, 50, 58), (240, 70, 20), (245, 225, 80), (86, 160, 233))  # RGB, as in a recording
+GAP = 0.25  # metres between neighbouring points of a recorded map, which has one point per voxel of 0.2 m
+LOSSLESS = 101  # WebP quality; half the size of PNG for such pictures
+BACKGROUND, UNKNOWN, GHOST, HOLE, RIGHT, TAKEN, FRAME, GREY = range(8)  # palette; shades of grey start at the last
+_COLOURS = (
+    GROUND_COLOUR,
+    (48, 50, 58),
+    BRIGHT[Outcome.FALSE_NEGATIVE],
+    BRIGHT[Outcome.FALSE_POSITIVE],
+    BRIGHT[Outcome.DYNAMIC_REMOVED],
+    BRIGHT[Outcome.UNLABELLED_REMOVED],
+    (255, 255, 255),
+)
 _GREYS = tuple((grey, grey, grey + 8) for grey in (round(70 + 120 * k / (SHADES - 1)) for k in range(SHADES)))
-_PALETTE = np.array((*_COLOURS, *_GREYS), np.uint8)  # (5 + SHADES, 3) RGB
+_PALETTE = np.array((*_COLOURS, *_GREYS), np.uint8)  # (7 + SHADES, 3) RGB
 _STATIC = (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE)
 _DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
 _CORRECTED = np.arange(len(Outcome), dtype=np.uint8)  # by outcome: the outcome of a correct answer
@@ -30,10 +42,10 @@ _CORRECTED[[Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]] = Outcome.STATIC_KE
 
 
 @dataclass(frozen=True)
-class MapImage:
-    """A picture for a page; ``png`` is base64-encoded."""
+class Picture:
+    """A picture for a page; ``webp`` is base64-encoded."""
 
-    png: str
+    webp: str
     width: int
     height: int
     title: str
@@ -41,16 +53,25 @@ class MapImage:
     alt: str
 
 
-def maps(study: Study, board: ScoreBoard) -> tuple[list[MapImage], list[str]]:
-    """Draw the ground truth and the map of the best run of each method.
+def has_truth(overview: Overview) -> bool:
+    """Whether any point of the map is known to be static or dynamic."""
+    return bool(np.isin(overview.outcome, (*_STATIC, *_DYNAMIC)).any())
 
-    Returns:
-        The pictures, and a sentence for each run that has none.
-    """
-    overviews: dict[str, Overview] = {}
-    notes = []
-    rows = best_of_each_method(board)
-    for row in rows:
+
+def raw(overview: Overview) -> Overview:
+    """The map before cleaning."""
+    return Overview(overview.points, np.full(len(overview.points), Outcome.STATIC_KEPT, np.uint8))
+
+
+def corrected(overview: Overview) -> Overview:
+    """The map as a perfect method would clean it."""
+    return Overview(overview.points, _CORRECTED[overview.outcome])
+
+
+def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, Overview], list[str]]:
+    """The map of the best run of each method, by label, and a sentence for each run that has none."""
+    found, notes = {}, []
+    for row in best_of_each_method(board):
         assert row.run is not None
         try:
             overview = study.overview(row.run)
@@ -61,43 +82,67 @@ def maps(study: Study, board: ScoreBoard) -> tuple[list[MapImage], list[str]]:
             why = "its recording contains no points" if row.run.recording else "it has no recording"
             notes.append(f"{row.label}: no picture, because {why}.")
         else:
-            overviews[row.label] = overview
-    if not overviews:
-        return [], notes
-    fewest = min(overviews.values(), key=lambda overview: int((overview.outcome == Outcome.FALSE_POSITIVE).sum()))
-    view = BirdsEyeView.of(fewest)
-    truth = view.draw(Overview(fewest.points, _CORRECTED[fewest.outcome]))
-    alt = f"Bird's-eye map of {board.title}, with dynamic points in blue"
-    images = [view.image(truth, "ground truth", "the result of a perfect method", alt)]
-    for row in rows:
-        if row.label in overviews:
+            found[row.label] = overview
+    return found, notes
+
+
+def most_complete(found: Mapping[str, Overview]) -> Overview:
+    """The map with the fewest removed points. Points are thinned by outcome, so removed ones may be thinned twice."""
+    removed = (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED)
+    return min(found.values(), key=lambda overview: int(np.isin(overview.outcome, removed).sum()))
+
+
+def maps(board: ScoreBoard, found: Mapping[str, Overview]) -> list[Picture]:
+    """Draw the ground truth (without it, the raw map) and the map of each method."""
+    if not found:
+        return []
+    reference = most_complete(found)
+    view = View.of_map(reference)
+    if has_truth(reference):
+        alt = f"Bird's-eye map of {board.title}, with dynamic points in blue"
+        pictures = [view.picture(corrected(reference), "ground truth", "the result of a perfect method", alt)]
+    else:
+        alt = f"Bird's-eye map of {board.title} before cleaning"
+        pictures = [view.picture(raw(reference), "before", "the raw map", alt)]
+    for row in board.rows:
+        if row.label in found:
             ghosts, holes = (row.result.counts.get(name, 0) for name in ("dynamic_kept", "static_removed"))
+            removals = row.result.sections.removals
             caption = f"{ghosts:,} dynamic points kept, {holes:,} static points removed"
+            if not row.result.has_truth:
+                caption = f"{many(removals.removed, 'point')} removed" if removals else "no ground truth"
             alt = f"Bird's-eye map of {board.title} as cleaned by {row.label}: {caption}"
-            images.append(view.image(view.draw(overviews[row.label]), row.label, caption, alt))
-    return images, notes
+            pictures.append(view.picture(found[row.label], row.label, caption, alt))
+    return pictures
 
 
 @dataclass(frozen=True, eq=False)
-class BirdsEyeView:
-    """A view from above, rotated so that the longest side of the map is horizontal.
+class View:
+    """A parallel projection of a map.
 
     Attributes:
-        turn: (2, 2), the picture's axes in the world.
-        low, high: (2,) metres, corners in the picture's axes.
+        axes: (3, 3), the picture's axes in the world: to the right, up, and towards the viewer.
+        low, high: (3,) metres, corners in these axes. Points outside are not drawn.
         heights: heights of the darkest and of the brightest grey, metres.
         pixel: edge of a pixel, metres.
+        bar: length of the scale bar, metres.
+        box: low and high corner of a frame to draw, (2,) metres in the first two axes; or None.
     """
 
-    turn: F64
+    axes: F64
     low: F64
     high: F64
     heights: tuple[float, float]
     pixel: float
+    bar: int = SCALE_BAR
+    box: tuple[F64, F64] | None = None
 
     @classmethod
-    def of(cls, overview: Overview) -> BirdsEyeView:
-        """Fit a view to the labelled points, without the outermost ones: these would make the rest too small."""
+    def of_map(cls, overview: Overview) -> View:
+        """A view from above of the labelled points, without the outermost ones: these would make the rest too small.
+
+        The longest side of the map is horizontal.
+        """
         known = np.isin(overview.outcome, (*_STATIC, *_DYNAMIC))
         known |= not known.any()
         points, outcome = overview.points[known].astype(np.float64), overview.outcome[known]
@@ -105,100 +150,123 @@ class BirdsEyeView:
         points, outcome = points[finite], outcome[finite]
         if not len(points):
             points, outcome = np.zeros((1, 3)), np.zeros(1, np.uint8)
-        turn = _principal_axes(points[:, :2])
-        flat = points[:, :2] @ turn.T
+        axes = upright(principal_axes(points[:, :2]))
+        flat = points @ axes.T
         low, high = np.percentile(flat, [1, 99], axis=0)
         dynamic = flat[np.isin(outcome, _DYNAMIC)]
         if len(dynamic):
             low, high = np.minimum(low, dynamic.min(0)), np.maximum(high, dynamic.max(0))
         low, high = low - MARGIN, high + MARGIN
-        pixel = float(max((high[0] - low[0]) / MAX_WIDTH, (high[1] - low[1]) / MAX_HEIGHT))
-        bottom, top = np.percentile(points[:, 2], [2, 95])
-        return cls(turn, low, high, (float(bottom), float(top)), pixel)
+        low[2], high[2] = -np.inf, np.inf
+        pixel = float(((high - low)[:2] / MAX_SIZE).max())
+        return cls(axes, low, high, height_range(points), pixel)
 
     def draw(self, overview: Overview) -> U8:
-        """(rows, columns) uint8 indices into the palette. Labelled points cover 3 x 3 pixels.
+        """(rows, columns) uint8 indices into the palette. A point covers at least 3 x 3 pixels.
 
         A pixel is a ghost where at least as many dynamic points were kept as removed, else a hole where more static
-        points were removed than kept.
+        points were removed than kept. Without ground truth, a pixel is removed where more points were removed than
+        kept.
         """
         import cv2
 
-        at, z, inside = self._project(overview)
-        shape = tuple(np.maximum(((self.high - self.low) / self.pixel).astype(int), 1)[::-1].tolist())
+        at, z, outcome = self._project(overview)
+        size = (self.high - self.low)[:2] / self.pixel
+        shape = tuple(np.maximum(np.round(size).astype(int), 1)[::-1].tolist())
         at = np.minimum(at, np.array(shape) - 1)
         index = at[:, 0] * shape[1] + at[:, 1]
+        splat = (max(3, 2 * round(GAP / self.pixel / 2) + 1),) * 2
+        known = has_truth(overview)
 
-        def count(outcome: Outcome) -> F64:
-            """Points of an outcome by pixel, in whole numbers."""
-            chosen = index[inside & (overview.outcome == outcome)]
-            return np.bincount(chosen, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
+        def count(*outcomes: Outcome) -> F64:
+            """Points of some outcomes by pixel, in whole numbers."""
+            counts = np.bincount(index[np.isin(outcome, outcomes)], minlength=shape[0] * shape[1])
+            return counts.reshape(shape).astype(np.float64)
 
-        def count_around(outcome: Outcome) -> F64:
-            """Points of an outcome in the 3 x 3 pixels around each."""
-            return np.asarray(
-                cv2.boxFilter(count(outcome), -1, (3, 3), normalize=False, borderType=cv2.BORDER_REPLICATE), np.float64
-            )
+        def count_around(*outcomes: Outcome) -> F64:
+            """Points of some outcomes in the pixels around each."""
+            counts = count(*outcomes)
+            return np.asarray(cv2.boxFilter(counts, -1, splat, normalize=False, borderType=cv2.BORDER_REPLICATE))
 
-        kept, removed, ghosts, correct = map(
-            count_around,
-            (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED),
-        )
+        background = (Outcome.STATIC_KEPT,) if known else (Outcome.UNLABELLED_KEPT,)
+        kept, removed = count_around(*background), count_around(Outcome.FALSE_POSITIVE)
+        ghosts, correct = count_around(Outcome.FALSE_NEGATIVE), count_around(Outcome.DYNAMIC_REMOVED)
         heights = np.full(shape, -np.inf)
-        chosen = inside & (overview.outcome == Outcome.STATIC_KEPT)
+        chosen = np.isin(outcome, background)
         np.maximum.at(heights.reshape(-1), index[chosen], z[chosen])
-        highest = cv2.dilate(heights, np.ones((3, 3), np.uint8))[kept > 0]
+        highest = cv2.dilate(heights, np.ones(splat, np.uint8))[kept > 0]
         bottom, top = self.heights
         shade = np.clip((highest - bottom) / max(top - bottom, 1e-3) * SHADES, 0, SHADES - 1).astype(np.uint8)
 
         image = np.full(shape, BACKGROUND, np.uint8)
-        image[count(Outcome.UNLABELLED_KEPT) > 0] = UNKNOWN
+        if known:
+            image[count(Outcome.UNLABELLED_KEPT) > 0] = UNKNOWN
         image[kept > 0] = GREY + shade
         image[removed > kept] = HOLE
         image[correct > 0] = RIGHT
         image[(ghosts > 0) & (ghosts >= correct)] = GHOST
+        if not known:
+            image[count_around(Outcome.UNLABELLED_REMOVED) > kept] = TAKEN
         return image
 
-    def _project(self, overview: Overview) -> tuple[Intp, F64, Bool]:
-        """Row and column of each point, its height, and whether it is inside the picture."""
-        points = overview.points.astype(np.float64)
-        inside: Bool = np.logical_and.reduce(np.isfinite(points), axis=1)
-        points[~inside] = 0
-        flat = points[:, :2] @ self.turn.T
-        inside &= ((flat >= self.low) & (flat < self.high)).all(1)
-        flat = np.clip(flat, self.low, self.high)
+    def _project(self, overview: Overview) -> tuple[Intp, F64, U8]:
+        """Row and column, height, and outcome of each point inside the picture."""
+        with np.errstate(invalid="ignore"):  # NaN, which is outside
+            turned = overview.points @ self.axes.astype(np.float32).T
+        inside = np.flatnonzero(((turned >= self.low) & (turned < self.high)).all(1))
+        flat = turned[inside, :2].astype(np.float64)
         column, row = ((flat[:, 0] - self.low[0]) / self.pixel), ((self.high[1] - flat[:, 1]) / self.pixel)
-        return np.stack([row, column], 1).astype(np.intp), points[:, 2], inside
+        return np.stack([row, column], 1).astype(np.intp), overview.points[inside, 2], overview.outcome[inside]
 
-    def image(self, indices: U8, title: str, caption: str, alt: str) -> MapImage:
-        """Encode a drawn view as PNG, with a scale bar in the lower left corner."""
+    def picture(self, overview: Overview, title: str, caption: str, alt: str) -> Picture:
+        """Draw a map as WebP, with a scale bar in the lower left corner."""
         import cv2
 
+        indices = self.draw(overview)
         height, width = indices.shape
+        if self.box is not None:
+            low, high = ((corner - self.low[:2]) / self.pixel for corner in self.box)
+            corners = [(int(low[0]), int(height - high[1])), (int(high[0]), int(height - low[1]))]
+            cv2.rectangle(indices, *corners, FRAME)
         picture = np.ascontiguousarray(_PALETTE[indices][:, :, ::-1])  # OpenCV's order is BGR
-        bar = min(round(SCALE_BAR / self.pixel), width - 20)
+        bar = min(round(self.bar / self.pixel), width - 20)
         if bar > 0 and height > 40:
-            colour = _PALETTE[-1, ::-1].tolist()
+            scale, colour = (0.6 if width > MAX_SIZE[0] / 2 else 0.4), _PALETTE[-1, ::-1].tolist()
             cv2.rectangle(picture, (10, height - 12), (9 + bar, height - 10), colour, cv2.FILLED)
-            cv2.putText(picture, f"{SCALE_BAR} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour)
-        _, content = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-        return MapImage(base64.b64encode(content.tobytes()).decode(), width, height, title, caption, alt)
+            cv2.putText(picture, f"{self.bar} m", (10, height - 18), cv2.FONT_HERSHEY_SIMPLEX, scale, colour)
+        _, content = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, LOSSLESS])
+        return Picture(base64.b64encode(content.tobytes()).decode(), width, height, title, caption, alt)
 
 
-def legend() -> Sequence[tuple[str, str]]:
-    """Colours and what they mean, for a page."""
+def legend(known: bool = True) -> list[tuple[str, str]]:
+    """Colours and what they mean, for a page; ``known``: with ground truth."""
     names = {
         RIGHT: "dynamic, removed",
         GHOST: "ghost: dynamic, kept",
         HOLE: "hole: static, more removed than kept",
         UNKNOWN: "unlabelled",
     }
-    listed = [("#{:02x}{:02x}{:02x}".format(*_COLOURS[layer]), name) for layer, name in names.items()]
-    return [("#808088", "static, kept; brighter is higher"), *listed]
+    first = "static, kept; brighter is higher"
+    if not known:
+        names, first = {TAKEN: "more removed than kept"}, "kept; brighter is higher"
+    return [("#808088", first), *((web(_COLOURS[layer]), name) for layer, name in names.items())]
 
 
-def _principal_axes(flat: F64) -> F64:
+def height_range(points: F64) -> tuple[float, float]:
+    """Heights between which greys vary, metres, of (N, 3) points."""
+    bottom, top = np.percentile(points[:, 2], [2, 95])
+    return float(bottom), float(top)
+
+
+def principal_axes(flat: F64) -> F64:
     """(2, 2) principal axes of (N, 2) points, the longest first; a rotation without mirroring."""
     _, axes = np.linalg.eigh(np.cov(flat.T) if len(flat) > 1 else np.eye(2))
     first = axes[:, 1] * (1 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1)
     return np.array([first, [-first[1], first[0]]])
+
+
+def upright(turn: F64) -> F64:
+    """(3, 3) axes of a view from above, from the picture's (2, 2) axes in the plane."""
+    axes = np.eye(3)
+    axes[:2, :2] = turn
+    return axes

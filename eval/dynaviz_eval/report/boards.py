@@ -20,6 +20,7 @@ KINDS = {
     "false_negative": ("DA", "dynamic_removed", "dynamic_kept"),
 }
 """Kinds of error: the score that they lower, and the counts of correct and wrong points."""
+ERRORS = {"false_positive": "static removed", "false_negative": "dynamic kept"}
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class ScoreBoard:
         """Name, digest, frames and points of the sequence."""
         return self.rows[0].result.sequence
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether the sequence has ground truth."""
+        return any(row.result.has_truth for row in self.rows)
+
     def row(self, label: str) -> ScoreRow | None:
         """The row with this label, or None."""
         return next((row for row in self.rows if row.label == label), None)
@@ -70,6 +76,14 @@ class ScoreBoard:
         """Labels of the rows with the highest score, rounded to two decimals as printed; empty for a single row."""
         scores = {row.label: round(score, 2) for row in self.rows if (score := row.score(name)) is not None}
         return _highest(scores) if len(self.rows) > 1 else set()
+
+
+def best_of_each_method(board: ScoreBoard) -> list[ScoreRow]:
+    """The row with the best AA of each method, best method first."""
+    best: dict[str, ScoreRow] = {}
+    for row in board.rows:
+        best.setdefault(row.result.method, row)
+    return list(best.values())
 
 
 def _highest(values: Mapping[str, float]) -> set[str]:

@@ -1,21 +1,22 @@
-"""Style of figures: a colour and a marker for each method, and SVG for light and dark pages."""
+"""Style of figures: a colour, a marker and a dash for each method, and SVG for light and dark pages."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import re
-from collections.abc import Iterator, Sequence
+import zlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
+
+from dynaviz.colours import METHODS, method_colour, web
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INK, FAINT = "#010203", "#040506"  # placeholders for the colours of the page
-# Hues that colour-blind readers can distinguish, on white and on black. Markers and dashes work without colour.
-COLOURS = ("#0a7abf", "#d55e00", "#009e73", "#c7669e", "#b58900", "#3fa7dd", "#8a6fd1", INK)
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "p")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1, 1, 1)), (0, (3, 1)))
 _REPLACED = {INK: "currentColor", FAINT: "var(--faint)"}
 
@@ -37,26 +38,26 @@ _STYLE: dict[Any, Any] = {
     **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), INK),
 }
 
-WIDTHS = {1: 6.0, 2: 11.0, 3: 12.0, 4: 12.5}  # inches, by panels per row
+WIDTH = 4.6  # inches: width of a panel
 POINTS = 98  # pixels of the page per inch
 
 
-class Palette:
-    """A colour, a marker and a dash for each method, the same in all figures of a report."""
+def line(method: str) -> dict[str, Any]:
+    """Style of a method's line, the same in every report."""
+    look = mark(method)
+    return {**look, "markersize": 0.65 * look["markersize"], "linestyle": DASHES[_number(method) % len(DASHES)]}
 
-    def __init__(self, methods: Sequence[str]) -> None:
-        self._at = {method: k for k, method in enumerate(sorted(set(methods)))}
 
-    def line(self, method: str) -> dict[str, Any]:
-        """Style of a method's line."""
-        point = self.point(method)
-        return {**point, "markersize": 0.65 * point["markersize"], "linestyle": DASHES[self._at[method] % len(DASHES)]}
+def mark(method: str) -> dict[str, Any]:
+    """Style of a method's marker, the same in every report."""
+    marker = MARKERS[_number(method) % len(MARKERS)]
+    return {"color": web(method_colour(method)), "marker": marker, "markersize": 11 if marker == "*" else 8}
 
-    def point(self, method: str) -> dict[str, Any]:
-        """Style of a method's marker."""
-        k = self._at[method]
-        marker = MARKERS[(k + k // len(MARKERS)) % len(MARKERS)]
-        return {"color": COLOURS[k % len(COLOURS)], "marker": marker, "markersize": 11 if marker == "*" else 8}
+
+def _number(method: str) -> int:
+    """A number for each method; different ones for the known methods."""
+    known = list(METHODS)
+    return known.index(method) if method in known else zlib.crc32(method.encode())
 
 
 @contextlib.contextmanager
@@ -70,27 +71,15 @@ def style() -> Iterator[None]:
         yield
 
 
-def panels(count: int, height: float = 3.3, across: int = 4) -> tuple[Figure, list[Axes]]:
-    """A figure with a grid of panels.
-
-    Args:
-        count: number of panels.
-        height: height of a row, inches.
-        across: maximum number of panels per row.
-    """
+def panel(height: float = 3.2) -> tuple[Figure, Axes]:
+    """A figure with one panel, of a width that stays legible on a phone; ``height`` in inches."""
     from matplotlib.figure import Figure
 
-    columns = min(count, across)
-    rows = -(-count // columns)
-    wide = WIDTHS[columns]
-    figure = Figure((wide, height * rows), layout="constrained")
+    figure = Figure((WIDTH, height), dpi=72, layout="constrained")
     figure.patch.set_alpha(0)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in grid:
-        axes.patch.set_alpha(0)
-    for axes in grid[count:]:
-        axes.set_axis_off()
-    return figure, list(grid[:count])
+    axes = figure.subplots()
+    axes.patch.set_alpha(0)
+    return figure, axes
 
 
 def svg(figure: Figure, name: str, title: str) -> str:

@@ -1,173 +1,181 @@
-"""The figures of a report, as SVG. Each function returns None if there is nothing to draw."""
+"""The figures of a report, as SVG. Each function returns None if there is nothing to draw.
+
+Each panel is an SVG of its own, so that a page can place them side by side or, on a phone, one below the other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynaviz.results.sections import ErrorDistances, IntervalRow
+from dynaviz.results.sections import ErrorDistances
 from dynaviz_eval.error_distance import BIN, LIMIT
-from dynaviz_eval.report.boards import KINDS, ScoreBoard, ScoreRow, by_method, losses
-from dynaviz_eval.report.drawing import FAINT, INK, Palette, panels, style, svg
+from dynaviz_eval.report.boards import KINDS, ScoreBoard, ScoreRow, best_of_each_method
+from dynaviz_eval.report.drawing import FAINT, INK, line, mark, panel, style, svg
+from dynaviz_eval.report.errors import TITLES, interval_name, intervals
+from dynaviz_eval.report.labels import label_ends, label_marks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BEST = " Of several variants of a method, only the best is shown."
-LEGEND_ENTRY = 1.5  # inches: width of an entry of a legend
 FEW = 100  # points; an accuracy of fewer points is drawn hollow
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of a page: the SVG element and its caption."""
+    """A figure of a page: an SVG element for each panel, and the caption."""
 
     name: str
-    svg: str
+    panels: Sequence[str]
     caption: str
 
 
-def scores(boards: Sequence[ScoreBoard], palette: Palette) -> ReportFigure | None:
+def _figure(name: str, caption: str, count: int, height: float, draw: Callable[[int, Axes], str]) -> ReportFigure:
+    """Draw panels; ``draw`` draws a panel by number and returns its description."""
+    drawn = []
+    with style():
+        for number in range(count):
+            figure, axes = panel(height)
+            title = draw(number, axes)
+            drawn.append(svg(figure, f"{name}-{number}", title))
+    return ReportFigure(name, drawn, caption)
+
+
+def scores(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
     """SA against DA, with lines of equal AA."""
     drawn = [board for board in boards if any(row.score("AA") is not None for row in board.rows)]
-    if not drawn:
-        return None
-    with style():
-        figure, grid = panels(len(drawn), 3.4)
-        for axes, board in zip(grid, drawn, strict=True):
-            points = [
-                (row, row.score("SA") or 0.0, row.score("DA") or 0.0)
-                for row in board.rows
-                if row.score("AA") is not None
-            ]
-            low = [max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))]
-            _iso(axes, low)
-            for row, sa, da in points:
-                axes.plot(sa, da, linestyle="", **palette.point(row.result.method))
-            for row, sa, da in points:
-                if row.label in board.best("AA"):
-                    _name(axes, row.label, sa, da, low)
-            axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
-        _legend(figure, [row for board in drawn for row in board.rows], palette, lines=False)
-        grid[0].set_ylabel("DA [%]: dynamic removed")
-        caption = (
-            "Static against dynamic accuracy; the best corner is top right. Thin lines: equal AA. The best method of "
-            "each sequence is named."
-        )
-        return ReportFigure("scores", svg(figure, "scores", caption), caption)
+
+    def draw(number: int, axes: Axes) -> str:
+        board = drawn[number]
+        points = [(r, r.score("SA") or 0.0, r.score("DA") or 0.0) for r in board.rows if r.score("AA") is not None]
+        low = [max(0.0, value - 4) for value in (min(p[1] for p in points), min(p[2] for p in points))]
+        _iso(axes, low)
+        for row, sa, da in points:
+            axes.plot(sa, da, linestyle="", **mark(row.result.method))
+        axes.set(title=board.title, xlabel="SA [%]: static kept", xlim=(low[0], 101), ylim=(low[1], 101))
+        axes.set_ylabel("DA [%]: dynamic removed")
+        label_marks(axes, _named([(sa, da, row) for row, sa, da in points]))
+        return f"Static against dynamic accuracy on {board.title}"
+
+    caption = "Static against dynamic accuracy; the best corner is top right. Thin lines: equal AA."
+    return _figure("scores", caption, len(drawn), 3.8, draw) if drawn else None
 
 
-def speed(boards: Sequence[ScoreBoard], palette: Palette) -> ReportFigure | None:
+def speed(boards: Sequence[ScoreBoard]) -> ReportFigure | None:
     """Runtime against AA."""
     drawn = [board for board in boards if _timed(board)]
+
+    def draw(number: int, axes: Axes) -> str:
+        rows = _timed(drawn[number])
+        for row in rows:
+            hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
+            axes.plot(_seconds(row), row.score("AA") or 0.0, linestyle="", **mark(row.result.method), **hollow)
+        axes.margins(0.12)
+        axes.set(title=drawn[number].title, xlabel="seconds per frame (log)", ylabel="AA [%]")
+        _log(axes)
+        label_marks(axes, _named([(_seconds(row), row.score("AA") or 0.0, row) for row in rows]))
+        return f"Runtime against AA on {drawn[number].title}"
+
+    caption = "Runtime against AA; the best corner is top left."
+    if any(row.result.instrumented for board in drawn for row in _timed(board)):
+        caption += " Hollow: measured while states were recorded, so slower than the method alone."
+    return _figure("speed", caption, len(drawn), 3.4, draw) if drawn else None
+
+
+MOST_NAMES = 16  # marks of a panel with a name; of more, only the best variant of each method has one
+
+
+def _named(points: Sequence[tuple[float, float, ScoreRow]]) -> list[tuple[float, float, str]]:
+    """Places and names of marks, best first."""
+    seen: set[str] = set()
+    named = []
+    for x, y, row in points:
+        first = row.result.method not in seen
+        seen.add(row.result.method)
+        named.append((x, y, row.label if first or len(points) <= MOST_NAMES else ""))
+    return named
+
+
+def accuracy_by(board: ScoreBoard, name: str, of: str) -> ReportFigure | None:
+    """SA and DA by ``range`` or ``height``."""
+    drawn = [row for row in best_of_each_method(board) if intervals(row, of)] if board.has_truth else []
     if not drawn:
         return None
-    with style():
-        figure, grid = panels(len(drawn), 3.2)
-        for axes, board in zip(grid, drawn, strict=True):
-            for row in _timed(board):
-                look = palette.point(row.result.method)
-                hollow: dict[str, Any] = {"markerfacecolor": "none"} if row.result.instrumented else {}
-                axes.plot(_seconds(row), row.score("AA") or 0.0, linestyle="", **look, **hollow)
-            axes.set(title=board.title, xlabel="seconds per frame (log)")
-            _log(axes)
-        _legend(figure, [row for board in drawn for row in board.rows], palette, lines=False)
-        grid[0].set_ylabel("AA [%]")
-        hollow_note = (
-            " Hollow: measured while states were recorded, so slower than the method alone."
-            if any(row.result.instrumented for b in drawn for row in b.rows)
-            else ""
-        )
-        caption = "Runtime against AA; the best corner is top left." + hollow_note
-        return ReportFigure("speed", svg(figure, "speed", caption), caption)
+    ticks = [interval_name(each) for each in intervals(drawn[0], of)]
+    kinds = [(score, right, wrong) for score, right, wrong in KINDS.values() if _any_score(drawn, of, score)]
+
+    def draw(number: int, axes: Axes) -> str:
+        score, right, wrong = kinds[number]
+        ends = []
+        for row in drawn:
+            here = intervals(row, of)
+            values = [np.nan if getattr(b, score) is None else getattr(b, score) for b in here]
+            look = line(row.result.method)
+            axes.plot(range(len(here)), values, **{**look, "marker": ""})
+            few = np.array([getattr(each, right) + getattr(each, wrong) < FEW for each in here])
+            for face, chosen in ({}, ~few), ({"markerfacecolor": "none"}, few):
+                axes.plot(np.flatnonzero(chosen), np.array(values)[chosen], **{**look, **face, "linestyle": ""})
+            known = [(at, value) for at, value in enumerate(values) if not np.isnan(value)]
+            ends += [(*known[-1], row.label, look["color"])] if known else []
+        said = "static kept" if score == "SA" else "dynamic removed"
+        axes.set(title=f"{score}: {said}", ylabel=f"{score} [%]", xlabel=f"{TITLES[of]} [m]")
+        axes.set_xticks(range(len(ticks)), ticks)
+        label_ends(axes, ends)
+        return f"{score} against {TITLES[of]} on {board.title}"
+
+    caption = f"Accuracy against {TITLES[of]} on {board.title}. Hollow markers: fewer than {FEW} points."
+    caption += BEST * (len(drawn) < len(board.rows))
+    return _figure(name, caption, len(kinds), 3.2, draw) if kinds else None
 
 
-def ranges(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
-    """SA and DA by range from the sensor."""
-    drawn = [row for row in best_of_each_method(board) if ranges_of(row)]
-    if not drawn:
-        return None
-    with style():
-        figure, grid = panels(2, 2.9, across=2)
-        bins = ranges_of(drawn[0])
-        ticks = [f"{b.low or 0:.0f}–{b.high:.0f}" if b.high is not None else f"{b.low:.0f}+" for b in bins]
-        for axes, (kind, (score, right, wrong)) in zip(grid, KINDS.items(), strict=True):
-            for row in drawn:
-                here = ranges_of(row)
-                values = [np.nan if getattr(b, score) is None else getattr(b, score) for b in here]
-                few = [getattr(b, right) + getattr(b, wrong) < FEW for b in here]
-                look = palette.line(row.result.method)
-                axes.plot(range(len(here)), values, **{**look, "marker": ""})
-                for at, (value, hollow) in enumerate(zip(values, few, strict=True)):
-                    face: dict[str, Any] = {"markerfacecolor": "none"} if hollow else {}
-                    axes.plot(
-                        at, value, linestyle="", **{k: look[k] for k in ("color", "marker", "markersize")}, **face
-                    )
-            said = "static kept" if kind == "false_positive" else "dynamic removed"
-            axes.set(title=f"{score}: {said}", ylabel=f"{score} [%]", xlabel="range from the sensor [m]")
-            axes.set_xticks(range(len(ticks)), ticks)
-        _legend(figure, drawn, palette)
-        caption = f"Accuracy against range on {board.title}. Hollow markers: fewer than {FEW} points."
-        caption += BEST * (len(drawn) < len(board.rows))
-        return ReportFigure(name, svg(figure, name, caption), caption)
+def _any_score(rows: Iterable[ScoreRow], of: str, score: str) -> bool:
+    return any(getattr(each, score) is not None for row in rows for each in intervals(row, of))
 
 
-def distances(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
+def distances(board: ScoreBoard, name: str) -> ReportFigure | None:
     """Distances from wrong points to correct ones, a histogram per method (paper, Fig. 5)."""
     drawn = [row for row in best_of_each_method(board) if row.result.sections.error_distance]
-    if not drawn:
-        return None
     titles = {
         "false_negative": "dynamic points kept:\ndistance to the nearest one removed",
         "false_positive": "static points removed:\ndistance to the nearest one kept",
     }
-    with style():
-        figure, grid = panels(2, 0.42 * len(drawn) + 1.1, across=2)
-        for axes, (kind, title) in zip(grid, titles.items(), strict=True):
-            for at, row in enumerate(drawn):
-                _ridge(axes, -at, row, kind, palette)
-            axes.set(
-                title=title,
-                xlabel="distance [m]; last bar: larger",
-                xlim=(0, LIMIT + 0.35),
-                ylim=(-len(drawn) + 0.9, 1.05),
-            )
-            axes.set_yticks([-at + 0.3 for at in range(len(drawn))], [row.label for row in drawn])
-            axes.tick_params(axis="y", length=0)
-            axes.grid(False, axis="y")
-            axes.spines["left"].set_visible(False)
-        grid[1].set_yticklabels([])
-        caption = (
-            f"Distances from wrong points to correct ones on {board.title}. Bars: share of a method's wrong points per "
-            "5 cm, each row scaled to its own maximum. Dashed line: 10 % of the points are nearer. "
-            "Right: number of wrong points."
-        )
-        caption += BEST * (len(drawn) < len(board.rows))
-        return ReportFigure(name, svg(figure, name, caption), caption)
 
+    def draw(number: int, axes: Axes) -> str:
+        kind, title = list(titles.items())[number]
+        for at, row in enumerate(drawn):
+            _ridge(axes, -at, row, kind)
+        axes.set(title=title, xlabel="distance [m]; last bar: larger", xlim=(0, LIMIT + 0.35))
+        axes.set_ylim(-len(drawn) + 0.9, 1.05)
+        axes.set_yticks([-at + 0.3 for at in range(len(drawn))], [row.label for row in drawn])
+        axes.tick_params(axis="y", length=0)
+        axes.grid(False, axis="y")
+        axes.spines["left"].set_visible(False)
+        return f"{title} on {board.title}".replace("\n", " ")
 
-def ranges_of(row: ScoreRow) -> tuple[IntervalRow, ...]:
-    """A run's scores by range."""
-    return row.result.sections.breakdown.range if row.result.sections.breakdown else ()
-
-
-def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, palette: Palette) -> None:
-    section = row.result.sections.error_distance.get(kind, ErrorDistances())
-    histogram, number = (
-        section.histogram,
-        row.result.counts.get("dynamic_kept" if kind == "false_negative" else "static_removed", 0),
+    caption = (
+        f"Distances from wrong points to correct ones on {board.title}. Bars: share of a method's wrong points per "
+        "5 cm, each row scaled to its own maximum. Dashed line: 10 % of the points are nearer. "
+        "Right: number of wrong points."
     )
+    caption += BEST * (len(drawn) < len(board.rows))
+    return _figure(name, caption, len(titles), 0.42 * len(drawn) + 1.1, draw) if drawn else None
+
+
+def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str) -> None:
+    section = row.result.sections.error_distance.get(kind, ErrorDistances())
+    histogram = section.histogram
+    number = row.result.counts.get("dynamic_kept" if kind == "false_negative" else "static_removed", 0)
     axes.axhline(base, color=FAINT, linewidth=0.8)
     if not histogram or not sum(histogram):
         axes.text(0.02, base + 0.2, "no correct points" if number else "no errors", fontsize=7.5, color=INK)
     else:
         shares = np.array(histogram, float) / max(histogram)
         edges = np.arange(len(histogram)) * BIN
-        colour = palette.point(row.result.method)["color"]
+        colour = mark(row.result.method)["color"]
         for heights, ends in ((shares[:-1], edges), (shares[-1:], LIMIT + 0.06 + np.array([0, BIN]))):
             axes.stairs(base + 0.8 * heights, ends, baseline=base, fill=True, color=colour, linewidth=0)
         if section.p10 is not None:
@@ -175,114 +183,56 @@ def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str, palette: Palette) 
     axes.text(LIMIT + 0.33, base + 0.45, f"{number:,}", fontsize=7.5, ha="right", va="bottom", color=INK)
 
 
-def causes(boards: Sequence[ScoreBoard], order: Sequence[str]) -> ReportFigure | None:
-    """The cost of each cause for each method, as bars."""
-    groups = by_method(boards)
-    several = len({scoring for _, scoring in groups}) > 1
-    first: dict[tuple[str, str], tuple[str, str]] = {}
-    for key in sorted(groups, key=lambda key: order.index(key[0])):
-        first.setdefault((groups[key][0].result.method, key[1]), key)
-    keys = list(first.values())
-    found = {(key, kind): losses(groups[key], kind) for key in keys for kind in KINDS}
-    totals: dict[str, float] = {}
-    for loss in found.values():
-        for cause, cost in loss.causes.items():
-            totals[cause] = totals.get(cause, 0.0) + cost
-    if not totals:
-        return None
-    shown = sorted(totals, key=lambda cause: (-totals[cause], cause))[: len(_FILLS) - 1]
-    rest = ["other"] if len(totals) > len(shown) else []
-    with style():
-        import matplotlib as mpl
+@dataclass(frozen=True)
+class _Variants:
+    """A panel of variants of one method: two scores, of which the second and possibly minus the first is to be high."""
 
-        mpl.rcParams["hatch.linewidth"] = 0.7
-        figure, grid = panels(2, 0.3 * len(keys) + 1.2, across=2)
-        for axes, kind in zip(grid, KINDS, strict=True):
-            left = np.zeros(len(keys))
-            for cause, (colour, hatch) in zip([*shown, *rest], _FILLS, strict=False):
-                costs = [
-                    sum(
-                        cost
-                        for name, cost in found[key, kind].causes.items()
-                        if name == cause or (cause == "other" and name not in shown)
-                    )
-                    for key in keys
-                ]
-                axes.barh(
-                    range(len(keys)),
-                    costs,
-                    0.7,
-                    left=left,
-                    label=cause,
-                    color=colour,
-                    hatch=hatch,
-                    edgecolor="#ffffff",
-                    linewidth=0.4,
-                )
-                left += costs
-            said = "static points removed" if kind == "false_positive" else "dynamic points kept"
-            axes.set(title=said, xlabel=f"{KINDS[kind][0]} lost [percentage points]")
-            axes.set_yticks(range(len(keys)), [f"{label}, {scoring}" if several else label for label, scoring in keys])
-            axes.invert_yaxis()
-            axes.grid(False, axis="y")
-        grid[1].set_yticklabels([])
-        figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, handleheight=1.1)
-        caption = "Accuracy lost to each cause, over all sequences that a method ran on. Short bars are good."
-        caption += BEST * (len(keys) < len(groups))
-        return ReportFigure("causes", svg(figure, "causes", caption), caption)
+    method: str
+    rows: Sequence[ScoreRow]
+    xlabel: str
+    ylabel: str
+    x: Callable[[ScoreRow], float]
+    y: Callable[[ScoreRow], float]
+    fast: bool = False
 
 
-_FILLS = (
-    ("#0a7abf", ""), ("#d55e00", "//"), ("#009e73", ".."), ("#c7669e", "xx"), ("#b58900", "--"),
-    ("#3fa7dd", "\\\\"), ("#8a6fd1", "++"), ("#7d7d7d", "oo"), ("#555555", ""),
-)  # fmt: skip
-
-
-def pareto(board: ScoreBoard, name: str, palette: Palette) -> ReportFigure | None:
+def pareto(board: ScoreBoard, name: str) -> ReportFigure | None:
     """Variants of each method that has several: SA against DA, AA against runtime, with the Pareto front."""
     variants: dict[str, list[ScoreRow]] = {}
     for row in board.rows:
         if row.score("AA") is not None:
             variants.setdefault(row.result.method, []).append(row)
-    drawn = {method: rows for method, rows in sorted(variants.items()) if len(rows) > 1}
-    if not drawn:
-        return None
-    timed = {method: [row for row in rows if row.result.runtime.mean_s] for method, rows in drawn.items()}
-    views: list[tuple[str, list[ScoreRow], str, str, Callable[[ScoreRow], float], Callable[[ScoreRow], float]]] = []
-    for method, rows in drawn.items():
-        views.append((method, rows, "SA [%]", "DA [%]", lambda r: r.score("SA") or 0.0, lambda r: r.score("DA") or 0.0))
-        if len(timed[method]) > 1:
-            views.append(
-                (
-                    method,
-                    timed[method],
-                    "seconds per frame (log)",
-                    "AA [%]",
-                    _seconds,
-                    lambda r: r.score("AA") or 0.0,
-                )
-            )
-    with style():
-        figure, grid = panels(len(views), 3.1)
-        for axes, (method, rows, xlabel, ylabel, x, y) in zip(grid, views, strict=True):
-            fast = xlabel.startswith("seconds")
-            front = _front([(-x(row) if fast else x(row), y(row)) for row in rows])
-            look = palette.point(method)
-            axes.plot([x(row) for row in rows], [y(row) for row in rows], linestyle="", markerfacecolor="none", **look)
-            best = sorted((rows[k] for k in front), key=x)
-            axes.plot([x(row) for row in best], [y(row) for row in best], **look)
-            for row in best:
-                text = row.label.removeprefix(method).strip(" ()[]") or "default"
-                axes.annotate(text, (x(row), y(row)), (4, 4), textcoords="offset points", fontsize=7.5, color=INK)
-            axes.margins(0.18)
-            axes.set(title=method, xlabel=xlabel, ylabel=ylabel)
-            if fast:
-                _log(axes)
-        caption = (
-            f"Variants on {board.title}. Filled and joined: variants that no other variant beats in both; "
-            "hollow: all others."
-        )
-        return ReportFigure(name, svg(figure, name, caption), caption)
+    views = []
+    for method, rows in sorted(variants.items()):
+        timed = [row for row in rows if row.result.runtime.mean_s]
+        if len(rows) > 1:
+            views.append(_Variants(method, rows, "SA [%]", "DA [%]", _score("SA"), _score("DA")))
+        if len(timed) > 1:
+            views.append(_Variants(method, timed, "seconds per frame (log)", "AA [%]", _seconds, _score("AA"), True))
+
+    def draw(number: int, axes: Axes) -> str:
+        _draw_variants(axes, views[number])
+        return f"Variants of {views[number].method}: {views[number].ylabel} against {views[number].xlabel}"
+
+    caption = (
+        f"Variants on {board.title}. Filled and joined: variants that no other variant beats in both; "
+        "hollow: all others."
+    )
+    return _figure(name, caption, len(views), 3.2, draw) if views else None
+
+
+def _draw_variants(axes: Axes, view: _Variants) -> None:
+    sign = -1 if view.fast else 1
+    front = _front([(sign * view.x(row), view.y(row)) for row in view.rows])
+    look, places = mark(view.method), [(view.x(row), view.y(row)) for row in view.rows]
+    axes.plot(*zip(*places, strict=True), linestyle="", markerfacecolor="none", **look)
+    axes.plot(*zip(*sorted(places[k] for k in front), strict=True), **look)
+    axes.margins(0.18)
+    axes.set(title=view.method, xlabel=view.xlabel, ylabel=view.ylabel)
+    if view.fast:
+        _log(axes)
+    names = [row.label.removeprefix(view.method).strip(" ()[]") or "default" for row in view.rows]
+    label_marks(axes, [(x, y, names[k] if k in front else "") for k, (x, y) in enumerate(places)])
 
 
 def _front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -290,12 +240,8 @@ def _front(points: Sequence[tuple[float, float]]) -> list[int]:
     return [k for k, (a, b) in enumerate(points) if not any(c >= a and d >= b and (c > a or d > b) for c, d in points)]
 
 
-def best_of_each_method(board: ScoreBoard) -> list[ScoreRow]:
-    """The row with the best AA of each method, best method first."""
-    best: dict[str, ScoreRow] = {}
-    for row in board.rows:
-        best.setdefault(row.result.method, row)
-    return list(best.values())
+def _score(name: str) -> Callable[[ScoreRow], float]:
+    return lambda row: row.score(name) or 0.0
 
 
 def _seconds(row: ScoreRow) -> float:
@@ -314,18 +260,10 @@ def _iso(axes: Axes, low: Sequence[float]) -> None:
         axes.plot(sa, aa * aa / sa, color=FAINT, linewidth=1.0, zorder=0.5)
         at = aa * aa / 101
         if low[1] < at and at - last > 0.07 * (101 - low[1]):
-            axes.text(
-                101.3 - 0.003 * low[0], at, f" {aa}", fontsize=7, color=INK, alpha=0.7, va="center", clip_on=False
-            )
+            axes.text(101.3 - 0.003 * low[0], at, f" {aa}", fontsize=7, color=INK, va="center", clip_on=False)
             last = at
-    axes.text(1.01, 1.0, "AA", transform=axes.transAxes, fontsize=7, color=INK, alpha=0.7, va="center")
+    axes.text(1.01, 1.0, "AA", transform=axes.transAxes, fontsize=7, color=INK, va="center")
     axes.grid(False)
-
-
-def _name(axes: Axes, label: str, x: float, y: float, low: Sequence[float]) -> None:
-    side = "right" if x > (low[0] + 101) / 2 else "left"
-    place = (6 if side == "right" else -6, -14 if y > 0.9 * 101 + 0.1 * low[1] else 7)
-    axes.annotate(label, (x, y), place, textcoords="offset points", ha=side, fontsize=8, color=INK)
 
 
 def _log(axes: Axes) -> None:
@@ -335,14 +273,3 @@ def _log(axes: Axes) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def _legend(figure: Figure, rows: Sequence[ScoreRow], palette: Palette, lines: bool = True) -> None:
-    """One legend of methods above all panels, with their lines or only their markers."""
-    from matplotlib.lines import Line2D
-
-    methods = list(dict.fromkeys(row.result.method for row in rows))
-    bare = {} if lines else {"linestyle": ""}
-    handles = [Line2D([], [], **{**palette.line(m), **bare}, label=m) for m in methods]
-    columns = min(len(methods), int(figure.get_figwidth() / LEGEND_ENTRY))
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=2.4, columnspacing=1.4)

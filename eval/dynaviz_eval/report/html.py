@@ -1,4 +1,4 @@
-"""A report as a self-contained HTML page: sortable tables, figures, and bird's-eye maps."""
+"""A report as a self-contained HTML page: sortable tables, figures, maps, and a gallery of failure cases."""
 
 from __future__ import annotations
 
@@ -8,57 +8,52 @@ from importlib import resources
 
 from dynaviz.reporting import Study
 from dynaviz_eval.report import birdseye, figures
-from dynaviz_eval.report.drawing import Palette
-from dynaviz_eval.report.tables import Column, tables
+from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
+from dynaviz_eval.report.cases import note
+from dynaviz_eval.report.gallery import gallery
+from dynaviz_eval.report.table import Column
+from dynaviz_eval.report.tables import BoardTables, tables
 
 
 def html_report(study: Study) -> str:
-    """A self-contained HTML page: sortable tables, figures, and bird's-eye maps."""
+    """A self-contained HTML page: sortable tables, figures, maps, and a gallery of failure cases."""
     from jinja2 import Environment, StrictUndefined
 
     content = tables(study)
-    palette = Palette([run.method for run in study.runs])
-    labels = list(dict.fromkeys(row.label for board in [*content.combined, *content.boards] for row in board.rows))
-    steps, parts = 2 * len(content.boards) + 1, []
-    overall = [
-        figures.scores(content.boards, palette),
-        figures.speed(content.boards, palette),
-        figures.causes(content.boards, labels),
-    ]
+    steps = len(content.boards) + 1
     study.progress("drawing", 1, steps)
-    for number, board in enumerate(content.boards):
-        drawn = [
-            figures.distances(board, f"distances-{number}", palette),
-            figures.ranges(board, f"ranges-{number}", palette),
-            figures.pareto(board, f"pareto-{number}", palette),
-        ]
-        study.progress("drawing", 2 * number + 2, steps)
-        maps, notes = birdseye.maps(study, board)
-        study.progress("drawing", 2 * number + 3, steps)
-        parts.append(
-            {
-                "board": board,
-                "figures": drawn,
-                "maps": maps,
-                "notes": notes,
-                "published": content.public.get(board.title),
-            }
-        )
+    parts = []
+    for number, (board, of_board) in enumerate(zip(content.boards, content.by_board, strict=True)):
+        parts.append(_part(study, board, of_board, number))
+        study.progress("drawing", number + 2, steps)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"groupwise": groupwise, "starts": starts}
     template = environment.from_string(resources.files(__package__).joinpath("page.html.jinja").read_text("utf-8"))
-    return (
-        template.render(
-            content=content,
-            named={table.name: table for table in content.tables},
-            scores=overall[0],
-            speed=overall[1],
-            causes=overall[2],
-            parts=parts,
-            legend=birdseye.legend(),
-        )
-        + "\n"
+    page = template.render(
+        content=content, scores=figures.scores(content.boards), speed=figures.speed(content.boards), parts=parts
     )
+    return page + "\n"
+
+
+def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -> dict[str, object]:
+    """The section of a sequence."""
+    found, notes = birdseye.overviews(study, board)
+    labels = [row.label for row in best_of_each_method(board)]
+    return {
+        "board": board,
+        "tables": of_board,
+        "figures": {
+            "distances": figures.distances(board, f"distances-{number}"),
+            "ranges": figures.accuracy_by(board, f"ranges-{number}", "range"),
+            "heights": figures.accuracy_by(board, f"heights-{number}", "height"),
+            "pareto": figures.pareto(board, f"pareto-{number}"),
+        },
+        "maps": birdseye.maps(board, found),
+        "gallery": gallery(of_board.cases, labels, found),
+        "gallery_note": note(board.has_truth),
+        "legend": birdseye.legend(board.has_truth),
+        "notes": notes,
+    }
 
 
 def groupwise(columns: Sequence[Column]) -> list[dict[str, object]]:

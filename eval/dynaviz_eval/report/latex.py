@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 from dynaviz.reporting import Study
-from dynaviz_eval.report.tables import Column, Table, Value, tables
+from dynaviz_eval.report.table import Column, Table, Value
+from dynaviz_eval.report.tables import tables
 
 MAX_COLUMNS = 17  # columns that fit on a page in small print; wider tables are split
 
@@ -22,7 +23,8 @@ _ESCAPES = {
 def latex_report(study: Study) -> str:
     """The tables of accuracy and runtime, and published numbers of public sequences."""
     content = tables(study)
-    wanted = [table for table in (*content.tables[:2], *content.public.values()) if table.rows]
+    of_boards = [table for board in content.by_board for table in board.every]
+    wanted = [t for t in (content.accuracy, content.runtime, content.failures, *of_boards) if t.rows]
     parts = [r"% Needs \usepackage{booktabs} and \usepackage{graphicx}."]
     parts += [_table(part) for table in wanted for part in _parts(table)]
     return "\n\n".join(parts) + "\n"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 
 from dynaviz.reporting import Study
-from dynaviz_eval.report.tables import Column, Table, Value, tables
+from dynaviz_eval.report.table import Column, Table, Value
+from dynaviz_eval.report.tables import tables
 
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|])")
 
@@ -34,7 +35,9 @@ def _field(value: Value) -> str:
     text = _escaped(value.text)
     if value.link:
         text = f"[{text}](<{value.link}>)"
-    return f"**{text}**" if value.bold else text
+    if value.bold:
+        text = f"**{text}**"
+    return f"{text} ({_escaped(value.detail)})" if value.detail else text
 
 
 def _line(fields: list[str]) -> str:

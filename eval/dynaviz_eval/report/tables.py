@@ -1,15 +1,16 @@
-"""The tables of a report, the same for every format: the paper's two, an overview, failures and runs."""
+"""The tables of a report, the same for every format: the paper's two, an overview, errors, cases, objects and runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from dynaviz.reporting import Study
 from dynaviz.results.result import Result
 from dynaviz.results.scores import SCORES
 from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
+    ERRORS,
     KINDS,
     UNKNOWN,
     Losses,
@@ -23,99 +24,108 @@ from dynaviz_eval.report.boards import (
     n_parameters,
     setting,
 )
+from dynaviz_eval.report.cases import SharedCase, case_table, shared_cases
+from dynaviz_eval.report.errors import cause_table, interval_table
+from dynaviz_eval.report.objects import object_table
+from dynaviz_eval.report.removals import removal_table
+from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named, percent
 
-NONE = "n/a"
 MARK = "†"  # runtimes measured while states were recorded
-ERRORS = {"false_positive": "static removed", "false_negative": "dynamic kept"}
 
 
 @dataclass(frozen=True)
-class Value:
-    """A field of a table.
+class BoardTables:
+    """The tables of one sequence and scoring; those that do not apply have no rows.
 
     Attributes:
-        text: the printed text.
-        sort: sort key of the row; None sorts last.
-        bold: whether it is the best of its column.
-        link: target of a link, relative to the report.
+        published: published numbers next to the board's own.
+        removals: removed points of runs without ground truth.
+        cases: the places at which methods fail; ``case_list``: the same as a table.
+        objects: what became of each object.
+        range, height: accuracy by range from the sensor, and by height above the ground.
     """
 
-    text: str
-    sort: float | str | None = None
-    bold: bool = False
-    link: str = ""
+    published: Table | None
+    removals: Table
+    cases: Sequence[SharedCase]
+    case_list: Table
+    objects: Table
+    range: Table
+    height: Table
 
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table: its name and group, whether it contains numbers, and whether it is the main score."""
-
-    name: str
-    group: str = ""
-    number: bool = True
-    main: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with a short name for links, a title, and notes below it. The first column names the row."""
-
-    name: str
-    title: str
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Value]]
-    notes: Sequence[str] = field(default_factory=tuple)
+    @property
+    def every(self) -> list[Table]:
+        """All tables with rows, in the order of a report."""
+        tables = (self.published, self.removals, self.case_list, self.objects, self.range, self.height)
+        return [table for table in tables if table and table.rows]
 
 
 @dataclass(frozen=True)
 class Tables:
-    """All texts and numbers of a report.
+    """All texts and numbers of a report. Tables that do not apply have no rows.
 
     Attributes:
         headline: what was compared, and the best of each board, as sentences.
         boards: one per sequence and scoring; ``combined``: all sequences combined.
-        first: the overview; ``tables``: the other tables; ``public``: published numbers by board title.
+        glance: the overview.
+        accuracy, runtime: the paper's two.
+        failures: the accuracy lost to each cause.
+        by_board: the tables of each board.
+        failed, runs: the failed runs, and all others.
     """
 
     headline: Sequence[str]
     boards: Sequence[ScoreBoard]
     combined: Sequence[ScoreBoard]
-    first: Table
-    tables: Sequence[Table]
-    public: dict[str, Table]
+    glance: Table
+    accuracy: Table
+    runtime: Table
+    failures: Table
+    by_board: Sequence[BoardTables]
+    failed: Table
+    runs: Table
 
     @property
     def every(self) -> list[Table]:
-        """All tables, in the order of a report."""
-        return [t for t in (self.first, *self.tables[:2], *self.public.values(), *self.tables[2:]) if t.rows]
+        """All tables with rows, in the order of a report."""
+        of_boards = [table for board in self.by_board for table in board.every]
+        tables = (self.glance, self.failures, self.accuracy, self.runtime, *of_boards, self.failed, self.runs)
+        return [table for table in tables if table.rows]
 
 
 def tables(study: Study) -> Tables:
-    """Make all tables of a study; tables without rows are left out."""
+    """Make all tables of a study."""
     single = boards(study)
     combined, notes = combined_boards(study, single)
-    every = [*combined, *single]
-    main = [_accuracy(every, notes), _runtime(single, combined)]
-    rest = [_failures(single, combined), _failed(study), _runs(study, single)]
-    public = {board.title: table for k, board in enumerate(single, 1) if (table := _public(board, k))}
     return Tables(
         _headline(study, single, combined),
         single,
         combined,
-        _glance(single, combined),
-        [*main, *(table for table in rest if table.rows)],
-        public,
+        _glance(_with_truth(single), _with_truth(combined)),
+        _accuracy(_with_truth([*combined, *single]), notes),
+        _runtime(single, combined),
+        cause_table(single, _order(single, combined)),
+        [_of_board(board, number) for number, board in enumerate(single, 1)],
+        _failed(study),
+        _runs(study, single),
     )
 
 
-def percent(value: float | None, bold: bool = False) -> Value:
-    """A percentage with two decimals, as in the papers."""
-    return Value(NONE) if value is None else Value(f"{value:.2f}", value, bold)
+def _with_truth(boards: Sequence[ScoreBoard]) -> list[ScoreBoard]:
+    return [board for board in boards if board.has_truth]
 
 
-def count(value: int | None) -> Value:
-    """A number of points."""
-    return Value(NONE) if value is None else Value(f"{value:,}", value)
+def _of_board(board: ScoreBoard, number: int) -> BoardTables:
+    cases = shared_cases(board)
+    return BoardTables(
+        _public(board, number),
+        removal_table(board, number),
+        cases,
+        case_table(board, cases, number),
+        object_table(board, number),
+        interval_table(board, "range", number),
+        interval_table(board, "height", number),
+    )
 
 
 def runtime(result: Result, bold: bool = False) -> Value:
@@ -125,11 +135,6 @@ def runtime(result: Result, bold: bool = False) -> Value:
         return Value(NONE)
     mark = MARK if result.instrumented else ""
     return Value(f"{mean:.3f}" + ("" if std is None else f" ± {std:.3f}") + mark, mean, bold)
-
-
-def named(label: str) -> Value:
-    """The name of a row."""
-    return Value(label, label)
 
 
 def _order(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
@@ -146,20 +151,16 @@ def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[Sco
     failed = sum(run.result is None for run in study.runs)
     scorings = " and ".join(dict.fromkeys(board.scoring for board in single))
     lines = [
-        f"{_many(len(study.runs), 'run')} of {_many(len(methods), 'method')} on "
-        f"{_many(len(sequences), 'sequence')}."
+        f"{many(len(study.runs), 'run')} of {many(len(methods), 'method')} on "
+        f"{many(len(sequences), 'sequence')}."
         + (f" Scoring: {scorings}." if scorings else "")
-        + (f" {_many(failed, 'run')} failed." if failed else "")
+        + (f" {many(failed, 'run')} failed." if failed else "")
     ]
     for board in [*combined, *single]:
         best, aa = sorted(board.best("AA")), [row.score("AA") for row in board.rows]
         if best:
             lines.append(f"Best on {board.title}: {' and '.join(best)}, AA {percent(aa[0]).text} %.")
     return lines
-
-
-def _many(number: int, thing: str) -> str:
-    return f"{number} {thing}{'s' * (number != 1)}"
 
 
 def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
@@ -174,7 +175,7 @@ def _glance(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Tab
         aas = [
             percent(row.score("AA"), label in board.best("AA"))
             if board.scoring == scoring and (row := board.row(label))
-            else Value("–")
+            else Value(ABSENT)
             for board in [*combined, *single]
         ]
         found = {kind: losses(groups[label, scoring], kind) for kind in KINDS}
@@ -216,7 +217,7 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
         row = [named(label)]
         for board in every:
             here = board.row(label)
-            row += [percent(here.score(name), label in board.best(name)) if here else Value("–") for name in SCORES]
+            row += [percent(here.score(name), label in board.best(name)) if here else Value(ABSENT) for name in SCORES]
         rows.append(row)
     scored = sorted({board.scoring for board in every})
     notes = [
@@ -246,7 +247,7 @@ def _runtime(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Ta
         for where in sorted({_where(row.result) for row in here if row}):
             chosen = [row if row and _where(row.result) == where else None for row in here]
             values = [
-                runtime(row.result, label in fast) if row else Value("–")
+                runtime(row.result, label in fast) if row else Value(ABSENT)
                 for row, fast in zip(chosen, best, strict=True)
             ]
             numbers = sorted({NONE if (n := n_parameters(row.result)) is None else str(n) for row in chosen if row})
@@ -290,11 +291,13 @@ def _public(board: ScoreBoard, number: int) -> Table | None:
     speeds = {speed.method: speed for speed in published_runtimes() if speed.sequence == known.name}
     for row in published(known.name):
         ours = next((r for r in board.rows if r.result.method == row.method and r.result.online == row.online), None)
-        values = [percent(ours.score(name)) if ours else Value("–") for name in SCORES]
+        values = [percent(ours.score(name)) if ours else Value(ABSENT) for name in SCORES]
         theirs = [percent(getattr(row, name)) for name in SCORES]
         speed = speeds.get(row.method)
         took = (
-            Value(f"{speed.mean_s:.3f} ± {speed.std_s:.3f}", speed.mean_s) if speed and not row.online else Value("–")
+            Value(f"{speed.mean_s:.3f} ± {speed.std_s:.3f}", speed.mean_s)
+            if speed and not row.online
+            else Value(ABSENT)
         )
         rows.append([named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)])
     notes = [
@@ -307,47 +310,6 @@ def _public(board: ScoreBoard, number: int) -> Table | None:
     if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
         notes.append("Of several variants of a method, the one with the best AA is shown.")
     return Table(f"published-{number}", f"Published scores of {known.name}, and {board.title}", columns, rows, notes)
-
-
-def _failures(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> Table:
-    """The cost of each method's errors by cause."""
-    groups = by_method(single)
-    several = len({scoring for _, scoring in groups}) > 1
-    columns = [Column("method", number=False)]
-    columns += [
-        Column(name, f"{ERRORS[kind]}, {KINDS[kind][0]} lost [%]", number=name == "all")
-        for kind in KINDS
-        for name in ("all", "by cause")
-    ]
-    rows, by_reason = [], False
-    order = _order(single, combined)
-    for (label, scoring), mine in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
-        found = [losses(mine, kind) for kind in KINDS]
-        by_reason |= any(loss.by_reason for loss in found)
-        row = [named(f"{label}, {scoring}" if several else label)]
-        for loss in found:
-            row += [percent(loss.cost), Value(_causes(loss), loss.cost)]
-        rows.append(row)
-    most = max((len(mine) for mine in groups.values()), default=0)
-    fewer = [f"{label} on {len(mine)}" for (label, _), mine in groups.items() if len(mine) < most]
-    notes = [
-        "Percentage points, over the sequences that a method ran on, with points added up. eval/README.md explains the "
-        "causes."
-    ]
-    if fewer:
-        notes.append(f"Not on all {most} sequences, so not comparable: {', '.join(fewer)}.")
-    if by_reason:
-        notes.append("Results without failure cases: the method's own reasons are shown instead of causes.")
-    return Table("failures", "Errors by cause", columns, rows, notes)
-
-
-def _causes(loss: Losses, most: int = 3) -> str:
-    listed = [f"{cause} {cost:.2f}" for cause, cost in list(loss.causes.items())[:most] if cost >= 0.005]
-    if listed:
-        return ", ".join(listed)
-    if loss.cost is None:
-        return NONE
-    return "none" if loss.cost == 0 else "less than 0.01 each"
 
 
 def _failed(study: Study) -> Table:
@@ -378,7 +340,7 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
                 Value(title, title),
                 Value(board.scoring, board.scoring),
                 count(row.result.sequence.frames),
-                *(count(row.result.counts.get(name)) for name in names),
+                *(count(row.result.counts.get(name) if row.result.has_truth else None) for name in names),
                 Value((row.result.labels_sha256 or NONE)[:8], row.result.labels_sha256),
                 Value(path or "none", path, link=path),
             ]

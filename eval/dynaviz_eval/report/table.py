@@ -1,0 +1,71 @@
+"""A table of a report, independent of its format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+NONE = "n/a"
+ABSENT = "–"  # a field that does not apply
+
+
+@dataclass(frozen=True)
+class Value:
+    """A field of a table.
+
+    Attributes:
+        text: the printed text.
+        sort: sort key of the row; None sorts last.
+        bold: whether it is the best of its column.
+        link: target of a link, relative to the report.
+        heat: 0 to 1, how strongly the field is coloured; None for no colour.
+        detail: small print below the text. LaTeX leaves it out.
+    """
+
+    text: str
+    sort: float | str | None = None
+    bold: bool = False
+    link: str = ""
+    heat: float | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its name and group, whether it contains numbers, and whether it is the main score."""
+
+    name: str
+    group: str = ""
+    number: bool = True
+    main: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a short name for links, a title, and notes below it. The first column names the row."""
+
+    name: str
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Value]]
+    notes: Sequence[str] = field(default_factory=tuple)
+
+
+def percent(value: float | None, bold: bool = False) -> Value:
+    """A percentage with two decimals, as in the papers."""
+    return Value(NONE) if value is None else Value(f"{value:.2f}", value, bold)
+
+
+def count(value: int | None) -> Value:
+    """A number of points."""
+    return Value(NONE) if value is None else Value(f"{value:,}", value)
+
+
+def named(label: str) -> Value:
+    """The name of a row."""
+    return Value(label, label)
+
+
+def many(number: int, thing: str) -> str:
+    """A number of things, with its plural."""
+    return f"{number:,} {thing}{'s' * (number != 1)}"
