@@ -27,7 +27,7 @@ def demo(
         typer.Option("--view/--no-view", help="Open the best run in the viewer. [default: if there is a display]"),
     ] = None,
 ) -> None:
-    """Simulate a street and run every method on it.
+    """Simulate a street and run methods on it.
 
     Each run is scored and recorded, and the best two are compared.
 
@@ -37,7 +37,7 @@ def demo(
     """
     from dynaviz import api, registry
     from dynaviz.params import read_toml
-    from dynaviz.precompile import compiling
+    from dynaviz.precompile import LATE, compiling
     from dynaviz.results.result import result_table
     from dynaviz.simulate import simulate
 
@@ -45,7 +45,7 @@ def demo(
     facts = folder / "sequence.toml"
     if facts.is_file() and "generator" in read_toml(facts):  # from an earlier demo; never delete a user's data
         shutil.rmtree(folder)
-    names = list(registry.loadable("methods"))
+    names = [name for name in registry.loadable("methods") if name not in LATE]
     with compiling(), progress("street") as report:
         simulate("demo", folder, progress=lambda done, total: report("simulate", done, total))
     results = []

@@ -43,7 +43,7 @@ class VoidGrid(BlockGrid):
     def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
         # The largest distance from a point to a voxel that it hits, or that decides whether its own voxel is void.
         around = max(hit_margin, unknown_margin * resolution) + resolution
-        super().__init__(_widened(extent, around), resolution)
+        super().__init__(widened(extent, around), resolution)
         self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
         # Scratch memory, cleared after each scan: whether a block is hit, its hit voxels, and its row in the marks.
         self._struck = np.zeros(len(self) + 1, np.bool_)
@@ -94,7 +94,7 @@ class VoidGrid(BlockGrid):
         return kernels.as_readonly(goals, np.int64), kernels.as_readonly(starts, np.int64), places * self._per_metre
 
 
-def _widened(extent: Extent, around: float) -> Extent:
+def widened(extent: Extent, around: float) -> Extent:
     """The extent, enlarged by ``around`` metres on all sides."""
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
     packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
