@@ -27,7 +27,7 @@ AROUND = 7.0  # metres: least radius of the circle around a case; the eye tracks
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 EDGES = rr.Radius.ui_points(1.6)
-THIN = rr.Radius.ui_points(0.7)
+THIN = rr.Radius.ui_points(0.5)
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 49)
 CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
@@ -36,8 +36,7 @@ RAY_COLOURS: dict[int, colours.Colour] = {
     witnesses.CROSSED: (225, 70, 160),
     witnesses.GRAZED: (120, 75, 120),
 }
-WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)
-HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar at the bottom.*"
+HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
 
 class CaseTimeline:

@@ -18,6 +18,7 @@ WORTH = 0.01  # ... that cost at least this share of the first one
 FAILURES, CLUSTERS = "failures", "clusters"  # figures with the boxes of cases
 DID = {"false_positive": "removed", "false_negative": "kept"}
 REASONS = 3  # named in the text of a case
+WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)  # outcomes of the points of cases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +102,7 @@ def _failure_text(case: FailureCase, number: int, count: int) -> str:
     lines = [
         ("What it did", case.behaviour or ""),
         ("Cause", case.cause or "unknown"),
-        ("When", _when(case)),
-        ("Where", _where(case)),
+        ("Shown", _frame(case)),
         ("Reasons", shares(case.reasons)),
     ]
     title = f"## {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
@@ -110,25 +110,15 @@ def _failure_text(case: FailureCase, number: int, count: int) -> str:
 
 
 def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
-    lines = [
-        ("Suspicious because", "; ".join(case.why)),
-        ("When", _when(case)),
-        ("Where", _where(case)),
-        ("Reasons", shares(case.reasons)),
-    ]
-    title = f"## {number} of {count}: {_cluster_title(case)}, {case.points:,} points, suspicion {case.suspicion:.2f}"
-    return f"{title}\n\n{case.sentence}\n\nWithout ground truth, judge for yourself.\n\n{_bullets(lines)}"
+    lines = [("Suspicious", "; ".join(case.why)), ("Shown", _frame(case)), ("Reasons", shares(case.reasons))]
+    title = f"## {number} of {count}: {_cluster_title(case)}, {case.points:,} points"
+    return f"{title}\n\n{case.sentence} There is no ground truth: judge for yourself.\n\n{_bullets(lines)}"
 
 
-def _when(case: FailureCase | RemovedCluster) -> str:
+def _frame(case: FailureCase | RemovedCluster) -> str:
     if case.first_frame == case.last_frame:
         return f"frame {case.worst_frame}"
-    return f"frames {case.first_frame} to {case.last_frame}; shown is {case.worst_frame}, the worst one"
-
-
-def _where(case: FailureCase | RemovedCluster) -> str:
-    x, y = ((low + high) / 2 for low, high in zip(case.low[:2], case.high[:2], strict=True))
-    return f"{case.range.mean:.0f} m from the sensor, at ({x:.1f}, {y:.1f})"
+    return f"frame {case.worst_frame}, the one with the most of its points from {case.first_frame} to {case.last_frame}"
 
 
 def shares(reasons: Mapping[str, int]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterable
 
 import numpy as np
@@ -17,22 +16,25 @@ POINTS, VOXELS, VOXEL_SIZE = "Points3D:positions", "VoxelGridMap:voxel_indices",
 
 
 def rows_of(chunks: Iterable[Chunk], frames: Collection[int]) -> dict[tuple[str, int], Row]:
-    """The components of each entity in some frames, by entity path and frame; later rows replace earlier ones."""
-    found: defaultdict[tuple[str, int], Row] = defaultdict(dict)
+    """What each entity shows in some frames: its last components up to each, by entity path and frame."""
+    found: dict[tuple[str, int], tuple[int, list[tuple[pa.RecordBatch, int]]]] = {}
     for chunk in chunks:
-        batch = chunk.to_record_batch()
-        for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
-            if frame in frames:
-                found[str(chunk.entity_path).removeprefix("/"), frame] |= _components(batch, row, chunk.timeline_names)
-    return dict(found)
-
-
-def _components(batch: pa.RecordBatch, row: int, timelines: Collection[str]) -> Row:
-    names = [name for name in batch.schema.names if not name.startswith("rerun") and name not in timelines]
-    columns = {name: batch.column(name).slice(row, 1) for name in names}
+        batch, path = chunk.to_record_batch(), str(chunk.entity_path).removeprefix("/")
+        for row, drawn in enumerate(batch[paths.FRAME].to_pylist()):
+            for frame in frames:
+                last, parts = found.get((path, frame), (-1, []))
+                if last <= drawn <= frame:
+                    found[path, frame] = drawn, [*(parts if last == drawn else []), (batch, row)]
     return {
-        name: (batch.schema.field(name), column) for name, column in columns.items() if column.is_valid()[0].as_py()
+        place: {name: part for batch, row in parts for name, part in _components(batch, row).items()}
+        for place, (_, parts) in found.items()
     }
+
+
+def _components(batch: pa.RecordBatch, row: int) -> Row:
+    data = [field for field in batch.schema if (field.metadata or {}).get(b"rerun:kind") == b"data"]
+    columns = [(field, batch.column(field.name).slice(row, 1)) for field in data]
+    return {field.name: (field, column) for field, column in columns if column.is_valid()[0].as_py()}
 
 
 def values(row: Row, name: str) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.comparison import answers
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.summary import SequenceSummary
@@ -25,6 +25,7 @@ from dynaviz.probe import State, Text, Value
 from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
 from dynaviz.viz import cases, classes, paths, sink, states, viewer
+from dynaviz.viz.budget import Budget
 from dynaviz.viz.case_timeline import CaseTimeline
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import Findings, layout
@@ -123,7 +124,7 @@ class Recorder(Listener):
         scan = labelled.scan
         self._positions.append(scan.position)
         self._open.at(labelled.frame, scan.stamp_ns)
-        self._draw_states(scan)
+        self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
         if self._scene is not None:
             self._scene.pose(scan)
             self._scene.frame(labelled)
@@ -223,11 +224,13 @@ class Recorder(Listener):
             if (context := states.legend(state)) is not None:
                 self._open.log(paths.state(self._info.name, state), context, static=True)
 
-    def _draw_states(self, scan: Scan) -> None:
+    def _draw_states(self, scan: Scan, errors: F32 | None = None) -> None:
+        """Draw the queued states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
+        budget = Budget(scan, self._most, errors) if self._queue and self._most is not None else None
         for state, value in self._queue:
             if isinstance(value, Text):
                 self._say(f"{state.name}: {value.text}")
-            elif (drawn := states.draw(value, state, scan, self._most)) is not None:
+            elif (drawn := states.draw(value, state, scan, budget)) is not None:
                 self._open.log(paths.state(self._info.name, state), drawn)
         self._queue.clear()
 

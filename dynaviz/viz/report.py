@@ -91,8 +91,9 @@ def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -
 
 def failure_list(result: Result) -> str:
     """The costliest cases by cause, holes and ghosts apart, numbered as on their timeline; or suspicious clusters."""
-    if listed(result):
-        return "\n\n".join(part for kind in KINDS for part in _by_cause(result, kind))
+    if cases := listed(result):
+        kinds = sorted(KINDS, key=lambda kind: kind != cases[0].kind)  # the kind of the costliest case first
+        return "\n\n".join(part for kind in kinds for part in _by_cause(result, kind))
     if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
         head = "Removed points that may be static, most suspicious first. There is no ground truth to check them."
         return f"{head}\n\n" + table([("#", "frame", "what", "why", "points"), *rows])

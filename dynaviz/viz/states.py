@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from dynaviz.arrays import F32, F64, U8, Intp
+from dynaviz.arrays import F32, U8
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.grid import KeySet, pack
 from dynaviz.viz import paths
+from dynaviz.viz.budget import Budget
 
-NEAR = 25.0  # metres around the sensor; in ``errors`` mode only this part of a state is drawn
-THIN = 0.2  # metres: edge of the voxels used to downsample it
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
@@ -30,32 +28,31 @@ def legend(state: State) -> Any:
     return rr.AnnotationContext([(i, name, colours[i % len(colours)]) for i, name in enumerate(state.legend)])
 
 
-def draw(value: Value, state: State, scan: Scan, most: int | None) -> Any:
+def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
     """The archetype to log for a state.
 
     Args:
         value: as emitted; no reference to its arrays is kept.
         state: its declaration.
         scan: the current scan.
-        most: draw at most this many points or voxels, those nearest to the sensor; None for all.
+        budget: chooses the points or voxels to draw; None for all.
 
     Returns:
         None if there is nothing to draw.
     """
     match value:
         case Points(xyz, values):
-            near = _near(xyz, scan.position, most)
-            colours = None if values is None else _coloured(values[near], state.value_range)
-            return rr.Points3D(xyz[near], colors=colours, radii=rr.Radius.ui_points(2.0))
+            chosen = _chosen(xyz, budget)
+            colours = None if values is None else _coloured(values[chosen], state.value_range)
+            return rr.Points3D(xyz[chosen], colors=colours, radii=rr.Radius.ui_points(2.0))
         case PointClasses(classes):
-            near = _near(scan.points, scan.position, most)
-            return rr.Points3D(scan.points[near], class_ids=classes[near], radii=rr.Radius.ui_points(2.0))
-        case Mask(chosen):
-            xyz = scan.points[chosen]
-            near = _near(xyz, scan.position, most)
-            return rr.Points3D(xyz[near], colors=[paths.CLASSES[1]], radii=rr.Radius.ui_points(2.5))
+            chosen = _chosen(scan.points, budget)
+            return rr.Points3D(scan.points[chosen], class_ids=classes[chosen], radii=rr.Radius.ui_points(2.0))
+        case Mask(mask):
+            xyz = scan.points[mask]
+            return rr.Points3D(xyz[_chosen(xyz, budget)], colors=[paths.CLASSES[1]], radii=rr.Radius.ui_points(2.5))
         case Voxels():
-            return _voxels(value, state, scan, most)
+            return _voxels(value, state, budget)
         case Plane():
             return _disc(value)
         case RangeImage(ranges):
@@ -85,15 +82,13 @@ def from_above(values: F32) -> F32:
     return np.where(radius < 1, values[ring, sector], np.float32(np.nan))
 
 
-def _voxels(value: Voxels, state: State, scan: Scan, most: int | None) -> Any:
-    near: Any = slice(None)
-    if most is not None:
-        near = _nearest((value.keys + np.float32(0.5)) * np.float32(value.size), scan.position, most)
-    keys = value.keys[near]
+def _voxels(value: Voxels, state: State, budget: Budget | None) -> Any:
+    chosen = _chosen((value.keys + np.float32(0.5)) * np.float32(value.size), budget)
+    keys = value.keys[chosen]
     edges = [value.size] * 3
     if value.values is None:
         return rr.VoxelGridMap(keys, edges, colors=np.tile(np.array(paths.CLASSES[2], np.uint8), (len(keys), 1)))
-    values = value.values[near]
+    values = value.values[chosen]
     low, high = state.value_range or _range(values)
     return rr.VoxelGridMap(keys, edges, values=values, value_range=[low, high], colormap="cyantoyellow")
 
@@ -146,21 +141,5 @@ def _range(values: F32) -> tuple[float, float]:
     return low, high if high > low else low + 1.0
 
 
-def _near(points: F32, centre: F64, most: int | None) -> Any:
-    """Indices of finite points within ``NEAR``: one per voxel, and at most ``most`` of the nearest."""
-    if most is None:
-        return slice(None)
-    local = points - centre.astype(np.float32)
-    near = np.flatnonzero(np.einsum("ij,ij->i", local, local) < NEAR**2)
-    near = near[KeySet().add(pack(local[near], THIN))]
-    return near[_nearest(points[near], centre, most)]
-
-
-def _nearest(points: F32, centre: F64, most: int) -> Intp:
-    """Indices of the points within ``NEAR`` of a centre, at most ``most`` of the nearest, in ascending order."""
-    local = points - centre.astype(np.float32)
-    squared = np.einsum("ij,ij->i", local, local)
-    near = np.flatnonzero(squared < NEAR**2)
-    if len(near) > most:
-        near = np.sort(near[np.argpartition(squared[near], most)[:most]])
-    return near
+def _chosen(points: F32, budget: Budget | None) -> Any:
+    return slice(None) if budget is None else budget.chosen(points)

@@ -1,0 +1,62 @@
+"""Which points or voxels of a state are drawn if there are too many: all around errors, fewer elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, I64, Bool
+from dynaviz.scan import Label, Scan
+
+FAR = 50.0  # metres from the sensor along each axis: the part of a state that is drawn
+CELL = 1.0  # metres: edge of the cells around errors
+SHARE = 2 / 3  # of the budget, at most, for what lies around errors
+NEAR = 10.0  # metres: beyond twice this range, the rest is thinned more
+FINE = 0.1  # metres: least distance of what is left
+_SIDE = int(2 * FAR / CELL)
+_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
+
+
+class Budget:
+    """Chooses what to draw of the states of one scan.
+
+    Args:
+        scan: the scan; what lies around its true dynamic points is drawn first, if it has labels.
+        most: number of points or voxels of a state, at most.
+        errors: (K, 3) float32, metres, world frame: wrong points, drawn around first too; None if not known yet.
+    """
+
+    def __init__(self, scan: Scan, most: int, errors: F32 | None = None) -> None:
+        self._most, self._centre, self._corner = most, scan.position, scan.position - FAR
+        self._interest: Bool = np.zeros((_SIDE,) * 3, np.bool_)
+        if scan.labels is not None:
+            self._mark(scan.points[scan.labels == Label.DYNAMIC])
+        if errors is not None:
+            self._mark(errors)
+
+    def chosen(self, xyz: F32) -> I64:
+        """Indices of (N, 3) points, metres, world frame, to draw: at most ``most``, ascending."""
+        points = kernels.as_readonly(xyz, np.float32)
+        first, others = kernels.thinning.split(points, self._corner, CELL, self._interest)
+        if len(first) + len(others) > self._most:
+            first = self._fitted(points, first, max(int(SHARE * self._most), self._most - len(others)))
+            others = self._fitted(points, others, self._most - len(first))
+        return np.sort(np.concatenate([first, others]))
+
+    def _fitted(self, points: F32, rows: I64, room: int) -> I64:
+        """At most ``room`` of these rows, evenly spread."""
+        size = FINE
+        while len(rows) > room:
+            table = np.empty(1 << int(2 * len(rows)).bit_length(), np.uint64)
+            rows = kernels.thinning.thinned(points, rows, self._centre, size, NEAR, table)
+            size *= 1.05 * max(1.2, float(np.sqrt(len(rows) / max(room, 1))))  # surfaces grow with the square
+        return rows
+
+    def _mark(self, points: F32) -> None:
+        """Mark the cells of points, and those around them."""
+        local = points - self._corner
+        cells = (local[((local > 0) & (local < 2 * FAR)).all(1)] / CELL).astype(np.intp)
+        flat = np.unique(np.ravel_multi_index(tuple(cells.T), self._interest.shape))
+        cells = np.stack(np.unravel_index(flat, self._interest.shape), 1)
+        around = np.clip((cells[:, None] + _STEPS).reshape(-1, 3), 0, _SIDE - 1)
+        self._interest[tuple(around.T)] = True
