@@ -102,7 +102,7 @@ def _failure_text(case: FailureCase, number: int, count: int) -> str:
     lines = [
         ("What it did", case.behaviour or ""),
         ("Cause", case.cause or "unknown"),
-        ("Shown", _frame(case)),
+        ("Worst frame", _frame(case)),
         ("Reasons", shares(case.reasons)),
     ]
     title = f"## {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
@@ -110,15 +110,14 @@ def _failure_text(case: FailureCase, number: int, count: int) -> str:
 
 
 def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
-    lines = [("Suspicious", "; ".join(case.why)), ("Shown", _frame(case)), ("Reasons", shares(case.reasons))]
+    lines = [("Suspicious", "; ".join(case.why)), ("Worst frame", _frame(case)), ("Reasons", shares(case.reasons))]
     title = f"## {number} of {count}: {_cluster_title(case)}, {case.points:,} points"
     return f"{title}\n\n{case.sentence} There is no ground truth: judge for yourself.\n\n{_bullets(lines)}"
 
 
 def _frame(case: FailureCase | RemovedCluster) -> str:
-    if case.first_frame == case.last_frame:
-        return f"frame {case.worst_frame}"
-    return f"frame {case.worst_frame}, the one with the most of its points from {case.first_frame} to {case.last_frame}"
+    span = "" if case.first_frame == case.last_frame else f" of {case.first_frame} to {case.last_frame}"
+    return f"{case.worst_frame}{span}"
 
 
 def shares(reasons: Mapping[str, int]) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, U8, Bool
+from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
 from dynaviz.spatial.extent import CELL, Extent
@@ -33,6 +33,7 @@ CAPS = {  # points in the map of the whole run: at most about 550 000, which a s
     Outcome.UNLABELLED_REMOVED: 30_000,
     Outcome.FALSE_POSITIVE: 40_000,
 }
+LABELS = 3  # cases of a frame with a label, the costliest ones: more would hide each other
 RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
 """By outcome, in points on the screen; wrong points are larger so that few of them remain visible from afar."""
 SMALLEST = 1.2
@@ -129,7 +130,7 @@ class MapDrawing:
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
     def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
-        """Draw the boxes of the first ``count`` cases: by frame, and over all frames."""
+        """Draw the boxes of the first ``count`` cases: by frame, with few labels, and over all frames."""
         few = slice(count)
         shades = np.array([colours.BRIGHT[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
         labels, path = np.array(cases.labels[few], object), paths.boxes(name)
@@ -141,6 +142,7 @@ class MapDrawing:
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
+        labels = np.where(_rank(cases.frames[order], case) < LABELS, labels[case], "")
         columns = rr.Boxes3D.columns(
             centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=shades[case], labels=labels[case].tolist()
         )
@@ -162,6 +164,14 @@ class MapDrawing:
         """Points with their class; without ``show_labels=False`` the viewer would print it at each of a few points."""
         ids = classes.encode(outcome, reasons, self._named)
         return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
+
+
+def _rank(frames: I64, cases: I64) -> I64:
+    """(N,) position of each row among those of its frame, by ascending case; equal frames are next to each other."""
+    order = np.lexsort((cases, frames))
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order)) - np.searchsorted(frames, frames)[order]
+    return rank
 
 
 def _radii(outcome: U8) -> F32:
