@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import sys
 import warnings
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -36,7 +37,7 @@ from dynaviz.cli import (
     simulate,
     view,
 )
-from dynaviz.errors import DynavizError, UsageError
+from dynaviz.errors import DataError, DynavizError, UsageError
 
 try:
     from typer import TyperException as CommandLineError
@@ -91,11 +92,24 @@ def main() -> None:
             raise
         print("dynaviz:", error, *_notes(error), file=sys.stderr)
         sys.exit(2)
-    except (KeyboardInterrupt, SystemExit) as end:
-        code = 130 if isinstance(end, KeyboardInterrupt) else end.code
-        if code in (130, 143):
-            print("dynaviz:", "interrupted." if code == 130 else "terminated.", *_notes(end), file=sys.stderr)
-        sys.exit(code)
+    except SystemExit as end:
+        _leave(end.code, end)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        print("dynaviz:", DataError(error.filename, "File name too long", hint="Give a shorter path"), file=sys.stderr)
+        sys.exit(2)
+    except BaseException as error:
+        if not _interrupted(error):
+            raise
+        _leave(130, error)
+
+
+def _leave(code: Any, end: BaseException) -> NoReturn:
+    """Exit; if a signal ended the command, say so."""
+    if code in (130, 143):
+        print("dynaviz:", "interrupted." if code == 130 else "terminated.", *_notes(end), file=sys.stderr)
+    sys.exit(code)
 
 
 @contextlib.contextmanager
@@ -115,6 +129,13 @@ def _one_line_warnings() -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error; extension modules report it as an ImportError if it arrives while they load."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _notes(error: BaseException | None) -> Iterator[str]:

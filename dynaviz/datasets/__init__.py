@@ -57,12 +57,16 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
         UsageError: for an unknown format or sensor, or an option that the format does not accept.
     """
     options = {name: value for name, value in options.items() if value is not None}
-    dataset, path = _parse(text)
-    if dataset is None:
-        dataset = _detect(path, options)
-    else:
-        _check_options(dataset, options)
-    sequence: Sequence = dataset.open(path, **options)
+    try:
+        dataset, path = _parse(text)
+        if dataset is None:
+            dataset = _detect(path, options)
+        else:
+            _check_options(dataset, options)
+        sequence: Sequence = dataset.open(path, **options)
+    except OSError as error:  # such as a name that is too long, or a folder that may not be listed
+        problem = f"cannot be read ({error.strerror or error})"
+        raise DataError(error.filename or text, problem, hint="Give the folder of a sequence") from None
     return select_frames(sequence, sensor=load_sensor(sensor)) if sensor else sequence
 
 

@@ -16,6 +16,14 @@ def has_files(folder: Path, pattern: str) -> bool:
     return next(folder.glob(pattern), None) is not None
 
 
+def is_file(path: Path) -> bool:
+    """Whether a file exists; False also for a name that the system does not allow, such as one that is too long."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def numbered_files(folder: Path, suffix: str) -> dict[int, Path]:
     """The files of a folder by their number, in increasing order.
 

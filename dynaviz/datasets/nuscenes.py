@@ -11,7 +11,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
-from dynaviz.datasets.files import has_files, only
+from dynaviz.datasets.files import has_files, is_file, only
 from dynaviz.datasets.truth import scan_fields
 from dynaviz.errors import DataError
 from dynaviz.io.records import read_records
@@ -23,6 +23,12 @@ from dynaviz.spatial import geometry
 CHANNEL = "LIDAR_TOP"
 EGO_EXTENT = ((-0.8, 3.6), (-1.1, 1.1))  # metres along x and y of the ego frame; the car itself has no box
 _HINT = "Copy the tables again"
+_TYPES: dict[str, tuple[type, str]] = {  # of the values in a record, and their name; all others are text
+    "timestamp": (int, "a number of microseconds"),
+    "is_key_frame": (bool, "true or false"),
+    **dict.fromkeys(("translation", "rotation", "size"), (list, "a list of numbers")),
+}
+_LATEST = (1 << 63) // 1000  # microseconds, whose nanoseconds have 64 bits
 
 Record = dict[str, Any]
 
@@ -208,12 +214,18 @@ def _scene(path: Path) -> tuple[Path, Record]:
 
 
 def _rows(tables: Path, table: str, *keys: str) -> Iterator[Record]:
-    """The records of a table; DataError if one lacks the token or a key."""
+    """The records of a table; DataError if one lacks the token or a key, or has a value of another type."""
     path = tables / f"{table}.json"
     for number, row in enumerate(read_records(path)):
         for key in ("token", *keys):
             if key not in row:
                 raise DataError(path, f"key {key} is missing", at=f"record {number}", hint=_HINT)
+            type_, name = _TYPES.get(key, (str, "text"))
+            if type(row[key]) is not type_:
+                raise DataError(path, f"{key} is not {name}", at=f"record {number}", hint=_HINT)
+            if type_ is int and abs(row[key]) >= _LATEST:
+                problem = f"{key} = {str(row[key])[:30]} is not a time in microseconds since 1970"
+                raise DataError(path, problem, at=f"record {number}", hint=_HINT)
         yield row
 
 
@@ -221,11 +233,9 @@ def _transform(tables: Path, table: str, row: Record) -> F64:
     """(4, 4) float64, metres: a record's translation and rotation."""
     try:
         T = geometry.pose(row["translation"], row["rotation"])
-    except (ValueError, TypeError):
-        T = np.full((4, 4), np.nan)
-    if not np.isfinite(T).all():
+    except (ValueError, TypeError, OverflowError):
         at = f"token {row['token']}"
-        raise DataError(tables / f"{table}.json", "no valid translation and rotation", at=at, hint=_HINT)
+        raise DataError(tables / f"{table}.json", "no valid translation and rotation", at=at, hint=_HINT) from None
     return T
 
 
@@ -259,7 +269,7 @@ def _sweeps(tables: Path, samples: set[str]) -> list[Sweep]:
         if row["ego_pose_token"] not in ego_poses:
             raise DataError(tables / "ego_pose.json", f"pose {row['ego_pose_token']} is missing", hint=_HINT)
         path = tables.parent / row["filename"]
-        if not path.is_file():
+        if not is_file(path):
             raise DataError(
                 path, "does not exist", hint="Download it, or remove the folder sweeps to use keyframes only"
             )
@@ -295,7 +305,9 @@ def _keyframes(tables: Path, times: dict[str, int], names: list[str], start: F64
         T_world_box, track = _transform(tables, "sample_annotation", row), numbers[row["instance_token"]]
         try:
             width, length, height = (float(x) for x in row["size"])
-        except (ValueError, TypeError):
+            if not np.isfinite([width, length, height]).all():
+                raise ValueError("not finite")
+        except (ValueError, TypeError, OverflowError):
             at = f"token {row['token']}"
             raise DataError(tables / "sample_annotation.json", "no valid size", at=at, hint=_HINT) from None
         T_world_box[:3, 3] -= start + T_world_box[:3, 2] * height / 2  # from the centre of the box to its bottom face

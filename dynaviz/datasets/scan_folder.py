@@ -189,7 +189,9 @@ def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
         raise DataError(folder, f"contains scans in several formats: {counts}", hint="Keep one format per folder")
     texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # the name ends in a digit
     stamped = all("." in text or len(text) >= 10 for text in texts)
-    keys = [nanoseconds(text) if stamped else int(text.replace(".", "")) for text in texts]
+    keys = [
+        _stamp(file, text) if stamped else int(text.replace(".", "")) for file, text in zip(files, texts, strict=True)
+    ]
     order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
     for a, b in pairwise(order):
         if keys[a] == keys[b]:
@@ -201,6 +203,15 @@ def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
             files[order[-1]], "the number in the name is too large", hint="Name scans by number or stamp"
         ) from None
     return [files[k] for k in order], numbers, numbers if stamped else None
+
+
+def _stamp(file: Path, text: str) -> int:
+    """The time in a file name, nanoseconds."""
+    try:
+        return nanoseconds(text)
+    except ValueError as error:
+        hint = "Name scans by number, or by their stamp in s, ms, us or ns since 1970"
+        raise DataError(file, f"its name is not a valid time ({error})", hint=hint) from None
 
 
 def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> MatchedPoses:

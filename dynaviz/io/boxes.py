@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
+import numpy as np
+
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 
@@ -45,13 +47,15 @@ def read_boxes(path: str | os.PathLike[str]) -> list[TrackBox]:
         for number, line in enumerate(file, 1):
             try:
                 boxes.append(_parse_box(line.decode("latin-1").split()))
-            except (ValueError, IndexError):
+            except (ValueError, OverflowError, IndexError):
                 raise DataError(path, "not a valid box", at=f"line {number}", hint=_HINT) from None
     return boxes
 
 
 def _parse_box(words: list[str]) -> TrackBox:
-    left, top, right, bottom, height, width, length, x, y, z, yaw = (float(word) for word in words[6:17])
-    return TrackBox(
-        int(words[0]), int(words[1]), words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw
-    )
+    frame, track = (int(np.int32(int(word))) for word in words[:2])
+    numbers = [float(word) for word in words[6:17]]
+    if not np.isfinite(numbers).all():
+        raise ValueError("a number is not finite")
+    left, top, right, bottom, height, width, length, x, y, z, yaw = numbers
+    return TrackBox(frame, track, words[2], (left, top, right, bottom), (height, width, length), (x, y, z), yaw)

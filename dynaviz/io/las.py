@@ -49,8 +49,10 @@ def read_las(path: str | os.PathLike[str]) -> F32:
                         f"too short: the header states {header.point_count} points, the file has {available}"
                     )
                 parts = [np.column_stack([p.x, p.y, p.z]) for p in las.chunk_iterator(_CHUNK)]
-        # laspy and its decompressor raise many types of errors for corrupt files.
-        except Exception as error:
+        # laspy and its decompressor raise many types of errors for corrupt files; PanicException is not an Exception.
+        except BaseException as error:
+            if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+                raise
             raise DataError(path, f"not a valid LAS file ({str(error)[:80]})", hint=_HINT) from None
     with np.errstate(over="ignore"):  # values beyond float32 become infinite
         return np.concatenate([np.empty((0, 3)), *parts]).astype(np.float32)

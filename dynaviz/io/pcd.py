@@ -96,8 +96,6 @@ class Pcd:
         if view is None:
             return None
         try:
-            if not np.isfinite(view[:3]).all():
-                raise ValueError("position is not finite")
             return geometry.pose(view[:3], view[3:])
         except ValueError:
             hint = "Give the sensor pose as tx ty tz qw qx qy qz, with a quaternion of length 1"

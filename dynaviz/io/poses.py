@@ -27,6 +27,9 @@ _POSITION = r"(?:t|p|pos|position|trans|translation)?[_.]?([xyz])"
 _ROTATION = r"(?:q|quat|quaternion|o|orientation|r|rot|rotation)[_.]?([xyzw])"
 _ENTRY = r"[a-z]*_?([0-3])_?([0-3])"
 _UNITS = ((17, 1), (14, 10**3), (11, 10**6))  # minimum number of digits of a time in ns, us, ms since 1970
+_UNIT_NAMES = ((20, "picoseconds"), (17, "nanoseconds"), (14, "microseconds"), (11, "milliseconds"), (0, "seconds"))
+_LIMIT = 1 << 63  # nanoseconds since 1970, in the year 2262
+_TIME_HINT = "Give times in s, ms, us or ns since 1970; in CSV state the unit in the header, such as stamp [ns]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +101,21 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
         scale: nanoseconds per unit. None detects seconds, or ms, us or ns since 1970, by the number of digits.
 
     Raises:
-        ValueError: if the text is not a finite number in range.
+        ValueError: if the text is not a finite number, or a time that 64 bits cannot store in nanoseconds.
     """
     try:
         value = Decimal(text)
-        if not -1e11 < value < 1e20:  # also true for NaN
-            raise ArithmeticError
-        digits = value.adjusted() + 1
-        return round(value * (scale or next((unit for min_digits, unit in _UNITS if digits >= min_digits), 10**9)))
     except ArithmeticError:
         raise ValueError(f"{text[:20]!r} is not a time") from None
+    if not (value.is_finite() and -1e11 < value < 1e30):
+        raise ValueError(f"{text[:20]!r} is not a time")
+    digits = value.adjusted() + 1
+    unit = scale or next((unit for min_digits, unit in _UNITS if digits >= min_digits), 10**9)
+    if abs(stamp := round(value * unit)) >= _LIMIT:
+        named = next(name for name, per_unit in _SCALES.items() if per_unit == unit)
+        likely = next(name for min_digits, name in _UNIT_NAMES if digits >= min_digits)
+        raise ValueError(f"{text[:30]} {named} is after the year 2262; {digits} digits suggest {likely} since 1970")
+    return stamp
 
 
 Rows = list[tuple[int, list[str]]]
@@ -164,8 +172,8 @@ def _stamps(path: Path, rows: Rows, column: int, scale: int | None = None) -> I6
     for k, (n, words) in enumerate(rows):
         try:
             stamps[k] = nanoseconds(words[column], scale)
-        except (ValueError, OverflowError) as error:
-            raise DataError(path, f"not a valid time ({error})", at=f"line {n}", hint=_FORMATS) from None
+        except ValueError as error:
+            raise DataError(path, f"not a valid time ({error})", at=f"line {n}", hint=_TIME_HINT) from None
     return stamps
 
 

@@ -43,6 +43,8 @@ def read_tracklets(path: str | os.PathLike[str]) -> list[Tracklet]:
             root = ElementTree.parse(file).getroot()
         except ElementTree.ParseError as error:
             raise DataError(path, "not valid XML", at=f"line {error.position[0]}", hint=_HINT) from None
+        except (LookupError, ValueError) as error:  # an unknown encoding, or one that the parser does not support
+            raise DataError(path, f"not valid XML ({error})", at="line 1", hint=_HINT) from None
     tracklets = root.find("tracklets")
     if tracklets is None:
         raise DataError(path, "the element <tracklets> is missing", hint=_HINT)
@@ -57,7 +59,9 @@ def _tracklet(path: str | os.PathLike[str], number: int, item: ElementTree.Eleme
             for pose in item.iterfind("poses/item")
         ]
         kind, first = item.findtext("objectType", ""), int(item.findtext("first_frame", ""))
+        if not np.isfinite([height, width, length, *(x for pose in poses for x in pose)]).all():
+            raise ValueError("not finite")
     except ValueError:
-        problem = "a number is missing: h, w, l, first_frame, or tx, ty, tz, rz of a pose"
+        problem = "a number is missing or not finite: h, w, l, first_frame, or tx, ty, tz, rz of a pose"
         raise DataError(path, problem, at=f"tracklet {number}", hint=_HINT) from None
     return Tracklet(kind, (height, width, length), first, np.array(poses, np.float64).reshape(-1, 4))

@@ -60,10 +60,16 @@ def transform(T_a_b: ArrayLike, points: NDArray[np.floating[Any]]) -> F32:
 
 
 def pose(position: ArrayLike, quaternion: ArrayLike) -> F64:
-    """T_a_b, (4, 4) float64, from the position of b in a, (3,) metres, and its orientation (qw, qx, qy, qz)."""
+    """T_a_b, (4, 4) float64, from the position of b in a, (3,) metres, and its orientation (qw, qx, qy, qz).
+
+    Raises:
+        ValueError: as ``matrix``, and if the position is not finite.
+    """
     T = np.eye(4)
     T[:3, :3] = matrix(quaternion)
     T[:3, 3] = position
+    if not np.isfinite(T[:3, 3]).all():
+        raise ValueError(f"position {T[:3, 3].tolist()} is not finite")
     return T
 
 

@@ -8,11 +8,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from helpers.worlds import room
 
+from dynaviz import cli
 from dynaviz.cli import app
 from dynaviz.io.pcd import write_pcd
 
@@ -181,3 +183,15 @@ def test_help_begins_with_examples(run_command: Command) -> None:
         code, out, _ = run_command(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
+
+
+def test_an_interrupt_while_an_extension_module_is_imported(
+    monkeypatch: pytest.MonkeyPatch, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    """Such a module reports it as an ImportError."""
+
+    def load(*arguments: Any, **options: Any) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli, "app", load)
+    assert run_command("info", "somewhere") == (130, "", "dynaviz: interrupted.\n")
