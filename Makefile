@@ -50,10 +50,11 @@ check: lint types test boundscheck docs
 	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
 	@touch $@
 
-.venv/.dev: .venv/.user
-	@echo "installing the test dependencies ..."
+.venv/.dev: .venv/.venv pyproject.toml
+	@echo "installing dynaviz and its test dependencies into .venv, about 2 GB ..."
 	@$(PIP) --no-compile --editable '.[dev]'
-	@touch $@
+	@test -e .venv/.user || PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
+	@touch .venv/.user $@
 
 clean:
 	rm -rf .venv build dist
