@@ -133,7 +133,7 @@ def _source(entry: Any, place: str) -> SequenceSpec:
     """A sequence from a string (PATH, FORMAT:PATH or simulate:SCENE[:FRAMES[:SEED]]) or from a table."""
     if isinstance(entry, str):
         prefix, *rest = entry.split(":")
-        if prefix != "simulate":
+        if prefix != "simulate" or "?" in entry:  # with options: simulated when read, as by dynaviz run
             return _source({"path": anchored(entry, Path())}, place)
         try:
             scene, frames, seed = [*rest, None, None][:3]

@@ -6,9 +6,10 @@ from enum import IntEnum
 
 
 class ObjectClass(IntEnum):
-    """Class of a point. Classes from 252 on are movers; their points are dynamic in every scan."""
+    """Class of a point. Classes from 252 on move; their points are dynamic in every scan."""
 
     OUTLIER = 1  # multipath return, below the ground
+    MIXED_PIXEL = 2  # between two static surfaces
     CAR = 10
     PARKED_BICYCLE = 11
     ROAD = 40
@@ -28,9 +29,17 @@ class ObjectClass(IntEnum):
     MOVING_PERSON = 254
     MOVING_TRUCK = 258
     MOVING_OTHER_VEHICLE = 259
+    MOVING_MIXED_PIXEL = 260  # between a mover and another surface
+    MOVING_OUTLIER = 261  # multipath return of a mover, below the ground
+    AIRBORNE = 262  # rain or dust
+    MOVING_ANIMAL = 263
+    MOVING_DOOR = 264
 
 
 CLASS_NAMES = {int(kind): kind.name.lower().replace("parked_", "").replace("_", " ") for kind in ObjectClass}
+
+BY_EFFECTS = (ObjectClass.MIXED_PIXEL, *(kind for kind in ObjectClass if kind >= ObjectClass.MOVING_MIXED_PIXEL))
+"""Classes that only effects produce."""
 
 REFLECTANCE = {
     ObjectClass.ROAD: 0.2,

@@ -29,7 +29,25 @@ def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float
     _shell(scene)
     _furniture(scene)
     _people(scene, traffic)
+    _places(scene)
     return scene
+
+
+def _places(scene: SimulatedScene) -> None:
+    """Where further movers may act: along the walls between the racks, around the pillars, along the aisles."""
+    ends = [((X, -Y), (-X, -Y)), ((-X, -Y), (-X, -2)), ((-X, 2), (-X, Y)), ((X, Y), (X, -2)), ((X, -6), (X, -Y))]
+    scene.places.walls += [_inward(Route(np.linspace(a, b, 40))) for a, b in [*ends, ((-X, Y), (X, Y))]]
+    scene.places.obstacles += [(x, y, 0.0, 0.4, 0.4) for x in np.arange(-18, 19, 6.0) for y in (-7.4, 7.4)]
+    aisles = [Route(np.linspace((-X + 1.5, y), (X - 1.5, y), 60)) for y in (*AISLES, -5.5)]
+    scene.places.walkways += [way for aisle in aisles for way in (aisle, aisle.reversed())]
+    scene.places.lanes += [aisles[-1], aisles[1]]
+    scene.places.bays += [(aisle, stop) for aisle in aisles[:3] for stop in np.arange(8.0, 38.0, 3.0)]
+
+
+def _inward(wall: Route) -> Route:
+    """The wall in the direction that has the hall on the left."""
+    x, y, _ = wall.offset(wall.length / 2, 1.0)
+    return wall if abs(x) < X and abs(y) < Y else wall.reversed()
 
 
 def _shell(scene: SimulatedScene) -> None:

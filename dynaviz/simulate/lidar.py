@@ -16,6 +16,7 @@ from dynaviz.simulate.shapes import Mesh
 from dynaviz.spatial import geometry
 
 GOLDEN = (0.6180339887498949, 0.7548776662466927)  # low-discrepancy steps: golden ratio and plastic number
+SMALL = 20_000  # rays; fewer are not worth a second thread
 REFLECTING = (ObjectClass.ROAD, ObjectClass.SIDEWALK, ObjectClass.TERRAIN, ObjectClass.OTHER_GROUND)
 
 
@@ -43,6 +44,7 @@ class Hits:
         facing: cosine between ray and surface normal, 0 to 1.
         kind, instance: class and instance of the surface's object.
         reflectance: reflectance of the surface, 0 to 1.
+        glass: bool, whether the surface is a window pane.
     """
 
     range: F64
@@ -50,6 +52,11 @@ class Hits:
     kind: U16
     instance: I32
     reflectance: F64
+    glass: Bool
+
+    def where(self, chosen: Bool, other: Hits) -> Hits:
+        """These hits, with those of ``other`` in the chosen places, (N,) bool."""
+        return Hits(*(np.where(chosen, getattr(other, f), getattr(self, f)) for f in Hits.__dataclass_fields__))
 
 
 def mounts(sensor: Sensor) -> list[F64]:
@@ -107,23 +114,23 @@ class RayScene:
 
     def __init__(self, scene: SimulatedScene):
         self.scene = scene
-        self._static = _Surfaces(scene.parts, [part.mesh for part in scene.parts])
+        self.static = Surfaces(scene.parts, [part.mesh for part in scene.parts])
 
     def cast(self, rays: Rays, T_scene_sensor: F64, time: float) -> Hits:
         """Hits of the rays of a sensor at a pose and time, seconds."""
         origins = geometry.apply(T_scene_sensor, rays.origins)
         directions = geometry.apply(T_scene_sensor, rays.directions) - T_scene_sensor[:3, 3]
         packed = np.concatenate([origins, directions], axis=1).astype(np.float32)
-        static = self._static.cast(packed)
+        static = self.static.cast(packed)
         present = [(m, mesh) for m in self.scene.movers if (mesh := m.mesh(time, self.scene.height)) is not None]
         if not present:
             return static
-        moving = _Surfaces([mover for mover, _ in present], [mesh for _, mesh in present]).cast(packed)
+        moving = Surfaces([mover for mover, _ in present], [mesh for _, mesh in present]).cast(packed)
         nearer = moving.range < static.range
-        return Hits(*(np.where(nearer, getattr(moving, f), getattr(static, f)) for f in Hits.__dataclass_fields__))
+        return static.where(nearer, moving)
 
 
-class _Surfaces:
+class Surfaces:
     """Meshes of some objects in the acceleration structure of the ray caster."""
 
     def __init__(self, owners: list[MeshPart] | list[Mover], meshes: list[Mesh]):
@@ -138,22 +145,26 @@ class _Surfaces:
         self._kind = np.array([o.kind for o in owners] + [0], np.uint16)
         self._instance = np.array([getattr(o, "instance", 0) for o in owners] + [0], np.int32)
         self._reflectance = np.array([o.reflectance for o in owners] + [0.0])
+        self._glass = np.array([getattr(o, "glass", False) for o in owners] + [False])
 
     def cast(self, rays: F32) -> Hits:
         """Nearest surface along (N, 6) float32 rays: origin and direction."""
-        found: dict[str, Any] = self._scene.cast_rays(self._tensor(rays))
+        threads = 1 if len(rays) < SMALL else 0
+        found: dict[str, Any] = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
         owner = np.minimum(found["geometry_ids"].numpy(), len(self._kind) - 1)
         normals = found["primitive_normals"].numpy()
         facing = np.abs((normals * rays[:, 3:]).sum(1, dtype=np.float64))
         distance = found["t_hit"].numpy().astype(np.float64)
-        return Hits(distance, facing, self._kind[owner], self._instance[owner], self._reflectance[owner])
+        of = (self._kind, self._instance, self._reflectance, self._glass)
+        return Hits(distance, facing, *(values[owner] for values in of))
 
 
-def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, Bool, U16, F32]:
+def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator, lost: float = 0.04) -> tuple[F64, Bool, U16, F32]:
     """The sensor's measurements of the hits.
 
     A bright surface at a right angle returns light up to ``max_range``; dark surfaces and grazing angles reduce the
-    range. 4 % of the returns are lost. One in 2000 returns from the ground is a multipath return and lies too far.
+    range. A share ``lost`` of the returns is lost. One in 2000 returns from the ground is a multipath return and lies
+    too far.
 
     Returns:
         (N,) range with noise, metres; (N,) bool, whether a ray returns; (N,) class; (N,) intensity from 0 to 1.
@@ -162,7 +173,7 @@ def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator) -> tuple[F64, 
     assert sensor.max_range is not None
     reach = sensor.max_range * np.sqrt(hits.reflectance / 0.8) * np.clip(hits.facing, 1e-3, 1) ** 0.1
     reach = np.minimum(reach * rng.normal(1, 0.12, count), sensor.max_range)
-    seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > 0.04)
+    seen = (hits.range < reach) & (hits.range >= sensor.min_range) & (rng.random(count) > lost)
     detour = (rng.random(count) < 0.0005) & np.isin(hits.kind, REFLECTING)
     longer = np.where(detour, rng.uniform(1.15, 1.8, count), 1.0)
     distance = hits.range * longer + rng.normal(0, sensor.range_noise or 0.0, count)

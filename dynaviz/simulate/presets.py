@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+
+from dynaviz.simulate.effects import Effects
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,7 @@ class Preset:
         speed: speed of the sensor, m/s.
         traffic: relative number of movers; 1 is normal.
         pose_noise: standard deviations of the pose errors, metres and degrees.
+        effects: effects of the sensor, further pose errors, and difficult behaviour.
     """
 
     name: str
@@ -30,6 +33,7 @@ class Preset:
     speed: float
     traffic: float = 1.0
     pose_noise: tuple[float, float] = (0.01, 0.05)
+    effects: Effects = field(default_factory=Effects)
 
 
 _ALL = (
@@ -42,5 +46,45 @@ _ALL = (
     Preset("street_vlp16", "street, VLP-16", "street", "vlp16", 200, 2.5),
 )
 
-PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in _ALL})
+REAL = Effects(
+    sweep_s=0.1,
+    divergence_mrad=3.0,
+    dropout=0.002,
+    dropout_range=0.015,
+    dropout_incidence=0.02,
+    noise_range_m=0.05,
+    noise_incidence_m=0.0003,
+    beam_deg=0.02,
+    bloom_deg=0.8,
+    multipath=0.001,
+    vegetation_gap=0.3,
+    glass=0.6,
+    drift_m=0.3,
+    drift_deg=0.1,
+    jitter_m=0.03,
+    jitter_deg=0.1,
+    brushing=8,
+    passing=3,
+    crowds=2,
+    doors=3,
+    trolleys=2,
+    sitting=2,
+    animals=2,
+    parking=2,
+)
+"""All effects but rain, as large as in real scans; ``docs/simulator.md`` gives the source of each number."""
+
+_DIVERGENCE = {"hdl64e": 2.0}  # mrad; 3.0 for the other sensors
+
+
+def _real(preset: Preset) -> Preset:
+    """The preset with the effects of real scans instead of smooth pose errors."""
+    effects = replace(REAL, divergence_mrad=_DIVERGENCE.get(preset.sensor, REAL.divergence_mrad))
+    title = f"{preset.title}, with the effects of real scans"
+    return replace(preset, name=f"{preset.name}_real", title=title, pose_noise=(0.0, 0.0), effects=effects)
+
+
+_WITH_EFFECTS = [_real(preset) for preset in _ALL if preset.name != "demo"]
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(dict(sorted({p.name: p for p in (*_ALL, *_WITH_EFFECTS)}.items())))
 """All presets, sorted by name."""

@@ -9,17 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, U8, U16
-from dynaviz.errors import UsageError
 from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.scan import Label
-from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
+from dynaviz.sensors import load_sensor
+from dynaviz.simulate import poses
+from dynaviz.simulate.behaviour import populate
+from dynaviz.simulate.classes import BY_EFFECTS, CLASS_NAMES, ObjectClass
+from dynaviz.simulate.effects import BEHAVIOUR
 from dynaviz.simulate.hall import hall
 from dynaviz.simulate.lidar import RayScene, receive, sweep_rays
-from dynaviz.simulate.presets import PRESETS, Preset
+from dynaviz.simulate.measurement import Returns, measure
+from dynaviz.simulate.options import Chosen
+from dynaviz.simulate.presets import Preset
 from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.square import square
 from dynaviz.simulate.street import street
+from dynaviz.simulate.sweep import sensor_pose
 from dynaviz.spatial import geometry
 
 VERSION = 1  # increase whenever the same preset and seed give different points
@@ -61,70 +66,81 @@ class SimulatedSweep:
 def build(preset: Preset, frames: int, seed: int = 0) -> SimulatedScene:
     """Build the scene of a preset, with its events spread over the number of frames."""
     duration = frames / (load_sensor(preset.sensor).rate or 10.0)
-    return BUILDERS[preset.scene](np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic)
+    scene = BUILDERS[preset.scene](np.random.default_rng([seed, 0]), duration, preset.speed, preset.traffic)
+    if any(getattr(preset.effects, name) for name in BEHAVIOUR):
+        populate(scene, preset.effects, np.random.default_rng([seed, 3]))
+    return scene
 
 
 def record_sweeps(scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0) -> Iterator[SimulatedSweep]:
     """Simulate one sweep after another. Each has its own random numbers, so sweeps do not depend on each other."""
-    sensor = load_sensor(preset.sensor)
-    ray_scene = RayScene(scene)
-    errors = _pose_errors(np.random.default_rng([seed, 1]), frames, preset.pose_noise)
-    T_scene_world = _sensor_pose(scene, sensor, 0.0)
-    for index in range(frames):
-        rng = np.random.default_rng([seed, 2, index])
-        yield _record_sweep(ray_scene, sensor, index, T_scene_world, errors[index], rng)
+    recorder = Recorder(scene, preset, frames, seed)
+    return map(recorder.sweep, range(frames))
 
 
-def _record_sweep(
-    ray_scene: RayScene, sensor: Sensor, index: int, T_scene_world: F64, error: F64, rng: np.random.Generator
-) -> SimulatedSweep:
-    time = index / (sensor.rate or 10.0)
-    T_scene_sensor = _sensor_pose(ray_scene.scene, sensor, time)
-    rays = sweep_rays(sensor, index, rng)
-    hits = ray_scene.cast(rays, T_scene_sensor, time)
-    distance, returned, kinds, intensity = receive(hits, sensor, rng)
-    in_sensor = rays.origins[returned] + rays.directions[returned] * distance[returned, None]
-    T_world_sensor = geometry.compose(geometry.compose(geometry.inverse(T_scene_world), T_scene_sensor), error)
-    points = geometry.transform(T_world_sensor, in_sensor)
-    instances = np.where(kinds == ObjectClass.OUTLIER, 0, hits.instance).astype(np.int32)
-    return SimulatedSweep(
-        index,
-        time,
-        points,
-        intensity[returned],
-        rays.lidar[returned],
-        kinds[returned],
-        instances[returned],
-        T_world_sensor,
-        T_scene_world,
-    )
+class Recorder:
+    """Simulates any sweep of a sequence.
 
+    Args:
+        scene: the scene of the preset.
+        preset: sensor, accuracy of the poses, and effects.
+        frames: number of sweeps.
+        seed: random seed.
+    """
 
-def _sensor_pose(scene: SimulatedScene, sensor: Sensor, time: float) -> F64:
-    T = scene.sensor.pose(time, scene.height)
-    assert T is not None  # checked by SimulatedScene
-    T[:3, 3] += T[:3, 2] * (sensor.height or 0.0)
-    return T
+    def __init__(self, scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0):
+        self.scene, self.effects, self.seed = scene, preset.effects, seed
+        self.sensor = load_sensor(preset.sensor)
+        self._ray_scene = RayScene(scene)
+        self._T_scene_world = sensor_pose(scene, self.sensor, 0.0)
+        errors = poses.slow_errors(np.random.default_rng([seed, 1]), frames, preset.pose_noise)
+        if self.effects.drift_m or self.effects.drift_deg:
+            true = np.stack([sensor_pose(scene, self.sensor, self._time(k)) for k in range(frames)])
+            errors = geometry.compose(poses.drift(np.random.default_rng([seed, 6]), true, self.effects), errors)
+        if self.effects.jitter_m or self.effects.jitter_deg:
+            errors = geometry.compose(errors, poses.jitter(np.random.default_rng([seed, 7]), frames, self.effects))
+        self._errors = errors
 
+    def _time(self, index: int) -> float:
+        return index / (self.sensor.rate or 10.0)
 
-def _pose_errors(rng: np.random.Generator, frames: int, noise: tuple[float, float]) -> F64:
-    """(frames, 4, 4) pose errors that drift like those of a SLAM system: each keeps 0.8 of the previous one."""
-    from scipy.spatial.transform import Rotation
+    def sweep(self, index: int) -> SimulatedSweep:
+        """Simulate the sweep with this number."""
+        time = self._time(index)
+        T_scene_sensor = sensor_pose(self.scene, self.sensor, time)
+        found = self._returns(index, time, T_scene_sensor)
+        true = geometry.compose(geometry.inverse(self._T_scene_world), T_scene_sensor)
+        T_world_sensor = geometry.compose(true, self._errors[index])
+        points = geometry.transform(T_world_sensor, found.points)
+        return SimulatedSweep(
+            index,
+            time,
+            points,
+            found.intensity,
+            found.lidar,
+            found.kinds,
+            found.instances,
+            T_world_sensor,
+            self._T_scene_world,
+        )
 
-    steps = rng.normal(size=(frames, 6))
-    for k in range(1, frames):
-        steps[k] = 0.8 * steps[k - 1] + 0.6 * steps[k]
-    errors = np.tile(np.eye(4), (frames, 1, 1))
-    errors[:, :3, :3] = Rotation.from_rotvec(np.radians(noise[1]) * steps[:, 3:]).as_matrix()
-    errors[:, :3, 3] = noise[0] * steps[:, :3]
-    return errors
+    def _returns(self, index: int, time: float, T_scene_sensor: F64) -> Returns:
+        if self.effects.optical:
+            return measure(self._ray_scene, self.sensor, index, self.effects, self.seed)
+        rng = np.random.default_rng([self.seed, 2, index])
+        rays = sweep_rays(self.sensor, index, rng)
+        hits = self._ray_scene.cast(rays, T_scene_sensor, time)
+        distance, seen, kinds, intensity = receive(hits, self.sensor, rng)
+        points = rays.origins[seen] + rays.directions[seen] * distance[seen, None]
+        instances = np.where(kinds == ObjectClass.OUTLIER, 0, hits.instance).astype(np.int32)
+        return Returns(points, intensity[seen], rays.lidar[seen], kinds[seen], instances[seen])
 
 
 def simulate(
     preset: str,
     out: Path,
     frames: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Write a simulated sequence: scans in the world frame, one labelled cloud of all scans, and ``sequence.toml``.
@@ -132,30 +148,28 @@ def simulate(
     The same preset, frames and seed give the same bytes. The folder is written completely or not at all.
 
     Args:
-        preset: a name in ``PRESETS``.
+        preset: a name in ``PRESETS``, with options if needed: ``street_hdl64?jitter_m=0.03&brushing=6``.
         out: folder to create; it must not exist yet.
-        frames: number of sweeps; None for the preset's default.
-        seed: random seed; each seed gives another scene of the same kind.
+        frames: number of sweeps; None for that of the options or the preset's default.
+        seed: random seed; each seed gives another scene of the same kind. None for that of the options, or 0.
         progress: called with the number of finished sweeps and the total.
 
     Raises:
-        UsageError: for an unknown preset, a negative seed, or a number of frames below 1 or beyond the sensor's route.
+        UsageError: for an unknown preset or option, a negative seed, or a number of frames below 1 or beyond the
+            sensor's route.
         DataError: if ``out`` exists or cannot be written.
     """
-    if preset not in PRESETS:
-        raise UsageError(f"unknown scene '{preset}'. Known: {', '.join(PRESETS)}")
-    chosen, out = PRESETS[preset], Path(out)
-    frames = chosen.frames if frames is None else frames
-    if frames < 1 or seed < 0:
-        raise UsageError(f"frames {frames}, seed {seed}: invalid. Give at least one frame and a seed of at least 0")
-    merged = bool(load_sensor(chosen.sensor).mounts)
+    chosen, out = Chosen.parse(preset, frames, seed), Path(out)
+    preset_, frames, seed = chosen.preset, chosen.frames, chosen.seed
+    merged = bool(load_sensor(preset_.sensor).mounts)
     with BenchmarkWriter(out) as writer:
-        for sweep in record_sweeps(build(chosen, frames, seed), chosen, frames, seed):
+        for sweep in record_sweeps(build(preset_, frames, seed), preset_, frames, seed):
             lidar = sweep.lidar if merged else None
             writer.append(sweep.index, sweep.points, sweep.T_world_sensor, sweep.intensity, lidar)
             writer.append_truth(sweep.points, sweep.labels, sweep.kinds, sweep.instances)
             progress(sweep.index + 1, frames)
-        facts = {"name": out.name, "title": chosen.title, "preset": chosen.name, "sensor": chosen.sensor, "seed": seed}
-        facts |= {"frames": frames, "rate": load_sensor(chosen.sensor).rate, "generator": VERSION}
-        writer.describe(facts, CLASS_NAMES)
+        facts = {"name": out.name, "title": preset_.title, "preset": preset_.name, "sensor": preset_.sensor}
+        facts |= {"seed": seed, "frames": frames, "rate": load_sensor(preset_.sensor).rate, "generator": VERSION}
+        names = {k: name for k, name in CLASS_NAMES.items() if chosen.effects or k not in BY_EFFECTS}
+        writer.describe(facts | chosen.effects, names)
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,11 +17,31 @@ from dynaviz.simulate.shapes import Mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """A static object: mesh in the scene frame, class and reflectance from 0 to 1."""
+    """A static object: mesh in the scene frame, class and reflectance from 0 to 1; glass: whether it is a pane."""
 
     mesh: Mesh
     kind: ObjectClass
     reflectance: float
+    glass: bool = False
+
+
+@dataclass(eq=False)
+class Places:
+    """Where movers may act in a scene; no random numbers are needed to find them. Routes are in metres, scene frame.
+
+    Attributes:
+        walls: along walls, whose free side is on the left.
+        obstacles: parked cars and pillars: x, y, yaw, half length and half width (metres, radians).
+        walkways: where people walk.
+        lanes: where vehicles drive.
+        bays: ways of vehicles into a free bay and out again, and the distance at which they park.
+    """
+
+    walls: list[Route] = field(default_factory=list)
+    obstacles: list[tuple[float, float, float, float, float]] = field(default_factory=list)
+    walkways: list[Route] = field(default_factory=list)
+    lanes: list[Route] = field(default_factory=list)
+    bays: list[tuple[Route, float]] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -35,6 +55,7 @@ class SimulatedScene:
         sensor: motion of the vehicle that carries the sensor.
         parts: static objects.
         movers: moving objects; instance numbers are positions in this list, from 1.
+        places: where further movers may act.
     """
 
     rng: np.random.Generator
@@ -43,6 +64,7 @@ class SimulatedScene:
     sensor: Motion
     parts: list[MeshPart] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
+    places: Places = field(default_factory=Places)
 
     def __post_init__(self) -> None:
         """Raise UsageError if the recording is longer than the sensor's route, before anything is built."""
@@ -59,6 +81,8 @@ class SimulatedScene:
         """Place a static mesh on the ground."""
         z = float(self.height(np.array([x]), np.array([y]))[0])
         self.add(mesh.moved(x, y, z, yaw=yaw), kind, reflectance)
+        if kind == ObjectClass.CAR:
+            self.places.obstacles.append((x, y, yaw, *(np.ptp(mesh.bounds, axis=0)[:2] / 2).tolist()))
 
     def tree(self, x: float, y: float, highest: float = 9.0) -> None:
         """Add a tree, at least 6.5 m high."""
@@ -71,6 +95,9 @@ class SimulatedScene:
         walls, panes = objects.house(self.rng, width, depth, storeys)
         self.put(walls, ObjectClass.BUILDING, x, y, yaw, self.rng.uniform(0.3, 0.7))
         self.put(panes, ObjectClass.BUILDING, x, y, yaw, 0.06)  # glass returns little light from far away
+        self.parts[-1] = replace(self.parts[-1], glass=True)
+        along = np.linspace(-width / 2, width / 2, 20)
+        self.places.walls.append(Route(np.column_stack([x + along * np.cos(yaw), y + along * np.sin(yaw)])))
 
     def move(self, kind: ObjectClass, path: Route, schedule: Schedule, body: Mesh | Callable[[float], Mesh]) -> None:
         """Add an object that moves along a route."""

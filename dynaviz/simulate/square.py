@@ -35,7 +35,22 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     _furniture(scene)
     _crowd(scene, traffic)
     _traffic(scene, traffic)
+    _places(scene)
     return scene
+
+
+def _places(scene: SimulatedScene) -> None:
+    """Where further movers may act: ways across the square, lanes, and gaps in the row of parked cars."""
+    ends = [((-26, -8), (26, -10)), ((-24, 12), (24, 9)), ((-18, -22), (18, 22)), ((-22, 20), (22, -18))]
+    scene.places.walkways += [Route(np.linspace(a, b, 60)) for a, b in ends]
+    scene.places.walkways += [way.reversed() for way in scene.places.walkways]
+    scene.places.lanes += [Route([(88, LANES[1]), (-88, LANES[1])])]
+    bay = -HALF - 7.9
+    for x in np.arange(-45, 46, 1.5):
+        way = Route(
+            [(88, LANES[1]), (x + 14, LANES[1]), (x + 7, bay), (x - 7, bay), (x - 14, LANES[1]), (-88, LANES[1])], 4
+        )
+        scene.places.bays.append((way, float(way.distance[np.argmin(np.hypot(*(way.xy - (x, bay)).T))])))
 
 
 def _ground(scene: SimulatedScene) -> None:

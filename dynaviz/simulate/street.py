@@ -76,7 +76,23 @@ def street(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     _kerbside(scene, road, reserved)
     _traffic(scene, road, speed, traffic)
     _people(scene, road, speed, traffic)
+    _places(scene, road, reserved)
     return scene
+
+
+def _places(scene: SimulatedScene, road: Street, reserved: tuple[float, float]) -> None:
+    """Where further movers may act: pavements, lanes, and bays outside the reserved stations."""
+    scene.places.walkways += [way for left in (7.2, -7.2) for way in (road.middle.shifted(left), road.lane(left))]
+    scene.places.lanes += [road.lane(LANE), road.lane(-LANE)]
+    stations = np.arange(0, road.length, 0.5)
+    for station in np.arange(20.0, road.length - 20, PLACE / 2):
+        if reserved[0] - 15 < station < reserved[1] + 15:
+            continue
+        for side in (-1, 1):
+            swing = np.interp(np.abs(stations - station), [2.5, 11], [BAY, LANE])
+            path = road.middle.shifted(side * _eased(swing))
+            path = path if side < 0 else path.reversed()
+            scene.places.bays.append((path, road.station(path, station, side * BAY)))
 
 
 def _ground(scene: SimulatedScene, road: Street) -> None:

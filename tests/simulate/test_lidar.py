@@ -81,9 +81,8 @@ def test_the_nearer_of_mover_and_background_is_hit():
 
 def hits_of(count, range_, reflectance=0.8, facing=1.0, kind=ObjectClass.BUILDING):
     full = np.full(count, 1.0)
-    return Hits(
-        range_ * full, facing * full, np.full(count, kind, np.uint16), np.zeros(count, np.int32), reflectance * full
-    )
+    kinds, instances = np.full(count, kind, np.uint16), np.zeros(count, np.int32)
+    return Hits(range_ * full, facing * full, kinds, instances, reflectance * full, np.zeros(count, np.bool_))
 
 
 def test_ranges_have_the_sensors_noise_and_limits():
