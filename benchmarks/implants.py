@@ -1,23 +1,30 @@
 """Does the ranking of the methods by implants agree with the ranking by true labels? ``python benchmarks/implants.py``.
 
-    python benchmarks/implants.py -o FOLDER [--frames N] [--seeds N] [SEQUENCE ...]
+    python benchmarks/implants.py -o FOLDER [--frames N] [--seeds N] [--grid] [SEQUENCE ...]
 
-SEQUENCE is a path with ground truth, or ``simulate:PRESET``. Every registered method runs on each sequence, and on the
-sequence with implants for each seed. Three rankings are compared, by Spearman's rank correlation of AA:
+SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or with ``--grid``
+DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the sequence with implants for each
+seed. The implants are planned without the sequence's labels. Three scores are compared, by Spearman's rank correlation
+of AA:
 
 true      the sequence's own labels
 implants  DA of the implants alone, SA of the points labelled static; counts of all seeds are added
-panel     as above, on the sequence without its labels: SA of the points that the default panel leaves undisputed
+panel     as above, but SA of the points that most methods of the default panel keep: needs no labels
+
+Movers are few, so both rankings depend on which movers there are. They are drawn again with replacement: the interval
+of each correlation contains 90 % of the draws. ``itself`` is the correlation of the true ranking with that of drawn
+movers of the same sequence: other movers cannot be expected to agree better.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,31 +32,22 @@ import numpy as np
 
 from dynaviz import api, params, registry
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.implants.lidar import LidarModel
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.panel import default_panel
+from dynaviz.implants.panel import Votes, default_panel, votes
 from dynaviz.implants.scene import CLASSES
-from dynaviz.implants.sequence import ImplantedSequence
+from dynaviz.implants.sequence import ImplantedSequence, planned
+from dynaviz.implants.survey import Survey
 from dynaviz.scan import Label, Scan, Sequence
 from dynaviz.simulate import simulate
 
 DEFAULT = ("simulate:demo", "simulate:street_hdl64")
-
-
-@dataclass(frozen=True)
-class Unlabelled:
-    """A sequence without its ground truth."""
-
-    whole: Sequence
-    has_labels: bool = False
-
-    name = property(lambda self: self.whole.name)
-    sensor = property(lambda self: self.whole.sensor)
-
-    def __len__(self) -> int:
-        return len(self.whole)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[position].without_truth()
+KINDS = ("true", "implants", "panel")
+DRAWS = 500
+GRID = {
+    "dufomap": {"resolution": (0.1, 0.2, 0.3), "unknown_margin": (0, 1)},
+    "octomap": {"resolution": (0.1, 0.2, 0.3), "prob_miss": (0.3, 0.4)},
+}
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,10 @@ class Cached:
         """Read a sequence."""
         return Cached(name, sequence.sensor, [sequence[k] for k in range(len(sequence))], sequence.has_labels)
 
+    def blind(self) -> Cached:
+        """The sequence without its ground truth."""
+        return Cached(self.name, self.sensor, [scan.without_truth() for scan in self.scans], False)
+
     def __len__(self) -> int:
         return len(self.scans)
 
@@ -73,33 +75,88 @@ class Cached:
         return self.scans[position]
 
 
-class Counts(Listener):
-    """Static points, those kept of them, dynamic points, those removed; without and with the drive's own dynamic."""
+@dataclass
+class Score:
+    """Static points, those of them that are kept; and for each mover its points, and those that are removed."""
 
-    def __init__(self) -> None:
-        self.true, self.implants = np.zeros(4, np.int64), np.zeros(4, np.int64)
+    static: np.ndarray = field(default_factory=lambda: np.zeros(2, np.int64))
+    movers: dict[Any, np.ndarray] = field(default_factory=dict)
+
+    def add(self, labels: np.ndarray, movers: np.ndarray, moving: np.ndarray, removed: np.ndarray, seed: int) -> None:
+        """Count a frame."""
+        static = labels == Label.STATIC
+        self.static += static.sum(), (static & ~removed).sum()
+        for mover in np.unique(movers[moving]):
+            own = moving & (movers == mover)
+            self.movers.setdefault((seed, int(mover)), np.zeros(2, np.int64))
+            self.movers[seed, int(mover)] += own.sum(), (own & removed).sum()
+
+    def percent(self, drawn: list[Any] | None = None) -> tuple[float, float, float]:
+        """SA, DA and AA; with drawn movers only those count, as often as they were drawn."""
+        every = [self.movers[mover] for mover in (self.movers if drawn is None else drawn)]
+        dynamic, removed = np.sum(every, axis=0) if every else (0, 0)
+        sa, da = 100 * self.static[1] / max(self.static[0], 1), 100 * removed / max(dynamic, 1)
+        return float(sa), float(da), math.sqrt(sa * da)
+
+
+class Count(Listener):
+    """Counts the frames of a run; ``truth`` has one labelled sequence for each kind of score."""
+
+    def __init__(self, scores: dict[str, Score], truth: Mapping[str, Sequence], seed: int) -> None:
+        self.scores, self.truth, self.seed = scores, truth, seed
 
     def labelled(self, labelled: Any, curves: Any) -> None:
         """Count a frame."""
-        scan, removed = labelled.scan, labelled.dynamic
-        static, dynamic = scan.labels == Label.STATIC, scan.labels == Label.DYNAMIC
-        new = np.isin(scan.classes, list(CLASSES.values())) if scan.classes is not None else np.zeros_like(static)
-        for counts, moving in ((self.true, dynamic & ~new), (self.implants, dynamic & new)):
-            counts += [static.sum(), (static & ~removed).sum(), moving.sum(), (moving & removed).sum()]
+        for kind, sequence in self.truth.items():
+            scan = sequence[labelled.frame]
+            implanted = np.isin(scan.classes, list(CLASSES.values()))
+            moving = (scan.labels == Label.DYNAMIC) & (implanted if kind != "true" else ~implanted)
+            self.scores[kind].add(scan.labels, scan.instances, moving, labelled.dynamic, self.seed)
 
 
-def scores(counts: np.ndarray) -> tuple[float, float, float]:
-    """SA, DA and AA in percent."""
-    static, kept, dynamic, removed = counts.tolist()
-    sa, da = 100 * kept / max(static, 1), 100 * removed / max(dynamic, 1)
-    return sa, da, math.sqrt(sa * da)
+def run(method: str, settings: Mapping[str, Any], sequence: Sequence, count: Count) -> None:
+    kind = registry.load("methods", method)
+    resolved = params.resolve(kind, settings=[f"{key}={value}" for key, value in settings.items()])
+    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [count])
 
 
-def run(name: str, sequence: Sequence) -> Counts:
-    kind, counts = registry.load("methods", name), Counts()
-    resolved = params.resolve(kind)
-    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [counts])
-    return counts
+def opened(text: str, frames: int, folder: Path) -> Cached:
+    if text.startswith("simulate:"):
+        preset, _, seed = text.removeprefix("simulate:").partition(":")
+        path = folder / "-".join(filter(None, [preset, str(frames), seed]))
+        if not path.exists():
+            simulate(preset, path, frames=frames, seed=int(seed or 0))
+        text = str(path)
+    sequence = api.open(text, frames=f":{frames}")
+    return Cached.of(sequence, sequence.name)
+
+
+def implanted(base: Cached, agreed: Votes, seed: int) -> dict[str, Cached]:
+    """The same implants in the sequence, with the labels of the sequence, and with those of the panel."""
+    blind, lidar = base.blind(), LidarModel.measure(base)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # movers that find no place
+        scene = planned(
+            "", ImplantOptions(cars=6, persons=10, seed=seed), lidar, Survey.of(blind, moving=agreed.dynamic)
+        )
+    return {
+        "implants": Cached.of(ImplantedSequence(base, scene, lidar, ""), base.name),
+        "panel": Cached.of(ImplantedSequence(blind, scene, lidar, "", ("panel",), agreed.static), base.name),
+    }
+
+
+def compare(base: Cached, seeds: int, entries: list[tuple[str, dict[str, Any]]]) -> list[dict[str, Score]]:
+    """The scores of each method with its settings, by kind."""
+    agreed = votes(base.blind(), default_panel())
+    scores = [{kind: Score() for kind in KINDS} for _ in entries]
+    for seed in range(-1, seeds):  # -1: without implants
+        truth = {"true": base} if seed < 0 else implanted(base, agreed, seed)
+        sequence = next(iter(truth.values()))
+        for (method, settings), found in zip(entries, scores, strict=True):
+            run(method, settings, sequence, Count(found, truth, seed))
+            done = " ".join(f"{kind} {found[kind].percent()[2]:.2f}" for kind in truth)
+            print(f"{base.name} seed {seed} {method} {settings or ''}: AA {done}", flush=True)
+    return scores
 
 
 def rank_correlation(a: list[float], b: list[float]) -> float:
@@ -108,52 +165,68 @@ def rank_correlation(a: list[float], b: list[float]) -> float:
     return float(spearmanr(a, b).statistic)
 
 
-def opened(text: str, frames: int, folder: Path) -> Cached:
-    if text.startswith("simulate:"):
-        preset = text.partition(":")[2]
-        path = folder / f"{preset}-{frames}"
-        if not path.exists():
-            simulate(preset, path, frames=frames)
-        text = str(path)
-    sequence = api.open(text, frames=f":{frames}")
-    return Cached.of(sequence, sequence.name)
+def correlations(scores: list[dict[str, Score]]) -> dict[str, Any]:
+    """Spearman's correlation of AA with the true AA, and intervals over drawn movers."""
+    rng = np.random.default_rng(0)
+    true = [score["true"].percent()[2] for score in scores]
+    movers = {kind: list(scores[0][kind].movers) for kind in KINDS}
+    draws: dict[str, list[float]] = {"implants": [], "panel": [], "itself": []}
+    for _ in range(DRAWS):
+        chosen = {kind: [names[k] for k in rng.integers(len(names), size=len(names))] for kind, names in movers.items()}
+        aa = {kind: [score[kind].percent(chosen[kind])[2] for score in scores] for kind in KINDS}
+        for kind in ("implants", "panel"):
+            draws[kind].append(rank_correlation(aa["true"], aa[kind]))
+        draws["itself"].append(rank_correlation(true, aa["true"]))
+    facts: dict[str, Any] = {}
+    for kind, values in draws.items():
+        low, middle, high = np.nanquantile(values, [0.05, 0.5, 0.95]).round(2).tolist()
+        value = middle if kind == "itself" else rank_correlation(true, [s[kind].percent()[2] for s in scores])
+        facts[kind] = {"spearman": round(value, 2), "interval": [low, high]}
+    return facts
 
 
-def compare(base: Cached, seeds: int, methods: list[str]) -> Iterator[dict[str, Any]]:
-    """One row per method."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # movers that find no place
-        options = [ImplantOptions(cars=6, persons=10, seed=seed) for seed in range(seeds)]
-        with_labels = [Cached.of(ImplantedSequence.of(base, o), f"seed {o.seed}") for o in options]
-        blind, panel = Unlabelled(base), default_panel()
-        by_panel = [Cached.of(ImplantedSequence.of(blind, replace(o, panel=panel)), f"seed {o.seed}") for o in options]
-    for name in methods:
-        true = run(name, base).true
-        implants = sum((run(name, sequence).implants for sequence in with_labels), np.zeros(4, np.int64))
-        agreed = sum((run(name, sequence).implants for sequence in by_panel), np.zeros(4, np.int64))
-        yield {"method": name, "true": scores(true), "implants": scores(implants), "panel": scores(agreed)}
+def grid() -> list[tuple[str, dict[str, Any]]]:
+    found: list[tuple[str, dict[str, Any]]] = []
+    for method, axes in GRID.items():
+        found += [(method, dict(zip(axes, values, strict=True))) for values in itertools.product(*axes.values())]
+    return found
+
+
+def report(base: Cached, entries: list[tuple[str, dict[str, Any]]], scores: list[dict[str, Score]]) -> dict[str, Any]:
+    """Print the scores and the correlations; with a grid one per method."""
+    rows = []
+    for (method, settings), score in sorted(
+        zip(entries, scores, strict=True), key=lambda row: -row[1]["true"].percent()[2]
+    ):
+        name = " ".join([method, *(f"{key}={value}" for key, value in settings.items())])
+        rows.append({"name": name, **{kind: score[kind].percent() for kind in KINDS}})
+        cells = "  ".join(f"{k} " + " / ".join(f"{v:6.2f}" for v in rows[-1][k]) for k in KINDS)
+        print(f"{base.name:24} {name:40} SA / DA / AA: {cells}", flush=True)
+    gridded = any(settings for _, settings in entries)
+    facts: dict[str, Any] = {"sequence": base.name, "frames": len(base), "rows": rows, "correlations": {}}
+    for group in dict.fromkeys(method for method, _ in entries) if gridded else ("methods",):
+        own = [score for (method, _), score in zip(entries, scores, strict=True) if group in (method, "methods")]
+        facts["correlations"][group] = found = correlations(own)
+        for kind, fact in found.items():
+            print(f"{base.name}: {group}: {kind}: Spearman {fact['spearman']:.2f}, 90 % interval {fact['interval']}")
+    return facts
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", nargs="*", default=list(DEFAULT), metavar="SEQUENCE")
-    parser.add_argument("--frames", type=int, default=40, metavar="N")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N")
+    parser.add_argument("--frames", type=int, default=24, metavar="N")
+    parser.add_argument("--seeds", type=int, default=2, metavar="N")
+    parser.add_argument("--grid", action="store_true", help="compare parameters instead of methods")
     parser.add_argument("-o", "--out", type=Path, default=Path("build/benchmarks/implants"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    methods = [handle.name for handle in registry.handles("methods")]
+    entries = grid() if arguments.grid else [(handle.name, {}) for handle in registry.handles("methods")]
     for text in arguments.sequences:
-        base, rows = opened(text, arguments.frames, arguments.out), []
-        for row in compare(base, arguments.seeds, methods):
-            rows.append(row)
-            cells = "  ".join(f"{k} " + " / ".join(f"{v:6.2f}" for v in row[k]) for k in ("true", "implants", "panel"))
-            print(f"{base.name:24} {row['method']:12} SA / DA / AA: {cells}", flush=True)
-        aa = {kind: [row[kind][2] for row in rows] for kind in ("true", "implants", "panel")}
-        spearman = {kind: rank_correlation(aa["true"], aa[kind]) for kind in ("implants", "panel")}
-        print(f"{base.name}: Spearman with the true AA: " + ", ".join(f"{k} {v:.2f}" for k, v in spearman.items()))
-        facts = {"sequence": base.name, "frames": len(base), "rows": rows, "spearman": spearman}
-        (arguments.out / f"{base.name}.json").write_text(json.dumps(facts, indent=1))
+        base = opened(text, arguments.frames, arguments.out)
+        facts = report(base, entries, compare(base, arguments.seeds, entries))
+        name = f"{base.name}{'-grid' if arguments.grid else ''}.json"
+        (arguments.out / name).write_text(json.dumps(facts, indent=1))
 
 
 if __name__ == "__main__":

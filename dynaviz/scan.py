@@ -51,6 +51,7 @@ class Scan:
         instances: (N,) int32, object number per point, 0 for no object; or None.
         origins: (1, 3) or (N, 3) float64, metres, world frame; origin of each ray. Default: the sensor's position.
         class_names: names of the numbers in ``classes``, if known.
+        times: (N,) float32, seconds; when each point was measured, relative to the scan's time; or None if unknown.
 
     Raises:
         ValueError: if the shapes do not match.
@@ -65,6 +66,7 @@ class Scan:
     instances: I32 | None = None
     origins: F64 = None  # type: ignore[assignment]  # filled from the pose below
     class_names: Mapping[int, str] = field(default_factory=dict)
+    times: F32 | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -72,7 +74,8 @@ class Scan:
             raise ValueError(f"scan {self.index}: T_world_sensor has shape {np.shape(self.T_world_sensor)}, not (4, 4)")
         self._set("points", np.float32, (n, 3))
         self._set("T_world_sensor", np.float64, (4, 4))
-        for name, dtype in (("labels", np.uint8), ("classes", np.uint16), ("instances", np.int32)):
+        arrays = (("labels", np.uint8), ("classes", np.uint16), ("instances", np.int32), ("times", np.float32))
+        for name, dtype in arrays:
             if getattr(self, name) is not None:
                 self._set(name, dtype, (n,))
         if self.origins is None:

@@ -156,6 +156,7 @@ class Argoverse2Sequence:
             T_world_sensor=geometry.compose(T_world_ego, T_ego_sensor),
             stamp_ns=stamp,
             origins=self._origins(sweep, stamp),
+            times=(1e-9 * sweep["offset_ns"]).astype(np.float32),
             **scan_fields(truth, CLASS_NAMES),
         )
 

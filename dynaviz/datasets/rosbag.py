@@ -131,13 +131,15 @@ class RosBagSequence:
         k = int(self.positions[position])
         stamp, T_world_sensor = int(self.clouds.stamps[k]), self.poses[position]
         rows = _read_cloud(self.bag, self.clouds, k)
-        points, origins = _xyz(self.bag, self.clouds, k, rows), None
+        points, origins, offsets = _xyz(self.bag, self.clouds, k, rows), None, None
         if self.time_field and self.time_field[0] in (rows.dtype.names or ()):
             name, unit = self.time_field
-            points, origins = deskew(points, point_times(rows[name], unit, stamp), self.trajectory)
+            times = point_times(rows[name], unit, stamp)
+            points, origins = deskew(points, times, self.trajectory)
+            offsets = ((times - stamp) * 1e-9).astype(np.float32)
         elif self.points_in == "sensor":
             points = geometry.transform(T_world_sensor, points)
-        return Scan(k, points, T_world_sensor, stamp, origins=origins)  # type: ignore[arg-type]  # None: sensor position
+        return Scan(k, points, T_world_sensor, stamp, origins=origins, times=offsets)  # type: ignore[arg-type]  # None: sensor
 
 
 def _split(path: Path) -> tuple[Path, str | None]:
@@ -183,6 +185,9 @@ def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, Odometry], 
     ):
         if source == topic:
             stamp = _stamp(message.header)
+            if time >= 1 << 63:
+                problem = f"recorded at {time} ns, which is not a time since 1970"
+                raise DataError(bag.path, problem, at=f"message {len(keys)} of {topic}", hint="Record it again")
             keys.append((time, keys[-1][1] + 1 if keys and keys[-1][0] == time else 0))
             stamps.append(stamp or time)
             unstamped[source] += stamp == 0

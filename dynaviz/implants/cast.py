@@ -21,7 +21,7 @@ class Hits:
 
     Attributes:
         range: float64, metres; infinite if no mover is hit.
-        mover: int64, its position in the list of meshes; -1 if none is hit.
+        mover: int64, its position in the list of targets; -1 if none is hit.
         facing: float64, cosine between ray and surface normal.
     """
 
@@ -30,12 +30,30 @@ class Hits:
     facing: F64
 
 
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A mover during one scan.
+
+    Attributes:
+        mesh: at the time of the scan, metres, relative to the sensor's position.
+        kind: its class number.
+        instance: its instance number.
+        velocity: (3,) float64, m/s, during the sweep.
+    """
+
+    mesh: Mesh
+    kind: int
+    instance: int
+    velocity: F64
+
+
 def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | None = None) -> Scan:
     """Put the movers of a scene into a scan.
 
     A ray that meets a mover before its own return gets the mover's return, with range noise, or loses its return: with
     the drop-out rate, at a grazing angle, or outside the range limits of the lidar. Rays without a return that meet a
-    mover add points at the end. All other points keep their values and their order.
+    mover add points at the end. All other points keep their values and their order. If points have times, each ray
+    meets the movers where they are at that time.
 
     Args:
         scan: a scan, with or without ground truth.
@@ -46,87 +64,99 @@ def implant(scan: Scan, scene: ImplantScene, lidar: LidarModel, static: Bool | N
     Returns:
         The scan with labels; implanted points have the class numbers of ``CLASSES`` and the mover's instance.
     """
-    time, base = scene.time(scan), scan.position
-    present = [(mover, mesh) for mover in scene.implants if (mesh := mover.mesh(time)) is not None]
-    meshes = [Mesh(mesh.vertices - base, mesh.triangles) for _, mesh in present]
+    targets = _targets(scan, scene)
     rng = np.random.default_rng([scene.seed, 3, scan.index])
-    kind = np.array([CLASSES[mover.kind] for mover, _ in present], np.uint16)
-    instance = np.array([mover.instance for mover, _ in present], np.int32)
+    kind = np.array([target.kind for target in targets], np.uint16)
+    instance = np.array([target.instance for target in targets], np.int32)
 
     own = ranges_of(scan)
-    start = np.broadcast_to(scan.origins - base, (len(scan), 3))
+    start = np.broadcast_to(scan.origins - scan.position, (len(scan), 3))
     with np.errstate(divide="ignore", invalid="ignore"):
         towards = (scan.points - scan.origins) / own[:, None]
-    hits = cast(meshes, start, towards, np.where(np.isfinite(own), own, 0.0))
+    times = np.zeros(len(scan)) if scan.times is None else scan.times.astype(np.float64)
+    hits = cast(targets, start, towards, np.where(np.isfinite(own), own, 0.0), times)
     rows = np.flatnonzero(hits.mover >= 0)
     measured, returned = _measure(_rows(hits, rows), scene, lidar, rng)
     points = scan.points.copy()
-    points[rows] = (start[rows] + towards[rows] * measured[:, None] + base).astype(np.float32)
+    points[rows] = (start[rows] + towards[rows] * measured[:, None] + scan.position).astype(np.float32)
     kept = np.ones(len(scan), np.bool_)
     kept[rows] = returned
 
-    origins, directions, limits = lidar.missing_rays(scan)
-    sky = cast(meshes if scene.sky_rays else [], origins - base, directions, limits)
+    directions, limits, before = lidar.missing_rays(scan)
+    sky = cast(targets if scene.sky_rays else [], start[before], directions, limits, times[before])
     met = np.flatnonzero(sky.mover >= 0)
     distance, seen = _measure(_rows(sky, met), scene, lidar, rng)
     added = met[seen]
-    new = (origins[added] + directions[added] * distance[seen, None]).astype(np.float32)
+    source = before[added]
+    new = (start[source] + directions[added] * distance[seen, None] + scan.position).astype(np.float32)
 
     labels, classes, instances = _truth(scan, static)
     labels[rows], classes[rows], instances[rows] = Label.DYNAMIC, kind[hits.mover[rows]], instance[hits.mover[rows]]
     mover = sky.mover[added]
-    rays = scan.origins
-    if len(rays) > 1:
-        rays = np.concatenate([rays[kept], origins[added]])
     return replace(
         scan,
         points=np.concatenate([points[kept], new]),
         labels=np.concatenate([labels[kept], np.full(len(new), Label.DYNAMIC, np.uint8)]),
         classes=np.concatenate([classes[kept], kind[mover]]),
         instances=np.concatenate([instances[kept], instance[mover]]),
-        origins=rays,
+        origins=np.concatenate([scan.origins[kept], scan.origins[source]]) if len(scan.origins) > 1 else scan.origins,
+        times=None if scan.times is None else np.concatenate([scan.times[kept], scan.times[source]]),
         class_names={**scan.class_names, **CLASS_NAMES},
     )
 
 
-def cast(meshes: list[Mesh], origins: F64, directions: F64, limits: F64) -> Hits:
-    """Find the nearest mesh along rays (N, 3), unit directions, closer than the limits (N,) in metres.
+def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
+    """The movers that are present at the time of a scan."""
+    time, found = scene.time(scan), []
+    during = (0.0, 0.0) if scan.times is None or not len(scan) else (scan.times.min(), scan.times.max())
+    for mover in scene.implants:
+        if (mesh := mover.mesh(time)) is not None:
+            velocity = mover.velocity(time + float(during[0]), time + float(during[1]))
+            mesh = Mesh(mesh.vertices - scan.position, mesh.triangles)
+            found.append(Target(mesh, CLASSES[mover.kind], mover.instance, velocity))
+    return found
 
-    Origins and meshes are near zero, so float32 is exact to less than a millimetre.
+
+def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, times: F64) -> Hits:
+    """Find the nearest mover along rays (N, 3), unit directions, closer than the limits (N,) in metres.
+
+    A ray meets a mover in motion where a ray whose origin moves the opposite way meets it at rest. Origins and meshes
+    are near zero, so float32 is exact to less than a millimetre.
     """
     found = Hits(np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins)))
-    if not meshes or not len(origins):
+    if not targets or not len(origins):
         return found
     import open3d as o3d
 
     tensor = o3d.core.Tensor.from_numpy
-    scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # so that the structure is the same on any machine
-    for mesh in meshes:
-        scene.add_triangles(tensor(mesh.vertices.astype(np.float32)), tensor(mesh.triangles.astype(np.uint32)))
-    rows = np.flatnonzero(_may_hit(meshes, origins, directions, limits))
-    rays: F32 = np.concatenate([origins[rows], directions[rows]], axis=1).astype(np.float32)
-    answer = scene.cast_rays(tensor(rays))
-    distance = answer["t_hit"].numpy().astype(np.float64)
-    near = distance < limits[rows]
-    rows = rows[near]
-    found.range[rows] = distance[near]
-    found.mover[rows] = answer["geometry_ids"].numpy()[near]
-    found.facing[rows] = np.abs((answer["primitive_normals"].numpy() * rays[:, 3:]).sum(1, dtype=np.float64))[near]
+    for number, target in enumerate(targets):
+        start = origins - times[:, None] * target.velocity
+        rows = np.flatnonzero(_may_hit(target.mesh, start, directions, np.minimum(limits, found.range)))
+        if not len(rows):
+            continue
+        scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # so that the structure is the same on any machine
+        vertices, triangles = target.mesh.vertices.astype(np.float32), target.mesh.triangles.astype(np.uint32)
+        scene.add_triangles(tensor(vertices), tensor(triangles))
+        rays: F32 = np.concatenate([start[rows], directions[rows]], axis=1).astype(np.float32)
+        answer = scene.cast_rays(tensor(rays))
+        distance = answer["t_hit"].numpy().astype(np.float64)
+        near = (distance < limits[rows]) & (distance < found.range[rows])
+        rows = rows[near]
+        found.range[rows] = distance[near]
+        found.mover[rows] = number
+        facing = np.abs((answer["primitive_normals"].numpy() * rays[:, 3:]).sum(1, dtype=np.float64))
+        found.facing[rows] = facing[near]
     return found
 
 
-def _may_hit(meshes: list[Mesh], origins: F64, directions: F64, limits: F64) -> Bool:
+def _may_hit(mesh: Mesh, origins: F64, directions: F64, limits: F64) -> Bool:
     """(N,) bool: rays that pass through the bounding sphere of a mesh within their limits."""
-    (ox, oy, oz), (dx, dy, dz) = origins.T, directions.T
-    may = np.zeros(len(origins), np.bool_)
-    for mesh in meshes:
-        low, high = mesh.bounds
-        radius = float(np.sqrt(((high - low) ** 2).sum())) / 2 + 0.05
-        x, y, z = (low + high) / 2
-        cx, cy, cz = x - ox, y - oy, z - oz
-        along = cx * dx + cy * dy + cz * dz
-        aside = cx * cx + cy * cy + cz * cz - along * along
-        may |= (aside <= radius * radius) & (along > -radius) & (along - radius < limits)
+    low, high = mesh.bounds
+    radius = float(np.sqrt(((high - low) ** 2).sum())) / 2 + 0.05
+    (cx, cy, cz), (dx, dy, dz) = ((low + high) / 2 - origins).T, directions.T
+    along = cx * dx + cy * dy + cz * dz
+    aside = cx * cx + cy * cy + cz * cz - along * along
+    may: Bool = (aside <= radius * radius) & (along > -radius) & (along - radius < limits)
     return may
 
 

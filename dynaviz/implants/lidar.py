@@ -74,15 +74,14 @@ class LidarModel:
             mounts=mounts,
         )
 
-    def missing_rays(self, scan: Scan) -> tuple[F64, F64, F64]:
+    def missing_rays(self, scan: Scan) -> tuple[F64, F64, Intp]:
         """The rays of a scan without a return.
 
         Returns:
-            (K, 3) origins, metres, and (K, 3) unit directions, in the world frame; (K,) metres up to which each ray is
-            free.
+            (K, 3) unit directions in the world frame; (K,) metres up to which each ray is free; (K,) row of the point
+            measured before each, with the same origin.
         """
-        origins, directions, limits = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty(0)]
-        start = np.broadcast_to(scan.origins, (len(scan), 3))
+        directions, limits, rows_before = [np.empty((0, 3))], [np.empty(0)], [np.empty(0, np.intp)]
         for mount, (rows, local) in zip(self.mounts, _by_mount(scan, self.mounts), strict=True):
             rings = mount.pattern.rings(local) if mount.pattern and self.sky_rays else None
             if mount.pattern is None or rings is None or not rings.regular:
@@ -90,9 +89,9 @@ class LidarModel:
             T_world_lidar = geometry.compose(scan.T_world_sensor, mount.T_sensor_lidar)
             missing, limit, before = mount.pattern.missing(rings)
             directions.append(geometry.apply(T_world_lidar, missing) - T_world_lidar[:3, 3])
-            origins.append(start[rows[before]])
             limits.append(limit)
-        return np.concatenate(origins), np.concatenate(directions), np.concatenate(limits)
+            rows_before.append(rows[before])
+        return np.concatenate(directions), np.concatenate(limits), np.concatenate(rows_before)
 
 
 def ranges_of(scan: Scan) -> F64:

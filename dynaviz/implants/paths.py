@@ -13,6 +13,8 @@ SPACING = 0.5  # metres between points of a path
 ARCS, FOLLOWED = 300, 120  # paths to choose from
 NEAREST = 4.0  # metres from the sensor
 ASIDE = 9.0  # metres from the trajectory
+LANE = 3.5  # metres, width of a lane
+LANES = (-1, 0, 1, 1, 1, 2)  # lanes to the left of the sensor's: most movers come towards it on the next lane
 AHEAD = 60.0  # metres by which the trajectory is extended at both ends
 
 
@@ -38,10 +40,12 @@ def arcs(sensor: F64, far: float, bend: float, longest: float, rng: np.random.Ge
     return [Path(points, anchor) for points in xy]
 
 
-def followed(positions: F64, frame: int, far: float, longest: float, rng: np.random.Generator) -> list[Path]:
+def followed(
+    positions: F64, frame: int, far: float, longest: float, lanes: bool, rng: np.random.Generator
+) -> list[Path]:
     """Paths parallel to the trajectory, (F, 2) metres; those on its left mostly in the opposite direction.
 
-    Empty if the sensor hardly moves.
+    With ``lanes``, most are a whole number of lanes aside. Empty if the sensor hardly moves.
     """
     kept = [0]
     for row in range(1, len(positions)):
@@ -57,7 +61,7 @@ def followed(positions: F64, frame: int, far: float, longest: float, rng: np.ran
     station = route.distance[np.hypot(*(route.xy - positions[frame]).T).argmin()]
     found = []
     for _ in range(FOLLOWED):
-        left, along = rng.uniform(-ASIDE, ASIDE), station + rng.uniform(-far, far)
+        left, along = _aside(lanes, rng), station + rng.uniform(-far, far)
         opposite = (left > 0) == (rng.random() < 0.8)
         line = route.shifted(left)
         at = float(np.interp(along, route.distance, line.distance))
@@ -69,6 +73,28 @@ def followed(positions: F64, frame: int, far: float, longest: float, rng: np.ran
         xy, anchor = np.stack([x, y], axis=1), int(np.clip((at - low) / SPACING, 0, len(s) - 1))
         found.append(Path(xy[::-1], len(s) - 1 - anchor) if opposite else Path(xy, anchor))
     return found
+
+
+def _aside(lanes: bool, rng: np.random.Generator) -> float:
+    """Metres to the left of the trajectory."""
+    if not lanes:
+        return float(rng.uniform(-ASIDE, ASIDE))
+    return float(rng.choice(LANES) * LANE + rng.normal(0, 0.3))
+
+
+def paced(path: Path, before: float, after: float) -> Path:
+    """A path to and fro that goes on for at least some metres before and after the anchor of a path."""
+    turn = path.xy[-1] - path.xy[-2], path.xy[0] - path.xy[1]
+    steps = [0.1 * np.array([-y, x]) / np.hypot(x, y) for x, y in turn]  # the turn goes over the left
+    forth, back = (
+        np.concatenate([path.xy, path.xy[-1:] + steps[0]]),
+        np.concatenate([path.xy[::-1], path.xy[:1] + steps[1]]),
+    )
+    length = SPACING * (len(path.xy) - 1)
+    early = max(0, int(np.ceil((before - SPACING * path.anchor) / length)))
+    late = max(0, int(np.ceil((after - length + SPACING * path.anchor) / length)))
+    legs = [forth if leg % 2 == 0 else back for leg in range(-early, late + 1)]
+    return Path(np.concatenate(legs)[:-1], sum(map(len, legs[:early])) + path.anchor)
 
 
 def swerved(path: Path, aside: float, beyond: float) -> Path:

@@ -10,17 +10,21 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.paths import SPACING, Path, arcs, followed, swerved
+from dynaviz.implants.paths import SPACING, Path, arcs, followed, paced, swerved
 from dynaviz.implants.scene import Implant
-from dynaviz.implants.schedule import cruise, park, pause
+from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.space import TALL, FreeSpace
 from dynaviz.implants.survey import CELL, Survey
+from dynaviz.simulate.movers import Route
 
 MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
 VISIBLE = 40.0  # metres from the sensor
 STEEPEST = 0.15  # metres per metre
 STANDING = 8.0  # metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
+FADED = 50.0  # metres from the sensor; farther away, few rays hit a mover. Less if the ground is not visible as far
+IN_LANE = 0.8  # share of vehicles that keep to a lane along the trajectory; the others cross
 APART = 0.4  # metres to dynamic points and other movers
+TRIPS = 3  # times and speeds to try
 TRIED = 60  # best paths for which a schedule is checked
 TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
 
@@ -92,49 +96,103 @@ def plan(options: ImplantOptions, survey: Survey, space: FreeSpace) -> Plan:
     return Plan(tuple(placed), missing)
 
 
+@dataclass(frozen=True)
+class Trip:
+    """What a mover does on its path.
+
+    Attributes:
+        behaviour: ``cruise``, ``waits``, ``parks``, or ``stands``: at both ends of the path.
+        frame: position of the frame at which it passes the anchor of the path.
+        speed: m/s.
+        wait: seconds, at the anchor.
+        stop: time in seconds at which it has parked.
+    """
+
+    behaviour: str
+    frame: int
+    speed: float
+    wait: float
+    stop: float
+
+    def schedule(self, path: Path, times: F64, braking: float, behaviour: str) -> F64:
+        """(K, 2) seconds, and metres along the path."""
+        along = Route(path.xy).distance
+        length, at, time = float(along[-1]), float(along[path.anchor]), float(times[self.frame])
+        if behaviour == "parks":
+            return park(0.0, length, self.speed, self.stop, times[-1] + 1, braking)
+        if behaviour == "waits":
+            return pause(0.0, length, self.speed, at, time - self.wait / 2, self.wait, braking)
+        if behaviour == "stands":
+            time = self.stop if self.behaviour == "parks" else time
+            return stand(length, self.speed, at, time, (times[0] - 1, times[-1] + 1), braking)
+        return cruise(0.0, length, self.speed, at, time).round(3)
+
+    def paced(self, path: Path, times: F64) -> Path:
+        """A path to and fro that lasts for the whole recording."""
+        before, after = times[self.frame] - times[0], times[-1] - times[self.frame]
+        return paced(path, self.speed * (before + 1), self.speed * (after + 1))
+
+
 class _Planner:
     """Places movers; each keeps clear of the earlier ones."""
 
     def __init__(self, survey: Survey, space: FreeSpace) -> None:
+        from scipy.spatial import cKDTree
+
         self._survey, self._space = survey, space
         self._tracks: list[tuple[F64, float]] = []
+        apart, _ = cKDTree(survey.positions[:, :2]).query(space.known_ground())
+        self._faded = min(FADED, float(np.quantile(apart, 0.9)))
 
     def place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
-        """Place one mover, or return None if no path fits."""
-        kind, times = KINDS[name], self._survey.times
-        waits, brushes = number % 3 == 2 and not parks, name == "person" and number % 2 == 1
-        speed = float(rng.uniform(*kind.speeds))
-        frame = int(rng.integers(len(times)))
+        """Place one mover, or return None if no path fits, also at other times and speeds."""
+        tries = (self._place(name, parks, number, instance, rng) for _ in range(TRIPS))
+        return next((mover for mover in tries if mover), None)
+
+    def _place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
+        kind, survey = KINDS[name], self._survey
+        brushes = name == "person" and number % 2 == 1
+        trip = self._trip(kind, parks, waits=number % 3 == 2 and not parks, rng=rng)
         shape = int(rng.integers(2**31))
-        wait = float(rng.uniform(0.15, 0.4)) * (times[-1] - times[0])
-        stop = times[0] + float(rng.uniform(0.3, 0.6)) * (times[-1] - times[0])
-        note = "parks" if parks else "waits" if waits else "brushes along obstacles" if brushes else "moves"
-        for path in self._best_paths(kind, frame, parks, brushes, rng):
-            length, at = SPACING * (len(path.xy) - 1), SPACING * path.anchor
-            if parks:
-                schedule = park(0.0, length, speed, stop, times[-1] + 1, kind.braking)
-            elif waits:
-                schedule = pause(0.0, length, speed, at, times[frame] - wait / 2, min(wait, 8.0), kind.braking)
-            else:
-                schedule = cruise(0.0, length, speed, at, times[frame]).round(3)
-            track = np.column_stack([path.xy, self._space.height(path.xy)]).round(3)
-            mover = Implant(name, instance, shape, track, schedule, note)
-            discs = footprints(mover, times)
-            berth = max(kind.berth, STANDING) if (parks or waits) and kind.radius > 1 else kind.berth
-            if self._free(discs, kind.radius, berth):
-                self._tracks.append((discs, kind.radius))
-                return mover
+        notes = {"cruise": "brushes along obstacles" if brushes else "moves"}
+        paths = list(self._best_paths(kind, trip, brushes, rng))
+        if name == "person":
+            paths = [trip.paced(path, survey.times) for path in paths]
+        for behaviour in (trip.behaviour, "stands"):
+            for path in paths:
+                track = np.column_stack([path.xy, self._space.height(path.xy)]).round(3)
+                schedule = trip.schedule(path, survey.times, kind.braking, behaviour)
+                mover = Implant(name, instance, shape, track, schedule, notes.get(behaviour, behaviour))
+                discs = footprints(mover, survey.times)
+                berth = max(kind.berth, STANDING) if behaviour != "cruise" and kind.radius > 1 else kind.berth
+                if self._free(discs, kind.radius, berth) and not self._pops(discs, kind.radius):
+                    self._tracks.append((discs, kind.radius))
+                    return mover
         return None
 
-    def _best_paths(
-        self, kind: Kind, frame: int, parks: bool, brushes: bool, rng: np.random.Generator
-    ) -> Iterator[Path]:
-        """Free parts of random paths, the best first."""
+    def _trip(self, kind: Kind, parks: bool, waits: bool, rng: np.random.Generator) -> Trip:
+        """What a mover does, when and how fast; vehicles keep pace with the sensor if that is fast."""
+        times, positions = self._survey.times, self._survey.positions[:, :2]
+        duration = times[-1] - times[0]
+        speed = float(rng.uniform(*kind.speeds))
+        if kind.radius > 1 and len(times) > 1:
+            steps = np.hypot(*np.diff(positions, axis=0).T) / np.diff(times)
+            speed *= max(1.0, float(np.median(steps)) / np.mean(kind.speeds))
+        frame = int(rng.integers(len(times)))
+        wait = min(float(rng.uniform(0.15, 0.4)) * duration, 8.0)
+        stop = times[0] + float(rng.uniform(0.3, 0.6)) * duration
+        return Trip("parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop)
+
+    def _best_paths(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[Path]:
+        """Free parts of random paths, the best first; for vehicles those in lanes before those that cross, or after."""
         positions = self._survey.positions[:, :2]
-        anchor = positions[frame]
+        anchor, parks = positions[trip.frame], trip.behaviour == "parks"
+        vehicle, keeps_lane = kind.radius > 1, bool(rng.random() < IN_LANE)
         candidates = [*arcs(anchor, kind.far, kind.bend, kind.lengths[1], rng)]
-        candidates += followed(positions, frame, kind.far, kind.lengths[1], rng) if kind.radius > 0.4 else []
-        scored: list[tuple[float, int, Path]] = []
+        crossing = len(candidates)
+        if kind.radius > 0.4:
+            candidates += followed(positions, trip.frame, kind.far, kind.lengths[1], vehicle, rng)
+        scored: list[tuple[bool, float, int, Path]] = []
         for number, candidate in enumerate(candidates):
             path = self._trimmed(candidate, kind)
             if path is None or (parks and SPACING * path.anchor < kind.lengths[0]):
@@ -146,9 +204,13 @@ class _Planner:
             score += 0.5 * self._in_sight(anchor, path.xy[path.anchor])
             score += 1.5 * float((clear < TIGHT).mean()) if brushes else 0.0
             score -= float(clear[-1]) / 4 if parks else 0.0
-            scored.append((-score, number, path))
-        for _, _, path in sorted(scored)[:TRIED]:
-            yield path
+            second = vehicle and keeps_lane != (number >= crossing)
+            scored.append((second, -score, number, path))
+        tried: Counter[bool] = Counter()
+        for second, _, _, path in sorted(scored):
+            tried[second] += 1
+            if tried[second] <= TRIED:
+                yield path
 
     def _trimmed(self, path: Path, kind: Kind) -> Path | None:
         """The free part of a path around its anchor; None if it is too short or too steep."""
@@ -200,6 +262,15 @@ class _Planner:
             if len(points) and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART:
                 return False
         return True
+
+    def _pops(self, discs: F64, radius: float) -> bool:
+        """Whether a mover appears or disappears within the recording where the sensor sees it."""
+        present = np.flatnonzero(np.isfinite(discs[:, 0, 0]))
+        for frame, end in ((present[0], 0), (present[-1], len(discs) - 1)):
+            near = np.hypot(*(discs[frame] - self._survey.positions[frame, :2]).T) < self._faded
+            if frame != end and (near & self._survey.in_sight(frame, discs[frame], radius)).any():
+                return True
+        return False
 
 
 def footprints(mover: Implant, times: F64) -> F64:

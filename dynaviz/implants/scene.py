@@ -75,6 +75,15 @@ class Implant:
         T[:3, 3] = x, y, (front + rear) / 2
         return T
 
+    def velocity(self, start: float, end: float) -> F64:
+        """(3,) float64, m/s: mean velocity between two times in seconds while it is present; zero for equal times."""
+        start, end = max(start, float(self.schedule[0, 0])), min(end, float(self.schedule[-1, 0]))
+        a, b = self.distance(start), self.distance(end)
+        if end <= start or a is None or b is None:
+            return np.zeros(3)
+        step: F64 = self.pose(b)[:3, 3] - self.pose(a)[:3, 3]
+        return step / (end - start)
+
     def _height(self, distance: float) -> float:
         """Height of the path; beyond its ends it goes on at the same slope."""
         at, z = self.route.distance, self.path[:, 2]

@@ -33,6 +33,21 @@ def park(start: float, end: float, speed: float, time: float, until: float, brak
     return _distinct(knots[knots[:, 0] <= max(until, time)])
 
 
+def stand(end: float, speed: float, at: float, time: float, span: tuple[float, float], braking: float) -> F64:
+    """Knots of a way from 0 to ``end`` metres that passes ``at`` metres at about a time.
+
+    The mover stands at the beginning and at the end, from the first to the last time of the span in seconds.
+    """
+    ramp = _ramp(min(speed, float(np.sqrt(braking * end))), braking)
+    seconds, metres = ramp[-1]
+    cruising = max(0.0, end - 2 * metres) / max(ramp[-1, 0] * braking, 1e-9)
+    down = np.stack([2 * seconds + cruising - ramp[::-1, 0], end - ramp[::-1, 1]], axis=1)
+    way = np.concatenate([ramp, down])
+    way[:, 0] += time - np.interp(at, way[:, 1], way[:, 0])
+    first, last = min(span[0], way[0, 0]), max(span[1], way[-1, 0])
+    return _distinct(np.concatenate([[[first, 0.0]], way, [[last, end]]]))
+
+
 def _ramp(speed: float, braking: float) -> F64:
     """(K, 2) seconds and metres from a standing start to a speed in m/s."""
     seconds = np.append(np.arange(0, speed / braking, STEP), speed / braking)

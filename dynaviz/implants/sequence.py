@@ -80,18 +80,21 @@ class ImplantedSequence:
         """
         base = select_frames(base, options.frames, options.stride)
         lidar = LidarModel.measure(base)
+        agreed = None
+        if options.panel:
+            from dynaviz.implants.panel import votes
+
+            agreed = votes(base, options.panel, progress)
         if options.scene is not None:
             scene = ImplantScene.load(Path(options.scene))
             name = f"{base.name}-{Path(options.scene).stem}"
         else:
-            scene = planned(base, options, lidar, lambda done, total: progress("survey", done, total))
+            survey = Survey.of(
+                base, lambda done, total: progress("survey", done, total), agreed.dynamic if agreed else None
+            )
+            scene = planned(base.name, options, lidar, survey)
             name = f"{base.name}-implants" + (f"-seed{options.seed}" if options.seed else "")
-        static = None
-        if options.panel:
-            from dynaviz.implants.panel import undisputed
-
-            static = undisputed(base, options.panel, progress)
-        return cls(base, scene, lidar, name, options.panel, static)
+        return cls(base, scene, lidar, name, options.panel, agreed.static if agreed else None)
 
     @property
     def sensor(self) -> Sensor:
@@ -122,7 +125,7 @@ class ImplantedSequence:
 
     @property
     def _sa(self) -> str:
-        own, agreed = "the points labelled static", f"the points that {', '.join(self.panel)} all keep"
+        own, agreed = "the points labelled static", f"the points that most of {', '.join(self.panel)} keep"
         if self.base.has_labels:
             return f"{own}, and {agreed} among those without a label" if self.panel else own
         return agreed if self.panel else "no points; give a panel of methods"
@@ -144,27 +147,21 @@ class ImplantedSequence:
         return implant(scan, self.scene, self.lidar, static)
 
 
-def planned(
-    base: Sequence,
-    options: ImplantOptions,
-    lidar: LidarModel,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> ImplantScene:
-    """Plan movers for a sequence.
+def planned(name: str, options: ImplantOptions, lidar: LidarModel, survey: Survey) -> ImplantScene:
+    """Plan movers for a surveyed sequence.
 
     Raises:
         UsageError: if no mover finds a free path; if only some do, a warning counts the others.
     """
-    survey = Survey.of(base, progress)
     found = plan(options, survey, FreeSpace.of(survey))
     wanted = sum(getattr(options, name) for name in COUNTS)
     if not found.implants:
         raise UsageError(
-            f"{base.name}: no free path for any of {wanted} movers. Give smaller movers, another seed or more frames"
+            f"{name}: no free path for any of {wanted} movers. Give smaller movers, another seed or more frames"
         )
     if found.missing:
         left = ", ".join(f"{name} ({count})" for name, count in found.missing.items())
-        warnings.warn(f"{base.name}: no free path for {left}; {len(found.implants)} movers placed", stacklevel=2)
+        warnings.warn(f"{name}: no free path for {left}; {len(found.implants)} movers placed", stacklevel=2)
     return ImplantScene(
         seed=options.seed,
         range_noise=lidar.range_noise,
@@ -173,5 +170,5 @@ def planned(
         implants=found.implants,
         rate=survey.rate,
         start_ns=survey.start_ns,
-        sequence=base.name,
+        sequence=name,
     )

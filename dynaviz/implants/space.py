@@ -76,6 +76,11 @@ class FreeSpace:
         height: F64 = (1 - u) * ((1 - v) * g[i, j] + v * g[i, m]) + u * ((1 - v) * g[k, j] + v * g[k, m])
         return height
 
+    def known_ground(self) -> F64:
+        """(N, 2) float64, metres: centres of the ground cells with a known height."""
+        cells: F64 = (np.argwhere(np.isfinite(self.ground)) + 0.5) * CELL * GROUND + self.origin * CELL
+        return cells
+
     @cached_property
     def clearance(self) -> dict[str, F32]:
         """For each entry of ``TALL``: (X, Y) metres to the nearest column that is blocked or has no known ground."""

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.errors import UsageError
 from dynaviz.scan import Label, Scan, Sequence
 from dynaviz.spatial.grid import pack, unpack
@@ -32,7 +32,9 @@ class Survey:
         columns: (V, 2) int64: x and y index of each occupied voxel, in cells of ``CELL``, without dynamic points.
         height: (V,) float64, metres: mean height of its points.
         count: (V,) int64, its points.
-        dynamic: for each frame (D, 3) float32, metres: points with the label dynamic, one per cell.
+        dynamic: for each frame (D, 3) float32, metres: points known to be dynamic, one per cell.
+        farthest: (F, 360) float32, metres in the plane: the farthest return in each degree of azimuth from -180, world
+            frame; 0 without a return.
         instances: the highest instance number.
     """
 
@@ -44,24 +46,36 @@ class Survey:
     height: F64
     count: I64
     dynamic: tuple[F32, ...]
+    farthest: F32
     instances: int
 
     @classmethod
-    def of(cls, sequence: Sequence, progress: Callable[[int, int], None] = lambda done, total: None) -> Survey:
+    def of(
+        cls,
+        sequence: Sequence,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+        moving: Callable[[int], Bool] | None = None,
+    ) -> Survey:
         """Read a sequence once.
+
+        Args:
+            sequence: any sequence.
+            progress: called with the number of frames read and their total.
+            moving: gives for a position (N,) bool: points known to be dynamic, in addition to those labelled so.
 
         Raises:
             UsageError: if the world's z axis does not point up.
         """
-        voxels, dynamic = _Voxels(), []
+        voxels, dynamic, farthest = _Voxels(), [], []
         positions, up, indices, stamps = [], [], [], []
         instances = 0
         for position in range(len(sequence)):
             scan = sequence[position]
-            points, moving = _split(scan)
+            points, others = _split(scan, None if moving is None else moving(position))
             voxels.add(points)
-            _, first = np.unique(pack(moving, CELL), return_index=True)
-            dynamic.append(moving[first])
+            _, first = np.unique(pack(others, CELL), return_index=True)
+            dynamic.append(others[first])
+            farthest.append(_farthest(scan))
             if scan.instances is not None and len(scan):
                 instances = max(instances, int(scan.instances.max()))
             positions.append(scan.position)
@@ -82,7 +96,34 @@ class Survey:
             times = np.array([(stamp - start) / 1e9 for stamp in known])
         keys, count, total = voxels.merged()
         columns = unpack(keys).astype(np.int64)[:, :2]
-        return cls(np.array(positions), times, start, rate, columns, total / count, count, tuple(dynamic), instances)
+        return cls(
+            positions=np.array(positions),
+            times=times,
+            start_ns=start,
+            rate=rate,
+            columns=columns,
+            height=total / count,
+            count=count,
+            dynamic=tuple(dynamic),
+            farthest=np.array(farthest),
+            instances=instances,
+        )
+
+    def in_sight(self, frame: int, xy: F64, radius: float) -> Bool:
+        """(N,) bool: whether the sensor sees as far as (N, 2) places, metres, or would if they did not hide the rest.
+
+        A place beyond the farthest return of its direction, within a few degrees, is hidden.
+        """
+        offset = xy - self.positions[frame, :2]
+        away = np.hypot(offset[:, 0], offset[:, 1])
+        half = np.degrees(np.arctan2(radius, np.maximum(away, radius))) + 1
+        middle = np.degrees(np.arctan2(offset[:, 1], offset[:, 0])) + 180
+        reach = [
+            self.farthest[frame].take(np.arange(int(a - h), int(a + h) + 1), mode="wrap").max()
+            for a, h in zip(middle, half, strict=True)
+        ]
+        seen: Bool = away - radius < np.array(reach)
+        return seen
 
 
 class _Voxels:
@@ -114,10 +155,22 @@ class _Voxels:
         return keys, count.astype(np.int64), total.astype(np.float64)
 
 
-def _split(scan: Scan) -> tuple[F32, F32]:
+def _farthest(scan: Scan) -> F32:
+    """(360,) float32: see ``Survey.farthest``."""
+    x, y = (scan.points[:, :2] - scan.position[:2].astype(np.float32)).T
+    away, reach = np.hypot(x, y), np.zeros(360, np.float32)
+    finite = np.isfinite(away)
+    degree = (np.degrees(np.arctan2(y[finite], x[finite])) + 180).astype(np.int64) % 360
+    np.maximum.at(reach, degree, away[finite])
+    return reach
+
+
+def _split(scan: Scan, agreed: Bool | None) -> tuple[F32, F32]:
     """Points near the sensor: those that are not dynamic, and the dynamic ones."""
     offset = scan.points - scan.position.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
         near = (offset * offset).sum(1) < REACH**2
-    moving = near & (scan.labels == Label.DYNAMIC) if scan.labels is not None else np.zeros(len(scan), np.bool_)
-    return scan.points[near & ~moving], scan.points[moving]
+    moving = np.zeros(len(scan), np.bool_) if agreed is None else agreed.copy()
+    if scan.labels is not None:
+        moving = (scan.labels == Label.DYNAMIC) | (moving & (scan.labels == Label.UNLABELLED))
+    return scan.points[near & ~moving], scan.points[near & moving]

@@ -353,9 +353,11 @@ def test_sweeps_are_deskewed(tmp_path: Path, field: str, times: np.ndarray) -> N
     expected = np.array([placed(p[None], T)[0] for p, T in zip(XYZ[3], poses, strict=True)])
     np.testing.assert_allclose(scan.points, expected, atol=1e-3)
     np.testing.assert_allclose(scan.origins, poses[:, :3, 3], atol=1e-3)
+    np.testing.assert_allclose(scan.times, SWEEP, atol=1e-6)
     plain = dv.open(bag.path, deskew=False)
     np.testing.assert_allclose(plain[3].points, placed(XYZ[3], at(4.5, 0, 0, 0.3)), atol=1e-4)
     assert plain[3].origins.shape == (1, 3)
+    assert plain[3].times is None
     assert np.linalg.norm(plain[3].points - scan.points, axis=1).max() > 1.0
 
 

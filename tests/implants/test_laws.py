@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 import open3d as o3d
 
 from dynaviz.arrays import F64
+from dynaviz.implants.cast import implant
 from dynaviz.implants.options import ImplantOptions
 from dynaviz.implants.scene import CLASSES, Implant
 from dynaviz.implants.sequence import ImplantedSequence
@@ -63,6 +65,27 @@ def test_every_implanted_point_lies_on_its_mover_within_the_noise(implanted: Imp
     assert np.mean(np.concatenate(list(seen.values()))) > 0.2 * implanted.scene.range_noise  # there is noise
 
 
+def test_points_with_times_lie_on_their_mover_at_their_own_time(implanted: ImplantedSequence, pairs: Pairs) -> None:
+    fast = next(mover for mover in implanted.scene.implants if mover.kind == "car")
+    off, apart = [], []
+    for scan, _ in pairs:
+        times = np.random.default_rng(scan.index).uniform(-0.05, 0.05, len(scan)).astype(np.float32)
+        timed = implant(dataclasses.replace(scan, times=times), implanted.scene, implanted.lidar)
+        assert timed.times is not None
+        rows = np.flatnonzero(timed.instances == fast.instance)[::40]
+        for row in rows:
+            mesh = fast.mesh(implanted.scene.time(scan) + float(timed.times[row]))
+            if mesh is None:  # before the start or after the end of its path
+                continue
+            off.append(surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[row : row + 1])).item())
+        mesh = fast.mesh(implanted.scene.time(scan))
+        if len(rows) and mesh is not None:
+            apart.extend(surfaces(mesh).compute_distance(o3d.core.Tensor(timed.points[rows])).numpy())
+    assert len(off) > 20
+    assert max(off) < 6 * implanted.scene.range_noise
+    assert max(apart) > 0.1  # with the mover at rest during the sweep they would not
+
+
 def test_no_mover_hides_a_point_that_was_kept(implanted: ImplantedSequence, pairs: Pairs) -> None:
     for _, scan in pairs:
         points = scan.points[own(scan)].astype(np.float64)
@@ -104,6 +127,18 @@ def test_movers_never_touch_a_static_point_above_the_ground(implanted: Implanted
             assert not inside.any(), (mover.kind, before.index)
             checked += 1
     assert checked > 40
+
+
+def test_movers_do_not_appear_or_disappear_in_sight(implanted: ImplantedSequence, pairs: Pairs) -> None:
+    """They have few points in their first and last scan, unless the recording begins or ends there."""
+    times = [implanted.scene.time(before) for before, _ in pairs]
+    for mover in implanted.scene.implants:
+        start, end = mover.schedule[0, 0], mover.schedule[-1, 0]
+        present = [k for k, time in enumerate(times) if start <= time <= end]
+        for k, edge in ((present[0], 0), (present[-1], len(pairs) - 1)):
+            scan = pairs[k][1]
+            away = np.linalg.norm(mover.pose(mover.distance(times[k]))[:2, 3] - scan.position[:2])
+            assert k == edge or away > 40 or (scan.instances == mover.instance).sum() < 20, (mover.note, away)
 
 
 def test_movers_stand_on_the_ground(implanted: ImplantedSequence, pairs: Pairs) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynaviz.arrays import F64, Bool
-from dynaviz.implants.cast import cast, implant
+from dynaviz.implants.cast import Target, cast, implant
 from dynaviz.implants.lidar import LidarModel
 from dynaviz.implants.pattern import Pattern, find_beams
 from dynaviz.implants.scene import Implant, ImplantScene
@@ -72,13 +72,15 @@ def test_rays_before_the_sky_are_found(ring_by_ring: bool) -> None:
     sequence, directions = plain(ring_by_ring=ring_by_ring)
     lidar = LidarModel.measure(sequence)
     assert lidar.sky_rays
-    origins, found, limits = lidar.missing_rays(sequence[0])
+    found, limits, before = lidar.missing_rays(sequence[0])
     sky = directions[(directions[:, 2] > -0.05) & (reach_of(directions) >= FARTHEST)]
     rows = np.isinf(limits)
     assert rows.sum() == pytest.approx(len(sky), rel=0.05)
     nearest = (found[rows] @ sky.T).max(1)
     assert np.degrees(np.arccos(np.clip(nearest, -1, 1))).max() < 0.11  # half a step
-    assert (origins == (0, 0, HEIGHT)).all()
+    towards = sequence[0].points[before] - (0, 0, HEIGHT)
+    level = np.degrees(np.arctan2(towards[:, 2], np.hypot(*towards[:, :2].T)))
+    assert np.abs(level - np.degrees(np.arcsin(found[:, 2]))).max() < 0.2  # a point of the same ring
 
 
 @pytest.mark.parametrize("ring_by_ring", [False, True])
@@ -88,7 +90,8 @@ def test_a_mover_before_the_sky_is_seen_in_full(ring_by_ring: bool) -> None:
     mesh = scene.implants[0].mesh(0.0)
     assert mesh is not None
     starts = np.broadcast_to([0.0, 0, HEIGHT], directions.shape)
-    expected = cast([mesh], starts, directions, np.full(len(directions), 90.0)).mover >= 0
+    resting = [Target(mesh, 1, 5, np.zeros(3))]
+    expected = cast(resting, starts, directions, np.full(len(directions), 90.0), np.zeros(len(directions))).mover >= 0
     seen = implant(scan, scene, lidar)
     assert (seen.instances == 5).sum() == pytest.approx(expected.sum(), rel=0.03)
     assert seen.points[seen.instances == 5][:, 2].max() > 3.5
@@ -142,7 +145,7 @@ def test_each_ray_starts_at_its_own_origin() -> None:
         own = scan.origins[:, 0] == x
         away = scan.points[own] - scan.origins[own]
         far = np.linalg.norm(away, axis=1)
-        hits = cast([mesh], scan.origins[own] - 0.0, away / far[:, None], far).mover >= 0
+        hits = cast([Target(mesh, 1, 5, np.zeros(3))], scan.origins[own], away / far[:, None], far, 0 * far).mover >= 0
         assert (rows & (seen.origins[:, 0] == x)).sum() == pytest.approx(hits.sum(), abs=2)
 
 

@@ -9,8 +9,10 @@ import pytest
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.implants.options import ImplantOptions, parse
+from dynaviz.implants.paths import Path as MoverPath
+from dynaviz.implants.paths import paced
 from dynaviz.implants.scene import Implant, ImplantScene
-from dynaviz.implants.schedule import cruise, park, pause
+from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.sequence import ImplantedSequence
 from dynaviz.scan import Scan
 from dynaviz.testing import InMemory
@@ -114,6 +116,29 @@ def test_schedules_stop_where_and_when_they_should() -> None:
     np.testing.assert_allclose(np.interp([5, 8, 12], *parked.T), 30)
     assert parked[-1, 0] == 12
     assert parked[0, 1] == 0
+
+
+def test_a_mover_that_stands_at_both_ends_of_its_path() -> None:
+    knots = stand(30, 6, 10, 5, (0, 20), 2.5)
+    assert np.interp(5, *knots.T) == pytest.approx(10, abs=0.01)
+    assert (knots[0].tolist(), knots[-1].tolist()) == ([0, 0], [20, 30])
+    assert np.interp([0.5, 19], *knots.T).tolist() == [0, 30]
+    speed = np.diff(knots[:, 1]) / np.diff(knots[:, 0])
+    assert speed.max() == pytest.approx(6, abs=0.05)
+    assert (np.diff(stand(1, 8, 0.5, 5, (0, 20), 2.5), axis=0) >= 0).all()
+
+
+def test_a_path_to_and_fro_turns_at_its_ends() -> None:
+    path = MoverPath(np.column_stack([0.5 * np.arange(9), np.zeros(9)]), 6)
+    long = paced(path, 10.0, 2.0)
+    np.testing.assert_array_equal(long.xy[long.anchor], (3, 0))
+    steps = np.hypot(*np.diff(long.xy, axis=0).T)
+    assert steps.min() > 0.05
+    assert steps[: long.anchor].sum() > 10
+    assert steps[long.anchor :].sum() > 2
+    assert long.xy[:, 0].min() == 0
+    assert long.xy[:, 0].max() == 4
+    assert np.abs(long.xy[:, 1]).max() <= 0.1
 
 
 def test_a_short_way_still_stops_smoothly() -> None:
