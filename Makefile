@@ -53,7 +53,7 @@ check: lint types test boundscheck docs
 .venv/.dev: .venv/.venv pyproject.toml
 	@echo "installing dynaviz and its test dependencies into .venv, about 2 GB ..."
 	@$(PIP) --no-compile --editable '.[dev]'
-	@test -e .venv/.user || PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
 	@touch .venv/.user $@
 
 clean:
