@@ -24,17 +24,15 @@ DISTANCE = "compare/error_distance"  # static: histograms of all runs, bars next
 REPORT = "compare/report"  # Markdown
 
 SIDES = "abcdefgh"  # roots of the runs
-COLOURS: tuple[
-    tuple[str, Colour], ...
-] = (  # of the runs; A and B differ from each other and from outcomes with any colour vision
-    ("green", (90, 220, 120)),
-    ("purple", (190, 80, 230)),
-    ("yellow", (255, 210, 60)),
-    ("blue", (90, 170, 240)),
-    ("orange", (235, 110, 40)),
-    ("white", (240, 240, 240)),
-    ("olive", (150, 150, 60)),
-    ("pink", (240, 150, 190)),
+COLOURS: tuple[tuple[str, Colour], ...] = (  # of the runs, on white and on black; none is the colour of an outcome
+    ("green", (45, 165, 85)),
+    ("purple", (180, 75, 225)),
+    ("teal", (0, 140, 150)),
+    ("pink", (225, 60, 140)),
+    ("brown", (150, 100, 55)),
+    ("indigo", (90, 85, 230)),
+    ("olive", (125, 130, 40)),
+    ("grey", (135, 135, 140)),
 )
 ABREAST = 4  # runs whose map and frame are both visible; with more, they share tabs
 

@@ -13,25 +13,15 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from dynaviz.arrays import F32, F64, U8, Bool
-from dynaviz.colours import Colour
-from dynaviz.comparison.answers import Answers
-from dynaviz.comparison.counts import (
-    BOTH,
-    FIRST,
-    NEITHER,
-    SECOND,
-    AgreementCounts,
-    SpatialGains,
-    agreement,
-    frame_gains,
-)
+from dynaviz.arrays import F64
+from dynaviz.colours import NEUTRAL, Colour
+from dynaviz.comparison.counts import FIRST, SECOND, AgreementCounts, SpatialGains, frame_gains
 from dynaviz.comparison.pair import FrameChange, PlaceChange
 from dynaviz.comparison.summary import Comparison
 from dynaviz.io.atomic import atomic_file
 from dynaviz.progress import Progress, silent
-from dynaviz.scan import Label
 from dynaviz.viz import compare_layout, paths
+from dynaviz.viz.agreement import AgreementLegend, agreed_points
 from dynaviz.viz.compare_layout import (
     CHANGED,
     COLOURS,
@@ -46,7 +36,7 @@ from dynaviz.viz.compare_layout import (
     WHERE,
 )
 from dynaviz.viz.pipe import open_writer
-from dynaviz.viz.reader import COMPARISON, DrawnPoints, RunRecording
+from dynaviz.viz.reader import COMPARISON, RunRecording
 
 KEPT = (  # entities copied from each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
@@ -56,8 +46,6 @@ LEGEND = (
     "Colours in each run's own views: blue dynamic, removed; orange dynamic, kept; yellow static, removed; "
     "grey static, kept."
 )
-NOBODY: Colour = (235, 235, 235)
-EVERYBODY: Colour = (110, 110, 118)
 DARK: Colour = (62, 64, 72)
 RUNS = [colour for _, colour in COLOURS]
 SIZES = np.array([1.6, 2.2, 2.2, 1.2], np.float32)  # of points on the screen, by agreement
@@ -106,7 +94,8 @@ def write(
     pair, drawn = len(sides) == 2, bool(fine)
     with _stream(out, comparison.title, _layout(sides, fine)) as stream:
         if pair and drawn:  # first: the viewer reports a problem for views whose entities do not exist yet
-            _write_legend(stream, sides)
+            legend = _legend(sides)
+            stream.log(COMPARE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             _write_ground(stream, sides[0])
             _write_gains_by_cell(stream, fine[0])
             _write_places(stream, comparison.pairs[0].places or ())
@@ -119,7 +108,7 @@ def write(
         if pair:
             _write_gains_by_frame(stream, sides, counts[0], comparison.pairs[0].frames)
         if pair and drawn:
-            _write_agreement(stream, *sides)
+            _write_agreement(stream, sides[0], sides[1], legend)
 
 
 def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains]) -> Any:
@@ -153,6 +142,7 @@ def _copy_run(stream: rr.RecordingStream, side: Side) -> None:
     """Copy the entities that the layout shows to ``/SIDE``; curves get the run's name and colour."""
     recording = side.recording
     chunks = recording.store.stream().filter(content=["/" + path.removeprefix("/") for path in KEPT])
+    chunks = chunks.drop(has_timeline=paths.CASE)
     with recording.decoding():
         rr.send_chunks(
             chunks.map(lambda chunk: chunk.with_entity_path(f"/{side.root}{chunk.entity_path}".rstrip("/"))),
@@ -187,14 +177,13 @@ def _write_report(stream: rr.RecordingStream, comparison: Comparison, drawn: boo
     stream.log(REPORT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def _write_legend(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
-    legend = [
-        (NEITHER, "both wrong", NOBODY),
-        (FIRST, f"only {sides[0].name} correct", sides[0].colour),
-        (SECOND, f"only {sides[1].name} correct", sides[1].colour),
-        (BOTH, "both correct", EVERYBODY),
-    ]
-    stream.log(COMPARE, rr.AnnotationContext(legend), rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+def _legend(sides: Sequence[Side]) -> AgreementLegend:
+    first, second = sides
+    return AgreementLegend(
+        (first.name, second.name),
+        (first.colour, second.colour),
+        (first.recording.reasons, second.recording.reasons),
+    )
 
 
 def _write_gains_by_frame(
@@ -210,7 +199,7 @@ def _write_gains_by_frame(
         values = np.where(gain * sign > 0, gain, 0.0)
         stream.send_columns(path, indexes=[frames], columns=rr.Scalars.columns(scalars=values))
     marked = sorted(change.frame for change in listed)
-    marks = rr.SeriesPoints(colors=NOBODY, markers="diamond", marker_sizes=4, names="listed in the report")
+    marks = rr.SeriesPoints(colors=NEUTRAL, markers="diamond", marker_sizes=4, names="listed in the report")
     stream.log(CHANGED, marks, static=True)
     if marked:
         frames = rr.TimeColumn(paths.FRAME, sequence=marked)
@@ -238,25 +227,14 @@ def _bars(recording: RunRecording, path: str) -> tuple[F64, F64, F64] | None:
     return None
 
 
-def _write_agreement(stream: rr.RecordingStream, first: Side, second: Side) -> None:
-    """The drawn points of each frame, by agreement."""
-    a, b = first.recording, second.recording
-    for answers_a, answers_b, drawn_a, drawn_b in zip(a.answers(), b.answers(), a.drawn(), b.drawn(), strict=True):
-        xyz, right, dynamic = _agreement_of_drawn(answers_a, answers_b, drawn_a, drawn_b)
+def _write_agreement(stream: rr.RecordingStream, first: Side, second: Side, legend: AgreementLegend) -> None:
+    """The drawn points of each frame by agreement, and the legend of all their class ids."""
+    for drawn in agreed_points(first.recording, second.recording, legend):
         stream.reset_time()
-        stream.set_time(paths.FRAME, sequence=answers_a.frame)
-        sizes = -SIZES[right] * np.where(dynamic, np.float32(DYNAMIC_SCALE), np.float32(1))
-        stream.log(SCAN, rr.Points3D(xyz, class_ids=right.astype(np.uint16), radii=sizes))
-
-
-def _agreement_of_drawn(a: Answers, b: Answers, drawn_a: DrawnPoints, drawn_b: DrawnPoints) -> tuple[F32, U8, Bool]:
-    """The labelled points drawn in either recording: coordinates, agreement, and whether they are dynamic."""
-    points, at = np.unique(np.concatenate([drawn_a.point, drawn_b.point]), return_index=True)
-    truth = a.truth[points]
-    labelled = truth != Label.UNLABELLED
-    points, at, truth = points[labelled], at[labelled], truth[labelled]
-    xyz = np.concatenate([drawn_a.xyz, drawn_b.xyz])[at]
-    return xyz, agreement(truth, a.dynamic[points], b.dynamic[points]), truth == Label.DYNAMIC
+        stream.set_time(paths.FRAME, sequence=drawn.frame)
+        sizes = -SIZES[drawn.right] * np.where(drawn.dynamic, np.float32(DYNAMIC_SCALE), np.float32(1))
+        stream.log(SCAN, rr.Points3D(drawn.xyz, class_ids=drawn.ids, radii=sizes, show_labels=False))
+    stream.log(COMPARE, rr.AnnotationContext(legend.entries()), static=True)
 
 
 def _write_ground(stream: rr.RecordingStream, first: Side) -> None:
@@ -274,7 +252,7 @@ def _write_gains_by_cell(stream: rr.RecordingStream, fine: SpatialGains) -> None
     most = np.quantile(size, LARGEST) if len(size) else 1.0
     radii = BUBBLE * np.sqrt(np.minimum(size / most, 1.0))
     better = np.where(gain[changed] > 0, SECOND, FIRST).astype(np.uint16)
-    stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii), static=True)
+    stream.log(WHERE, rr.Points3D(centres, class_ids=better, radii=radii, show_labels=False), static=True)
 
 
 def _write_places(stream: rr.RecordingStream, places: Sequence[PlaceChange]) -> None:

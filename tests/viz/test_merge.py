@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.colour_vision import EYES, smallest_difference
+from helpers.colour_vision import EYES, contrast, smallest_difference
 from helpers.compared_recordings import dynamic_labels, odd_room, pair
 
 import dynaviz as dv
-from dynaviz.comparison.counts import BOTH, NEITHER
+from dynaviz.comparison.counts import BOTH, FIRST, NEITHER, SECOND
 from dynaviz.errors import DataError
 from dynaviz.viz import compare_layout, merge, paths
+from dynaviz.viz.agreement import EVERYBODY, NOBODY
 from dynaviz.viz.reader import RunRecording, read
 
 README = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
@@ -63,10 +64,12 @@ def _components(recorded: Any, side: str) -> list[str]:
 def test_points_are_coloured_by_agreement(runs: dict[str, Path], merged: dict[str, Path], mode: str) -> None:
     first = dynamic_labels(runs["errors/fine"])
     second = dynamic_labels(runs["errors/coarse"])
-    rows = dict(read(merged[mode]).rows(compare_layout.SCAN))
+    compared = read(merged[mode])
+    rows, right_of = dict(compared.rows(compare_layout.SCAN)), agreement_of_ids(compared)
     for frame, scan in enumerate(odd_room().scans):
         assert scan.labels is not None
-        xyz, classes = rows[frame]["Points3D:positions"], rows[frame]["Points3D:class_ids"]
+        xyz = rows[frame]["Points3D:positions"]
+        classes = np.array([right_of[number] for number in rows[frame]["Points3D:class_ids"].tolist()])
         right = (first[frame] == scan.labels) + 2 * (second[frame] == scan.labels)
         labelled = scan.labels != 255
         by_place: dict[Any, set[int]] = {}
@@ -81,10 +84,39 @@ def test_points_are_coloured_by_agreement(runs: dict[str, Path], merged: dict[st
             assert len(classes) == labelled.sum()
 
 
+def legend_of(compared: Any) -> dict[int, tuple[str, int]]:
+    """Label and colour of each class id of a comparison."""
+    return {
+        entry["class_id"]: (entry["class_description"]["info"]["label"], entry["class_description"]["info"]["color"])
+        for entry in compared.static(compare_layout.COMPARE)["AnnotationContext:context"][0]
+    }
+
+
+def agreement_of_ids(compared: Any) -> dict[int, int]:
+    """Agreement by class id: ids share the colour of their agreement, which is an id itself."""
+    legend = legend_of(compared)
+    by_colour = {legend[right][1]: right for right in range(BOTH + 1)}
+    return {number: by_colour[colour] for number, (_, colour) in legend.items()}
+
+
+def test_points_are_labelled_with_both_answers(runs: dict[str, Path], merged: dict[str, Path]) -> None:
+    compared = read(merged["two"])
+    drawn = {int(number) for _, row in compared.rows(compare_layout.SCAN) for number in row["Points3D:class_ids"]}
+    legend, right = legend_of(compared), agreement_of_ids(compared)
+    assert drawn <= set(legend)
+    for number in drawn:
+        first, second = legend[number][0].split("\n")
+        assert re.match(r"A (ghost|hole|kept|removed): [a-z ]+$", first)
+        assert re.match(r"B (ghost|hole|kept|removed): [a-z ]+$", second)
+        assert bool(right[number] & FIRST) == ("ghost" not in first and "hole" not in first)
+        assert bool(right[number] & SECOND) == ("ghost" not in second and "hole" not in second)
+
+
 @pytest.mark.parametrize("eye", EYES)
 def test_colours_differ_to_every_eye(eye: str) -> None:
-    colours = [merge.RUNS[0], merge.RUNS[1], merge.NOBODY, merge.EVERYBODY, merge.DARK]
-    assert smallest_difference(colours, eye) > 18
+    on_dark = [merge.RUNS[0], merge.RUNS[1], NOBODY, EVERYBODY, merge.DARK]
+    assert smallest_difference(on_dark, eye) > 18
+    assert min(contrast(run, page, eye) for run in merge.RUNS for page in ((255, 255, 255), (16, 18, 20))) > 2.5
     assert (NEITHER, BOTH) == (0, 3)  # the order of the sizes and of the legend
 
 
