@@ -51,6 +51,7 @@ METHODS: dict[str, Colour] = {  # for good: a method keeps its colour whatever e
     "dufomap": (225, 15, 210),
     "dynablox": (135, 60, 135),
     "erasor": (195, 0, 0),
+    "hmm_mos": (210, 150, 210),
     "octomap": (150, 165, 0),
     "octomap_g": (30, 105, 75),
     "octomap_gf": (90, 150, 255),
