@@ -16,6 +16,7 @@ from dynaviz.engine.external import RADIUS, SourceCheck, read_external, source_c
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
 from dynaviz.errors import UsageError
+from dynaviz.io.lock import locked
 from dynaviz.probe import SILENT, Probe
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode, Result
@@ -95,7 +96,8 @@ def run(
 
     Raises:
         UsageError: for an unknown method, an invalid parameter or record mode.
-        DataError: for data that cannot be read, or files that cannot be written.
+        DataError: for data that cannot be read, files that cannot be written, or a folder that another process writes
+            into.
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)
@@ -231,6 +233,23 @@ def _run_into(
     check: SourceCheck | None = None,
 ) -> Result:
     """Run and write all files; each appears only when it is complete, ``result.json`` last."""
+    with locked(folder, spec.command) if folder else contextlib.nullcontext():
+        result = _run_and_record(folder, recording, mode, spec, view, progress, check)
+        if folder is not None:
+            write_summary(folder, spec, result)
+    return result
+
+
+def _run_and_record(
+    folder: Path | None,
+    recording: Path | None,
+    mode: RecordMode,
+    spec: RunSpec,
+    view: bool,
+    progress: Progress,
+    check: SourceCheck | None,
+) -> Result:
+    """Run and write labels, maps and the recording."""
     probe: Probe = SILENT
     recorder = None
     with contextlib.ExitStack() as stack:
@@ -245,8 +264,4 @@ def _run_into(
             listeners.append(recorder)
             probe = SILENT if mode == "scores" else recorder  # it shows no states, so the runtime stays honest
         result = execute(spec, listeners, probe, progress, check.section if check else None)
-    if recorder:
-        result = replace(result, recording_sha256=recorder.sha256(), record=mode)
-    if folder is not None:
-        write_summary(folder, spec, result)
-    return result
+    return replace(result, recording_sha256=recorder.sha256(), record=mode) if recorder else result

@@ -15,7 +15,8 @@ from dynaviz.benchmarking.plan import BenchPlan
 from dynaviz.benchmarking.plan_file import plan_of, read
 from dynaviz.benchmarking.runner import BenchCallbacks, CellRunner, Executor
 from dynaviz.benchmarking.source import open_source
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import UsageError
+from dynaviz.io.lock import locked
 
 
 def bench(
@@ -43,7 +44,8 @@ def bench(
         The rows; printing them with rich shows a leaderboard.
 
     Raises:
-        UsageError, DataError: for an invalid plan, or a sequence that cannot be opened.
+        UsageError, DataError: for an invalid plan, a sequence that cannot be opened, or a folder that another process
+            writes into.
     """
     if isinstance(plan, Mapping):
         table, place = plan, "bench"
@@ -57,13 +59,12 @@ def bench(
     folder, callbacks = Path(out), callbacks or BenchCallbacks()
     if checked.search:
         search.check(checked)
-    with _executor(folder, scheduler, checked, callbacks) as executor:
+    for source in checked.sources:
+        if not source.scene and source.name not in checked.holdout:
+            open_source(source)  # fail on a missing sequence before any work starts
+    with locked(folder), _executor(folder, scheduler, checked, callbacks) as executor:
         runner = CellRunner(folder, checked, executor, fresh, callbacks)
         learning = [source for source in checked.sources if source.name not in checked.holdout]
-        for source in learning:
-            if not source.scene:
-                open_source(source)  # fail on a missing sequence before any work starts
-        _make(folder)
         rows = runner.rows(checked.sets, learning)
         if not checked.search:
             return Leaderboard(rows)
@@ -76,14 +77,6 @@ def bench(
         held = [source for source in checked.sources if source.name in checked.holdout]
         rows += runner.rows([*checked.sets, *best], held)
         return Leaderboard(rows, checked.holdout, searches, [*trials.values()])
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        problem = f"cannot create the folder ({error.strerror})"
-        raise DataError(folder, problem, hint="Choose another folder with -o") from None
 
 
 @contextlib.contextmanager

@@ -50,6 +50,8 @@ def info(
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
     """
+    from dynaviz.io.lock import unfinished
+
     suffix = Path(path).suffix
     if suffix == ".json":
         from dynaviz.results.result import Result
@@ -63,6 +65,8 @@ def info(
         if isinstance(recording, RunRecording) and recording.result is not None:
             _show_result(recording.result)
     else:
+        if left := unfinished(Path(path)):
+            raise left
         _show_pairs(path, _sequence_facts(open_sequence(path, poses=poses, points_in=points_in, deskew=deskew)))
 
 

@@ -50,7 +50,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if error.errno not in _DISK_ERRORS and error.filename not in _involved_paths(path, temporary):
             raise
-        raise _write_error(path, error, "another folder with -o") from error
+        raise write_error(path, error, "another folder with -o") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -80,7 +80,7 @@ def atomic_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
             and error.filename not in _involved_paths(path, temporary)
         ):
             raise
-        raise _write_error(path, error, "another folder") from error
+        raise write_error(path, error, "another folder") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -115,7 +115,7 @@ def write_atomic(path: str | os.PathLike[str], content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _write_error(path: Path, error: OSError, alternative: str) -> DataError:
+def write_error(path: Path, error: OSError, alternative: str) -> DataError:
     """The error for a file or folder that cannot be written."""
     file = next((parent for parent in path.parents if parent.is_file()), None)
     hint = f"{file} is a file: choose {alternative}" if file else f"Free disk space or choose {alternative}"

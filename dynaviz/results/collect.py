@@ -13,6 +13,7 @@ from typing import Any
 from dynaviz import registry
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import open_file
+from dynaviz.io.lock import NAME, unfinished
 from dynaviz.results.result import Result, run_label
 from dynaviz.results.sections import Runtime, Sections, SequenceInfo
 
@@ -66,13 +67,15 @@ def collect(paths: Sequence[str | os.PathLike[str]]) -> list[StudyRun]:
         One run per folder, sorted by folder within each path; a run under two of the paths is listed once.
 
     Raises:
-        DataError: for a path that does not exist or contains no result, and for a file that is not a result.
+        DataError: for a path that does not exist or contains no result, such as that of a killed run, and for a file
+            that is not a result.
     """
     cells: dict[Path, StudyRun] = {}
     for given in map(Path, paths):
         found = list(_found(given))
         if not found:
-            raise DataError(given, "contains no result.json, and neither does any subfolder", hint=HINT)
+            left = next(filter(None, (unfinished(file.parent) for file in sorted(given.rglob(NAME)))), None)
+            raise left or DataError(given, "contains no result.json, and neither does any subfolder", hint=HINT)
         for file in found:
             cells.setdefault(file.resolve(), _cell(file, given))
     return list(cells.values())

@@ -262,5 +262,5 @@ def test_a_timed_runtime_needs_all_cores_and_no_recording(
 
 def test_a_folder_that_cannot_be_created_is_named(rooms: list[Path], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(DataError, match=r"file/bench: cannot create the folder .* Choose another folder with -o"):
+    with pytest.raises(DataError, match=r"file/bench: cannot be written .* choose another folder with -o"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path / "file/bench")
