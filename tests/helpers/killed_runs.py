@@ -18,7 +18,7 @@ from dynaviz.api import _run_into
 from dynaviz.engine.loop import execute
 from dynaviz.spatial.extent import Extent
 from dynaviz.viz import recorder  # noqa: F401  imported once, before all forks
-from dynaviz.viz.layout import layout
+from dynaviz.viz.layout import Findings, layout
 from helpers.guessing_method import guess_run
 from helpers.worlds import room
 
@@ -61,7 +61,7 @@ def main() -> None:
     """Load everything a run needs, without threads, which a fork would lose."""
     run = guess_run(room(2, 300), threads=1)
     execute(run)
-    layout(run.labeller.info, Extent.of(run.sequence[0]), geometry=True)
+    layout(run.labeller.info, Extent.of(run.sequence[0]), True, Findings())
     for line in sys.stdin:
         folder, steps, seconds = line.split()
         print(json.dumps(fork_and_kill(Path(folder), int(steps), float(seconds))), flush=True)
