@@ -7,6 +7,7 @@ always match the data, versions and parameters of the stored cells.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from dynaviz.benchmarking.runner import CellRunner
 
 BATCH = 4  # trials proposed together, for parallel workers; constant, so that trials do not depend on their number
+SHRUNK, GROWN = (0.5, 0.7, 0.85), (2.0, 1.4, 1.2, 1.1)  # multiples of a default that end its range
 DIGITS = 4  # significant digits of a proposed value; more are meaningless and make names long
 
 
@@ -142,6 +144,35 @@ def _conclude(
     table = params.to_toml(method, values, {"online": best.online, "seed": best.seed})
     write_atomic(preset, "".join(f"# {line}\n" for line in remark).encode() + b"\n" + table)
     return SearchResult(best, preset, aa, default_aa, len(trials), failed)
+
+
+def default_ranges(method: str) -> dict[str, str]:
+    """A range around the default of each numeric parameter: from half to twice, or as far as the method permits.
+
+    Parameters whose default is 0 or negative are left out: 0 mostly means off or automatic.
+    """
+    kind = registry.load("methods", method).Params
+    hints, defaults = get_type_hints(kind), dataclasses.asdict(kind())
+    ranges = {}
+    for name, value in defaults.items():
+        if hints[name] in (int, float) and value > 0:
+            low, high = (_valid_end(method, name, value, factors) for factors in (SHRUNK, GROWN))
+            if low < high:
+                ranges[name] = f"log:{low}:{high}"
+    return ranges
+
+
+def _valid_end(method: str, name: str, value: float, factors: tuple[float, ...]) -> float:
+    """The first multiple of a value that is a valid parameter."""
+    for factor in factors:
+        end = type(value)(float(f"{value * factor:.{DIGITS}g}"))
+        try:
+            ParameterSet.of(method, "", {name: end})
+        except UsageError:
+            continue
+        if end > 0:
+            return end
+    return value
 
 
 def distributions(method: str, ranges: Mapping[str, str]) -> dict[str, Any]:

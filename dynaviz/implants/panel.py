@@ -13,48 +13,52 @@ from importlib import resources
 import numpy as np
 
 from dynaviz import params, registry
-from dynaviz.arrays import U8, Bool
+from dynaviz.arrays import F32, U8, Bool
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.metric import Labelled
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence
 
+HALO = 0.3  # metres
 
-def default_panel() -> tuple[str, ...]:
-    """The installed methods of ``panel.toml``."""
+
+def default_panel(without: str = "") -> tuple[str, ...]:
+    """The first three installed methods of ``panel.toml``.
+
+    Args:
+        without: a method that is left out, because it would judge its own errors.
+    """
     import tomllib
 
     names = tomllib.loads((resources.files(__package__) / "panel.toml").read_text(encoding="utf-8"))["methods"]
-    installed = {handle.name for handle in registry.handles("methods")}
-    return tuple(name for name in names if name in installed)
+    installed = {handle.name for handle in registry.handles("methods")} - {without}
+    return tuple(name for name in names if name in installed)[:3]
 
 
 @dataclass(frozen=True)
 class Votes:
-    """How many methods of a panel remove each point of a sequence.
+    """What the methods of a panel agree on.
 
     Attributes:
-        methods: number of methods.
-        removed: for each frame and method the labels, one bit per point.
         counts: number of points of each frame.
+        kept, removed: of each frame, one bit per point: see ``static`` and ``dynamic``.
     """
 
-    methods: int
-    removed: list[list[U8]]
     counts: list[int]
+    kept: list[U8]
+    removed: list[U8]
 
     def static(self, position: int) -> Bool:
-        """(N,) bool: points that most methods of the panel keep."""
-        return self._votes(position) < self.methods / 2
+        """(N,) bool: points that most methods of the panel keep, and that are not next to a point that they remove."""
+        return self._unpacked(self.kept, position)
 
     def dynamic(self, position: int) -> Bool:
         """(N,) bool: points that every method of the panel removes."""
-        return self._votes(position) == self.methods
+        return self._unpacked(self.removed, position)
 
-    def _votes(self, position: int) -> U8:
-        bits = [np.unpackbits(packed, count=self.counts[position]) for packed in self.removed[position]]
-        votes: U8 = np.sum(bits, axis=0, dtype=np.uint8)
-        return votes
+    def _unpacked(self, bits: list[U8], position: int) -> Bool:
+        mask: Bool = np.unpackbits(bits[position], count=self.counts[position]).astype(np.bool_)
+        return mask
 
 
 def votes(sequence: Sequence, panel: tuple[str, ...], progress: Progress = silent) -> Votes:
@@ -64,21 +68,42 @@ def votes(sequence: Sequence, panel: tuple[str, ...], progress: Progress = silen
         UsageError: for an unknown method.
     """
     kinds = {name: registry.load("methods", name) for name in panel}  # before any of them runs
-    found = Votes(len(panel), [[] for _ in range(len(sequence))], [0] * len(sequence))
-    for name, kind in kinds.items():
+    found, tally = Votes([], [], []), [np.empty(0, np.uint8)] * len(sequence)
+    for left, (name, kind) in zip(reversed(range(len(kinds))), kinds.items(), strict=True):
         resolved = params.resolve(kind)
         spec = RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online))
-        execute(spec, [_Collect(found)], progress=lambda phase, *done, name=name: progress(f"{name}: {phase}", *done))
+        collect = _Collect(tally, len(kinds), None if left else found)
+        execute(spec, [collect], progress=lambda phase, *done, name=name: progress(f"{name}: {phase}", *done))
     return found
 
 
 class _Collect(Listener):
-    """Collects, frame by frame, the points that a method removed."""
+    """Adds the votes of a method to the tally; with the votes of the last method it fills in the result."""
 
-    def __init__(self, votes: Votes) -> None:
-        self._votes = votes
+    def __init__(self, tally: list[U8], methods: int, result: Votes | None) -> None:
+        self._tally, self._methods, self._result = tally, methods, result
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Add the labels of a frame."""
-        self._votes.removed[labelled.frame].append(np.packbits(labelled.dynamic))
-        self._votes.counts[labelled.frame] = len(labelled.dynamic)
+        frame, own = labelled.frame, labelled.dynamic.astype(np.uint8)
+        self._tally[frame] = self._tally[frame] + own if len(self._tally[frame]) else own
+        if self._result is None:
+            return
+        disputed = 2 * self._tally[frame] >= self._methods
+        self._result.counts.append(len(own))
+        self._result.kept.append(np.packbits(~around(labelled.scan.points, disputed)))
+        self._result.removed.append(np.packbits(self._tally[frame] == self._methods))
+
+
+def around(points: F32, chosen: Bool) -> Bool:
+    """(N,) bool: the chosen points, and those within ``HALO`` of one. Methods often miss a part of a mover."""
+    from scipy.spatial import cKDTree
+
+    near = chosen.copy()
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(points).all(1)
+    rest = np.flatnonzero(finite & ~chosen)
+    if len(rest) and (finite & chosen).any():
+        away, _ = cKDTree(points[finite & chosen]).query(points[rest], distance_upper_bound=HALO)
+        near[rest] = np.isfinite(away)
+    return near

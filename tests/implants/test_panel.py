@@ -12,7 +12,7 @@ from dynaviz.arrays import Bool
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import UsageError
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.panel import Votes, default_panel, votes
+from dynaviz.implants.panel import around, default_panel, votes
 from dynaviz.implants.scene import CLASSES
 from dynaviz.implants.sequence import ImplantedSequence
 from dynaviz.implants.survey import Survey
@@ -45,17 +45,36 @@ def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dyna
     agreed = votes(unlabelled, PANEL, lambda phase, done, total: steps.append(phase))
     both = list(zip(*(removed(name, unlabelled) for name in PANEL), strict=True))
     for position, (a, b) in enumerate(both):
-        np.testing.assert_array_equal(agreed.static(position), ~(a | b))
+        np.testing.assert_array_equal(agreed.static(position), ~around(unlabelled[position].points, a | b))
         np.testing.assert_array_equal(agreed.dynamic(position), a & b)
     assert 0 < sum((a & b).sum() for a, b in both) < sum((a | b).sum() for a, b in both)
     assert {"beautymap: observe", "removert: label"} <= set(steps)
 
 
-def test_one_of_three_methods_is_outvoted() -> None:
-    removes = np.array([[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0]], np.bool_)
-    agreed = Votes(3, [[np.packbits(row) for row in removes]], [4])
-    assert agreed.static(0).tolist() == [False, False, True, True]
-    assert agreed.dynamic(0).tolist() == [True, False, False, False]
+def test_one_of_three_methods_is_outvoted(unlabelled: InMemory) -> None:
+    panel = ("beautymap", "removert", "dufomap")
+    agreed = votes(unlabelled, panel)
+    ballots = list(zip(*(removed(name, unlabelled) for name in panel), strict=True))
+    for position, ballot in enumerate(ballots):
+        removals = np.sum(ballot, axis=0)
+        assert not agreed.static(position)[removals >= 2].any()
+        np.testing.assert_array_equal(agreed.dynamic(position), removals == 3)
+    kept = sum(agreed.static(k)[np.sum(ballot, axis=0) == 1].sum() for k, ballot in enumerate(ballots))
+    assert kept > 100
+
+
+def test_points_next_to_removed_ones_are_not_static() -> None:
+    points = np.array([[0, 0, 0], [0.2, 0, 0], [0.6, 0, 0], [np.nan, 0, 0], [9, 9, 9]], np.float32)
+    chosen = np.array([1, 0, 0, 0, 0], np.bool_)
+    assert around(points, chosen).tolist() == [True, True, False, False, False]
+    assert around(points, ~chosen).tolist() == [True] * 5
+    assert not around(points, np.zeros(5, np.bool_)).any()
+
+
+def test_the_panel_of_a_method_does_not_contain_it() -> None:
+    assert len(default_panel()) == len(default_panel(without="dufomap")) == 3
+    assert "dufomap" in default_panel()
+    assert "dufomap" not in default_panel(without="dufomap")
 
 
 def test_implants_may_cross_the_trails_of_movers_that_the_panel_agrees_on(unlabelled: InMemory) -> None:
@@ -70,7 +89,7 @@ def test_implants_may_cross_the_trails_of_movers_that_the_panel_agrees_on(unlabe
 def test_a_sequence_with_a_panel(unlabelled: InMemory) -> None:
     options = ImplantOptions(cars=0, trucks=0, cyclists=0, persons=2, parks=0, seed=3, panel=("removert",))
     sequence = ImplantedSequence.of(unlabelled, options)
-    gone = removed("removert", unlabelled)[-1]
+    gone = around(unlabelled[-1].points, removed("removert", unlabelled)[-1])
     scan = sequence[-1]
     assert scan.labels is not None
     assert scan.classes is not None
