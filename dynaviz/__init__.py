@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dynaviz.api import compare, open, run, score
     from dynaviz.benchmarking.bench import bench
+    from dynaviz.benchmarking.tune import tune
     from dynaviz.diagnosis import doctor
     from dynaviz.reporting import report
     from dynaviz.results.result import Result
 
-__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score"]
+__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score", "tune"]
 
 _HOMES = {
     "bench": "dynaviz.benchmarking.bench",
@@ -28,6 +29,7 @@ _HOMES = {
     "report": "dynaviz.reporting",
     "run": "dynaviz.api",
     "score": "dynaviz.api",
+    "tune": "dynaviz.benchmarking.tune",
     "Result": "dynaviz.results.result",
 }
 

@@ -35,6 +35,7 @@ from dynaviz.cli import (
     score,
     shot,
     simulate,
+    tune,
     view,
 )
 from dynaviz.errors import DataError, DynavizError, UsageError
@@ -71,8 +72,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, implant, download,
-    convert, export_labels, view, shot, repair
+    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, implant, tune,
+    download, convert, export_labels, view, shot, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)
