@@ -66,6 +66,19 @@ OTHERS: tuple[Colour, ...] = (
 )  # fmt: skip
 
 
+STATE: Colour = (0, 175, 155)  # of a state without values or classes
+CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
+    (118, 118, 126),
+    STATE,
+    (225, 80, 180),
+    (150, 180, 50),
+    (150, 120, 240),
+    (170, 110, 70),
+    (235, 235, 235),
+    (90, 130, 130),
+)
+
+
 def method_colour(name: str) -> Colour:
     """The colour of a method, the same in every figure, on white and on black.
 

@@ -100,7 +100,8 @@ class State:
         name: short, constant name; also the last part of its path in the recording.
         kind: type of the value.
         meaning: one sentence that explains it.
-        legend: class names of a ``PointClasses``, by index.
+        legend: class names of a ``PointClasses``, or of a ``PolarGrid`` whose values are classes, by index; empty for
+            an index that is not in use.
         value_range: range of the colour scale of ``Voxels``, ``Points``, ``PolarGrid`` or ``RangeImage``.
     """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +12,11 @@ import rerun.blueprint as rrb
 from dynaviz import colours
 from dynaviz.arrays import F64
 from dynaviz.method import MethodInfo
-from dynaviz.probe import RangeImage, Scalar, State, Voxels
+from dynaviz.probe import Scalar, State, Voxels
 from dynaviz.spatial.extent import CELL, Extent
-from dynaviz.viz import paths
+from dynaviz.viz import keys, paths
 
-STACK = 4  # range images in one tab
+KEY_SHARE = 4.0  # height of the views of states, in heights of their key
 CLEAR = 0.4  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
@@ -109,14 +108,16 @@ def _text(found: Findings) -> Any:
 
 
 def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
-    """A tab for each state that is drawn; consecutive range images share one, because they are wide and low."""
+    """The states that are drawn, by tab, each with its key below."""
     tabs = []
-    for kind, group in itertools.groupby(info.emits, lambda state: state.kind):
-        views = [_state(info.name, state, found) for state in group if issubclass(kind, (*paths.SOLID, *paths.FLAT))]
-        together = STACK if kind is RangeImage else 1
-        for first in range(0, len(views), together):
-            stack = views[first : first + together]
-            tabs.append(rrb.Vertical(*stack, name=f"{stack[0].name} to {stack[-1].name}") if stack[1:] else stack[0])
+    for states in keys.tabs(info):
+        views = [_state(info.name, state, found) for state in states]
+        key = rrb.Spatial2DView(
+            name=keys.heading(states), origin=paths.key(info.name, states[0]), background=[*colours.BACKGROUND, 255]
+        )
+        name = states[0].name if len(states) == 1 else f"{states[0].name} to {states[-1].name}"
+        shares = [KEY_SHARE / len(states)] * len(states) + [1 + 0.4 * (len(states) - 1)]
+        tabs.append(rrb.Vertical(*views, key, name=name, row_shares=shares))
     return tabs
 
 
@@ -211,23 +212,24 @@ def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
 
 
 def _eye(extent: Extent) -> rrb.EyeControls3D:
-    """An oblique view from above on the bulk of the map, with its long side across the picture."""
-    centre, along, length = _bulk(extent)
+    """A steep view from above on the bulk of the map, with its long side across the picture."""
+    centre, along, length, width = _bulk(extent)
     side = np.array([along[1], -along[0], 0.0])
-    position = centre + 0.68 * length * (0.7 * side + np.array([0.0, 0.0, 1.0]))
+    position = centre + max(0.6 * length, 0.95 * width) * (0.35 * side + np.array([0.0, 0.0, 0.94]))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
     )
 
 
-def _bulk(extent: Extent) -> tuple[F64, F64, float]:
-    """Centre, long horizontal axis (unit vector) and length along it (metres) of the middle nine tenths of the map."""
+def _bulk(extent: Extent) -> tuple[F64, F64, float, float]:
+    """The middle nine tenths of the map: centre, long horizontal axis (unit vector), length and width (metres)."""
     if not len(extent.cells):
-        return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0
+        return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0, 10.0
     cells = (extent.cells + 0.5) * CELL
     centre = np.median(cells, axis=0)
     flat = cells[:, :2] - centre[:2]
-    along = np.linalg.eigh(flat.T @ flat)[1][:, -1]
-    low, high = np.quantile(flat @ along, [0.05, 0.95])
-    centre[:2] += along * (low + high) / 2
-    return centre, np.array([*along, 0.0]), max(float(high - low), 10.0)
+    axes = np.linalg.eigh(flat.T @ flat)[1]  # short, long
+    low, high = np.quantile(flat @ axes, [0.05, 0.95], axis=0)
+    centre[:2] += axes @ (low + high) / 2
+    width, length = np.maximum(high - low, 10.0)
+    return centre, np.array([*axes[:, 1], 0.0]), float(length), float(width)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dynaviz.colours import Colour
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Outcome
 
@@ -60,6 +59,11 @@ def state(method: str, state: State) -> str:
     return f"{WORLD}/{method}/{state.name}" if issubclass(state.kind, SOLID) else LOG
 
 
+def key(method: str, state: State) -> str:
+    """The key of a tab of states, by its first state."""
+    return f"{method}/keys/{state.name}"
+
+
 def curve(name: str) -> str:
     """A metric's curve: at its own path if that starts with a known part, else below ``scores``."""
     return name if name.split("/")[0] in (SCORES, ERROR_DISTANCE, REASONS) else f"{SCORES}/{name}"
@@ -83,13 +87,3 @@ NAMES: dict[Outcome, str] = {
     Outcome.UNLABELLED_KEPT: "unlabelled, kept",
     Outcome.UNLABELLED_REMOVED: "unlabelled, removed",
 }
-CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend
-    (128, 128, 136),
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-)

@@ -21,10 +21,10 @@ from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.metric import Figure, FrameHistograms, Labelled
-from dynaviz.probe import State, Text, Value
+from dynaviz.probe import PolarGrid, State, Text, Value
 from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
-from dynaviz.viz import cases, classes, paths, sink, states, viewer
+from dynaviz.viz import cases, classes, keys, paths, sink, states, viewer
 from dynaviz.viz.budget import Budget
 from dynaviz.viz.case_timeline import CaseTimeline
 from dynaviz.viz.curves import Curves
@@ -60,6 +60,7 @@ class Recorder(Listener):
         self._sink: sink.RecordingFile | None = None
         self._states: dict[str, State] = {}
         self._queue: list[tuple[State, Value]] = []
+        self._heading, self._guided = keys.Heading(), set[str]()
         self._outcomes = OutcomeCounts()
 
     def __enter__(self) -> Recorder:
@@ -223,6 +224,8 @@ class Recorder(Listener):
         for state in self._states.values():
             if (context := states.legend(state)) is not None:
                 self._open.log(paths.state(self._info.name, state), context, static=True)
+        for tab in keys.tabs(self._info) if self._states else ():
+            self._open.log(paths.key(self._info.name, tab[0]), keys.strip(tab), static=True)
 
     def _draw_states(self, scan: Scan, errors: F32 | None = None) -> None:
         """Draw the queued states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
@@ -231,8 +234,19 @@ class Recorder(Listener):
             if isinstance(value, Text):
                 self._say(f"{state.name}: {value.text}")
             elif (drawn := states.draw(value, state, scan, budget)) is not None:
-                self._open.log(paths.state(self._info.name, state), drawn)
+                path = paths.state(self._info.name, state)
+                self._open.log(path, drawn)
+                if isinstance(value, PolarGrid):
+                    self._guide(path, value, scan)
         self._queue.clear()
+
+    def _guide(self, path: str, grid: PolarGrid, scan: Scan) -> None:
+        """Distances and the direction of travel in a polar grid."""
+        if path not in self._guided:
+            self._guided.add(path)
+            self._open.log(f"{path}/rings", keys.rings(grid, states.PICTURE), static=True)
+        if (ahead := self._heading.of(scan)) is not None:
+            self._open.log(f"{path}/travel", keys.arrow(ahead, states.PICTURE))
 
     def _histogram(self, path: str, histogram: FrameHistograms) -> None:
         """The histogram of the run with its 10 % line, and those of the frames on the timeline."""

@@ -39,6 +39,7 @@ RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
 SMALLEST = 1.2
 FEW = 500  # points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
 RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
+NUMBERED = 5  # cases with a number in the map; more would hide each other
 EDGES = rr.Radius.ui_points(1.2)  # of boxes
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 73)
@@ -134,7 +135,7 @@ class MapDrawing:
         few = slice(count)
         shades = np.array([colours.BRIGHT[Outcome(o)] for o in cases.outcomes[few]], np.uint8)
         labels, path = np.array(cases.labels[few], object), paths.boxes(name)
-        numbers = [str(number) for number in range(1, len(labels) + 1)]
+        numbers = [str(number) if number <= NUMBERED else "" for number in range(1, len(labels) + 1)]
         low, size = cases.low[few], (cases.high - cases.low)[few]
         whole = rr.Boxes3D(mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES)
         self._sink.log(f"{path}/cases", whole, static=True)

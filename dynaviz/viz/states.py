@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
+from dynaviz import colours
 from dynaviz.arrays import F32, U8
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
 from dynaviz.scan import Scan
-from dynaviz.viz import paths
+from dynaviz.viz import keys
 from dynaviz.viz.budget import Budget
 
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
-DARK = 0.2  # of the colour scale, reserved for empty pixels, so that they differ from the lowest value
+WIDE = 5.0  # a range image at most this much wider than high; its rows are repeated, or it would be a hairline
+EMPTY = 255  # class of empty pixels
 
 
 def legend(state: State) -> Any:
     """The viewer's legend of a state's classes; None if it has none."""
-    colours = paths.CLASSES
     if not state.legend:
         return None
-    return rr.AnnotationContext([(i, name, colours[i % len(colours)]) for i, name in enumerate(state.legend)])
+    shades = colours.CLASSES
+    return rr.AnnotationContext([(i, name, shades[i % len(shades)]) for i, name in enumerate(state.legend) if name])
 
 
 def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
@@ -43,20 +44,22 @@ def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
     match value:
         case Points(xyz, values):
             chosen = _chosen(xyz, budget)
-            colours = None if values is None else _coloured(values[chosen], state.value_range)
-            return rr.Points3D(xyz[chosen], colors=colours, radii=rr.Radius.ui_points(2.0))
+            shades = [colours.STATE] if values is None else _coloured(values[chosen], state.value_range)
+            return rr.Points3D(xyz[chosen], colors=shades, radii=rr.Radius.ui_points(2.0))
         case PointClasses(classes):
             chosen = _chosen(scan.points, budget)
-            return rr.Points3D(scan.points[chosen], class_ids=classes[chosen], radii=rr.Radius.ui_points(2.0))
+            return rr.Points3D(
+                scan.points[chosen], class_ids=classes[chosen], radii=rr.Radius.ui_points(2.0), show_labels=False
+            )
         case Mask(mask):
             xyz = scan.points[mask]
-            return rr.Points3D(xyz[_chosen(xyz, budget)], colors=[paths.CLASSES[1]], radii=rr.Radius.ui_points(2.5))
+            return rr.Points3D(xyz[_chosen(xyz, budget)], colors=[colours.STATE], radii=rr.Radius.ui_points(2.5))
         case Voxels():
             return _voxels(value, state, budget)
         case Plane():
             return _disc(value)
         case RangeImage(ranges):
-            return _picture(ranges, state) if ranges.size else None
+            return _picture(_higher(ranges), state) if ranges.size else None
         case PolarGrid(values, _):
             return _picture(from_above(values), state) if values.size else None
         case Scalar(number):
@@ -84,13 +87,13 @@ def from_above(values: F32) -> F32:
 
 def _voxels(value: Voxels, state: State, budget: Budget | None) -> Any:
     chosen = _chosen((value.keys + np.float32(0.5)) * np.float32(value.size), budget)
-    keys = value.keys[chosen]
+    cells = value.keys[chosen]
     edges = [value.size] * 3
     if value.values is None:
-        return rr.VoxelGridMap(keys, edges, colors=np.tile(np.array(paths.CLASSES[2], np.uint8), (len(keys), 1)))
+        return rr.VoxelGridMap(cells, edges, colors=np.tile(np.array(colours.STATE, np.uint8), (len(cells), 1)))
     values = value.values[chosen]
-    low, high = state.value_range or _range(values)
-    return rr.VoxelGridMap(keys, edges, values=values, value_range=[low, high], colormap="cyantoyellow")
+    shown = keys.stretched(*(state.value_range or _range(values)))
+    return rr.VoxelGridMap(cells, edges, values=values, value_range=shown, colormap="viridis")
 
 
 def _disc(plane: Plane) -> Any:
@@ -103,34 +106,32 @@ def _disc(plane: Plane) -> Any:
     rim = centre + plane.radius * (np.cos(CIRCLE)[:, None] * side + np.sin(CIRCLE)[:, None] * ahead)
     corner = np.arange(CORNERS)
     fan = np.stack([np.full(CORNERS, CORNERS), corner, (corner + 1) % CORNERS], 1)
-    return rr.Mesh3D(vertex_positions=[*rim, centre], triangle_indices=fan, albedo_factor=[*paths.CLASSES[3], 110])
+    return rr.Mesh3D(vertex_positions=[*rim, centre], triangle_indices=fan, albedo_factor=[*colours.STATE, 110])
 
 
 def _picture(values: F32, state: State) -> Any:
-    """An image with two bytes per pixel; empty pixels are dark."""
+    """An image with two bytes per pixel, or one of classes; empty pixels are dark."""
+    if state.legend:
+        return rr.SegmentationImage(np.where(np.isnan(values), EMPTY, values).astype(np.uint8), opacity=1.0)
     low, high = state.value_range or _range(values)
-    empty = low - DARK / (1 - DARK) * (high - low)
-    small = np.where(np.isnan(values), empty, np.clip(values, low, high)).astype(np.float16)
+    first, last = keys.stretched(low, high)
+    small = np.where(np.isnan(values), first, np.clip(values, low, high)).astype(np.float16)
     return rr.DepthImage(
-        small, meter=1.0, colormap="inferno", depth_range=[empty, high], magnification_filter="nearest"
+        small, meter=1.0, colormap="viridis", depth_range=[first, last], magnification_filter="nearest"
     )
+
+
+def _higher(ranges: F32) -> F32:
+    """A wide range image with each row repeated."""
+    rows, columns = ranges.shape
+    return np.repeat(ranges, max(1, round(columns / (WIDE * rows))), axis=0)
 
 
 def _coloured(values: F32, value_range: tuple[float, float] | None) -> U8:
     """(N, 3) uint8 RGB of (N,) values."""
     low, high = value_range or _range(values)
     share = np.clip((np.nan_to_num(values, nan=low) - low) / (high - low or 1.0), 0, 1)
-    colours: U8 = _viridis()[(255 * share).round().astype(np.uint8)]
-    return colours
-
-
-@cache
-def _viridis() -> U8:
-    """(256, 3) uint8 RGB, from dark to bright, also with colour blindness."""
-    import cv2
-
-    levels = np.arange(256, dtype=np.uint8)[:, None]
-    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], np.uint8)
+    return keys.coloured(share)
 
 
 def _range(values: F32) -> tuple[float, float]:

@@ -39,7 +39,8 @@ NUMBERS = {
 }  # fmt: skip
 STATES = {
     *(f"world/guess/{name}" for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane")),
-    *(f"guess/{name}" for name in ("ranges", "bins", "count")),
+    *(f"guess/{name}" for name in ("ranges", "bins", "bins/rings", "bins/travel", "count")),
+    *(f"guess/keys/{name}" for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")),
 }
 
 

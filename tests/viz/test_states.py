@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dynaviz.probe import Plane, Points, PolarGrid, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.viz import states
+from dynaviz.viz.budget import Budget
 
 
 def test_a_polar_grid_from_above() -> None:
@@ -36,13 +37,13 @@ def test_a_disc_lies_in_its_plane(normal: tuple[float, float, float], offset: fl
     np.testing.assert_allclose(np.linalg.norm(corners[:-1] - corners[-1], axis=1), 4.0, atol=1e-3)
 
 
-def test_large_states_keep_what_is_nearest_to_the_sensor() -> None:
+def test_large_states_are_cut_to_the_budget() -> None:
     keys = np.stack([np.arange(400)] * 3, 1).astype(np.int32)
     scan = Scan(0, np.zeros((1, 3), np.float32), pose(0.0, 0.0, 0.0))
     state = State("cells", Voxels, "cells")
-    near = states.draw(Voxels(keys, 0.5), state, scan, 10)
-    assert np.array(near.voxel_indices.as_arrow_array().flatten()).reshape(-1, 3).max() == 9
-    every = states.draw(Voxels(keys, 0.5), state, scan, None)
+    few = states.draw(Voxels(keys, 0.1), state, scan, Budget(scan, 10))
+    assert 1 <= len(few.voxel_indices.as_arrow_array()) <= 10
+    every = states.draw(Voxels(keys, 0.1), state, scan, None)
     assert len(every.voxel_indices.as_arrow_array()) == 400
 
 
@@ -51,9 +52,9 @@ def test_values_are_coloured_dark_to_bright() -> None:
     state = State("found", Points, "points", value_range=(0.0, 10.0))
     drawn = states.draw(Points(np.zeros((6, 3), np.float32), values), state, room(1, 10)[0], None)
     rgba = drawn.colors.as_arrow_array().to_numpy()
-    assert rgba[0] == rgba[1] == rgba[5] == 0x440154FF
-    assert rgba[3] == rgba[4] == 0xFDE725FF
-    assert rgba[2] == 0x21918CFF
+    assert rgba[0] == rgba[1] == rgba[5] == 0x3B528BFF
+    assert rgba[3] == rgba[4] == 0x7AD151FF
+    assert rgba[2] == 0x1F968BFF
 
 
 def test_an_empty_picture_is_not_drawn() -> None:

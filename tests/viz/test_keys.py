@@ -1,0 +1,77 @@
+"""Keys of states, and guides in polar grids."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from helpers.guessing_method import Guess
+from helpers.worlds import pose
+
+from dynaviz import colours
+from dynaviz.probe import PointClasses, PolarGrid, RangeImage, State, Voxels
+from dynaviz.scan import Scan
+from dynaviz.viz import keys, states
+
+
+def picture(*shown: State) -> np.ndarray:
+    png = bytes(keys.strip(shown).blob.as_arrow_array().to_pylist()[0])
+    decoded = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    return np.asarray(decoded)[:, :, ::-1]
+
+
+def contains(drawn: np.ndarray, colour: colours.Colour) -> bool:
+    return bool((drawn == np.array(colour)).all(2).any())
+
+
+def test_consecutive_range_images_share_a_tab() -> None:
+    tabs = [[state.name for state in tab] for tab in keys.tabs(Guess.info)]
+    assert tabs == [[name] for name in ("cells", "plain_cells", "found", "kinds", "ground", "plane", "ranges", "bins")]
+    images = [State(f"image_{k}", RangeImage, "an image") for k in range(5)]
+    tabs = [[state.name for state in tab] for tab in keys.tabs(dataclasses.replace(Guess.info, emits=tuple(images)))]
+    assert tabs == [["image_0", "image_1", "image_2", "image_3"], ["image_4"]]
+
+
+def test_a_key_shows_the_colours_in_use() -> None:
+    scale = picture(State("odds", Voxels, "odds", value_range=(-2.0, 3.5)))
+    for end in (0.0, 1.0):
+        assert contains(scale, tuple(keys.coloured(np.array([end], np.float32))[0].tolist()))
+    kinds = picture(State("kinds", PointClasses, "kinds", legend=("near", "", "far")))
+    assert contains(kinds, colours.CLASSES[0])
+    assert contains(kinds, colours.CLASSES[2])
+    assert not contains(kinds, colours.CLASSES[1])
+    assert contains(picture(State("void", Voxels, "void")), colours.STATE)
+    assert (
+        len(picture(*[State(f"image_{k}", RangeImage, "", value_range=(0.0, 9.0)) for k in range(3)])) == 3 * keys.ROW
+    )
+
+
+def test_the_scale_covers_its_part_of_the_colours() -> None:
+    low, high = keys.stretched(10.0, 20.0)
+    assert (10.0 - low) / (high - low) == pytest.approx(keys.PART[0])
+    assert (20.0 - low) / (high - low) == pytest.approx(keys.PART[1])
+
+
+def test_rings_are_at_round_distances_and_the_arrow_points_where_the_sensor_moves() -> None:
+    circles = keys.rings(PolarGrid(np.ones((8, 36), np.float32), 80.0), 256)
+    assert circles.labels is not None
+    assert circles.labels.as_arrow_array().to_pylist() == ["20 m", "40 m", "60 m", "80 m"]
+    heading, nothing = keys.Heading(), np.zeros((1, 3), np.float32)
+    assert heading.of(Scan(0, nothing, pose(0.0, 0.0, 0.0))) is None
+    for _ in range(2):  # several grids of the same scan
+        np.testing.assert_allclose(heading.of(Scan(1, nothing, pose(0.0, 2.0, 0.0))), [0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(heading.of(Scan(2, nothing, pose(0.0, 2.01, 0.0))), [0.0, 1.0], atol=1e-12)
+
+
+def test_range_images_are_high_enough_and_classes_have_names_on_hover() -> None:
+    scan = Scan(0, np.zeros((1, 3), np.float32), pose(0.0, 0.0, 0.0))
+    image = states.draw(RangeImage(np.ones((20, 900), np.float32)), State("image", RangeImage, ""), scan, None)
+    assert image.format.as_arrow_array().to_pylist()[0]["height"] == 180
+    verdict = State("verdict", PolarGrid, "verdict", legend=("", "bad", "good"))
+    drawn = states.draw(PolarGrid(np.full((4, 8), 2.0, np.float32), 10.0), verdict, scan, None)
+    classes = np.frombuffer(bytes(drawn.buffer.as_arrow_array().to_pylist()[0]), np.uint8)
+    assert set(classes.tolist()) == {2, states.EMPTY}
+    assert states.legend(verdict) is not None
