@@ -1,14 +1,19 @@
-"""Small labelled scans with every kind of point."""
+"""Small labelled scans with every kind of point, and studies of made results."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dynaviz.method import MethodInfo, Reason
 from dynaviz.metric import Labelled
+from dynaviz.reporting import Study
+from dynaviz.results.collect import collect
+from dynaviz.results.result import Result
 from dynaviz.scan import Scan
 
 INFO = MethodInfo("m", "M", "none", (Reason("seen_free", "a ray went through"), Reason("never_seen", "no ray did")))
@@ -33,5 +38,21 @@ def make_labelled() -> Callable[..., Labelled]:
         pose = given.pop("T_world_sensor", np.eye(4))
         scan = Scan(frame + 50, points, pose, labels=labels, **given)
         return Labelled.of(frame, scan, np.asarray(dynamic), np.asarray(reasons, np.uint8))
+
+    return make
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Callable[..., Study]:
+    """Save results, each in a folder of its own, and collect them."""
+
+    def make(*results: Result, failed: tuple[str, ...] = ()) -> Study:
+        for number, each in enumerate(results):
+            each.save(tmp_path / f"{number:02}" / "result.json")
+        for method in failed:
+            facts = {"method": method, "sequence": "hall", "variant": "v_1", "error": "no <memory> & 100 % | lost"}
+            (tmp_path / method).mkdir()
+            (tmp_path / method / "error.json").write_text(json.dumps(facts))
+        return Study(collect([tmp_path]), tmp_path)
 
     return make

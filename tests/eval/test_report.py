@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import math
 import re
-import shutil
-import subprocess
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from helpers.html_pages import Page, markdown_table
+from helpers.made_results import result
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,67 +18,8 @@ from dynaviz.reporting import Study
 from dynaviz.results.collect import collect
 from dynaviz.results.result import Result
 from dynaviz.results.sections import SequenceInfo
-from dynaviz_eval.confusion import Counts
 from dynaviz_eval.report import boards
 from dynaviz_eval.report.tables import tables
-
-Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept
-
-
-def result(
-    method: str, sequence: str | dict[str, Any] = "hall", numbers: Numbers = (900, 100, 80, 20), **fields: Any
-) -> Result:
-    """A result as a run writes it; the metrics follow from the counts."""
-    counts = Counts(*numbers)
-    sections = {
-        "counts": dataclasses.asdict(counts),
-        "metrics": counts.metrics(),
-        "error_distance": {
-            kind: {"p10": 0.04, "histogram": [5, 3, *[0] * 38, 2], "count": 10}
-            for kind in ("false_negative", "false_positive")
-        },
-        "breakdown": {
-            "range": [{"from": 0.0, "to": 10.0, **counts.row()}, {"from": 10.0, "to": None, **Counts().row()}],
-            "frame": [{"frame": 0, "index": 7}],
-        },
-        "failures": {
-            "cases": [],
-            "causes": {
-                "false_negative": {"nothing behind": {"cases": 1, "points": numbers[3]}} if numbers[3] else {},
-                "false_positive": {"grazing rays": {"cases": 1, "points": numbers[1]}} if numbers[1] else {},
-            },
-        },
-        **fields.pop("sections", {}),
-    }
-    plain: dict[str, Any] = {
-        "method": method,
-        "parameters": {"resolution": 0.1, "a_b": 'x,"y"'},
-        "sequence": sequence
-        if isinstance(sequence, dict)
-        else {"name": sequence, "digest": f"digest of {sequence}", "frames": 1, "points": sum(numbers)},
-        "runtime": {"mean_s": 0.5, "std_s": 0.1, "frames": 1, "threads": 2, "prepare_s": 0.0, "peak_rss_mb": 1.0},
-        "environment": {"machine": {"system": "Linux", "arch": "x86_64", "cores": 2}},
-        "labels_sha256": "ab" * 32,
-        **fields,
-        **sections,
-    }
-    return Result.from_dict(plain, "result.json")
-
-
-@pytest.fixture
-def study(tmp_path: Path) -> Callable[..., Study]:
-    """Save results, each in a folder of its own, and collect them."""
-
-    def make(*results: Result, failed: tuple[str, ...] = ()) -> Study:
-        for number, each in enumerate(results):
-            each.save(tmp_path / f"{number:02}" / "result.json")
-        for method in failed:
-            facts = {"method": method, "sequence": "hall", "variant": "v_1", "error": "no <memory> & 100 % | lost"}
-            (tmp_path / method).mkdir()
-            (tmp_path / method / "error.json").write_text(json.dumps(facts))
-        return Study(collect([tmp_path]), tmp_path)
-
-    return make
 
 
 def report(study: Study, format: str) -> str:
@@ -306,7 +242,7 @@ def latex_rows(text: str) -> list[list[str]]:
     return [line.removesuffix(r" \\").split(" & ") for line in text.splitlines() if line.endswith(r" \\")]
 
 
-def test_latex_is_escaped_and_its_rows_fit(study, tmp_path):
+def test_latex_is_escaped_and_its_rows_fit(study):
     text = report(
         study(*(result(m, s) for m in ("octomap_g", "50%_&_#1{}") for s in ("a_1", "b^2", "c~3", "d\\4", "e$5"))),
         "latex",
@@ -322,10 +258,6 @@ def test_latex_is_escaped_and_its_rows_fit(study, tmp_path):
     plain = re.sub(r"\\[{}]", "", text)
     assert plain.count("{") == plain.count("}")
     assert r"octomap\_g" in text
-    if shutil.which("pdflatex"):
-        document = r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}" + text + r"\end{document}"
-        (tmp_path / "x.tex").write_text(document)
-        subprocess.run(["pdflatex", "-halt-on-error", "x.tex"], cwd=tmp_path, check=True, capture_output=True)
 
 
 def test_latex_has_the_numbers_of_the_results(study):

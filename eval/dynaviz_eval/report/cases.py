@@ -29,7 +29,7 @@ class Spot:
         kind: ``false_negative``, ``false_positive``, or ``removed`` without ground truth.
         what, cause, sentence: in words; sentence: a description for the reader.
         weight: how much it matters: percentage points, or suspicion times points.
-        verdict: the same for the reader.
+        size: percentage points or removed points, as text; unit: the unit of ``size``.
         low, high: corners, (3,) metres, world frame.
         thing: class and instance of the ground truth, or None.
     """
@@ -40,7 +40,8 @@ class Spot:
     cause: str
     sentence: str
     weight: float
-    verdict: str
+    size: str
+    unit: str
     low: tuple[float, ...]
     high: tuple[float, ...]
     thing: tuple[int | None, int | None]
@@ -48,22 +49,27 @@ class Spot:
     @classmethod
     def of_case(cls, label: str, case: FailureCase) -> Spot:
         """From a failure case."""
-        verdict = f"−{case.cost:.2f} {case.metric}" if case.cost >= TINY else f"under 0.01 {case.metric}"
+        size, unit = f"{case.cost:.2f}" if case.cost >= TINY else "<0.01", f"{case.metric} lost"
         thing = case.class_, case.instance
         cause = case.cause or next(iter(case.reasons), "")
         return cls(
-            label, case.kind, case.what, cause, case.sentence, case.cost, verdict, case.low, case.high, thing
+            label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low, case.high, thing
         )  # fmt: skip
 
     @classmethod
     def of_cluster(cls, label: str, cluster: RemovedCluster) -> Spot:
         """From removed points of a run without ground truth."""
-        verdict, cause = f"{cluster.points:,} removed", ", ".join(cluster.why[:1]) or next(iter(cluster.reasons), "")
+        cause = ", ".join(cluster.why[:1]) or next(iter(cluster.reasons), "")
         weight = cluster.suspicion * cluster.points
         return cls(
-            label, "removed", cluster.what, cause, cluster.sentence, weight, verdict, cluster.low, cluster.high,
-            (None, None),
+            label, "removed", cluster.what, cause, cluster.sentence, weight, f"{cluster.points:,}", "points removed",
+            cluster.low, cluster.high, (None, None),
         )  # fmt: skip
+
+    @property
+    def verdict(self) -> str:
+        """Size and unit."""
+        return f"{self.size} {self.unit}"
 
     def same_place(self, other: Spot) -> bool:
         """Whether two spots are of one object, or of overlapping boxes of one kind and class."""
@@ -91,13 +97,9 @@ class SharedCase:
         what = f"{self.worst.what} {self.worst.thing[1]}" if self.worst.thing[1] else self.worst.what
         return f"{HEADINGS[self.worst.kind]}: {what}" if what else HEADINGS[self.worst.kind]
 
-    def verdict(self, label: str) -> tuple[str, str]:
-        """What a method did there: its largest cost, and the cause; empty if it has no case there."""
-        spots = self.by.get(label, ())
-        if not spots:
-            return "", ""
-        worst = max(spots, key=lambda spot: spot.weight)
-        return worst.verdict, worst.cause
+    def spot(self, label: str) -> Spot | None:
+        """The largest of a method's spots there; None if it has none."""
+        return max(self.by.get(label, ()), key=lambda spot: spot.weight, default=None)
 
 
 def shared_cases(board: ScoreBoard, most: int = MOST) -> list[SharedCase]:
@@ -150,16 +152,18 @@ def case_table(board: ScoreBoard, cases: Sequence[SharedCase], number: int) -> T
     """One row per place: what it is, the sentence of the method that fails most, and each method's cost."""
     labels = [row.label for row in best_of_each_method(board)]
     known = board.has_truth
-    columns = [Column("case", number=False), *(Column(label, "lost [%]" if known else "removed") for label in labels)]
+    group = "DA (ghosts) or SA (holes) lost [%]" if known else "removed points"
+    columns = [Column("case", number=False), *(Column(label, group) for label in labels)]
     rows = []
     for case in cases:
         row = [Value(f"{case.number}. {case.heading}", float(case.number), detail=case.worst.sentence)]
         for label in labels:
-            verdict, cause = case.verdict(label)
-            row.append(Value(verdict, detail=cause) if verdict else Value(ABSENT))
+            spot = case.spot(label)
+            row.append(Value(spot.size, spot.weight, detail=spot.cause) if spot else Value(ABSENT))
         rows.append(row)
     title = f"{'Costliest cases' if known else 'Suspicious clusters'}: {board.title}"
-    return Table(f"cases-{number}", title, columns, rows, [note(known)])
+    details = "The description of a case is that of the method that loses most there; next to each number is the cause."
+    return Table(f"cases-{number}", title, columns, rows, [note(known)], details)
 
 
 def note(known: bool) -> str:
@@ -167,8 +171,8 @@ def note(known: bool) -> str:
     if known:
         return (
             "The costliest failure cases over all methods, ghosts and holes apart; cases of several methods at one "
-            "place are one row. The sentence is that of the method that loses most. Numbers: percentage points of DA "
-            f"or SA lost to a method's largest case there; {ABSENT}: the method lists no case there."
+            "place are one row. Numbers: percentage points of DA or SA lost to a method's largest case there; "
+            f"{ABSENT}: the method lists no case there."
         )
     return (
         "Removed points that look like static surfaces, the most suspicious first. There is no ground truth, so they "

@@ -76,8 +76,8 @@ def _cause_notes(
     groups: Mapping[tuple[str, str], Sequence[ScoreRow]], found: Mapping[tuple[tuple[str, str], str], Losses]
 ) -> list[str]:
     notes = [
-        "Percentage points, over the sequences that a method ran on, with points added up; a stronger colour is a "
-        "larger loss, with a separate scale for each of the two groups. eval/README.md explains the causes."
+        "Percentage points, over the sequences that a method ran on, with points added up. eval/README.md explains the "
+        "causes."
     ]
     most = max((len(mine) for mine in groups.values()), default=0)
     fewer = [f"{label} on {len(mine)}" for (label, _), mine in groups.items() if len(mine) < most]

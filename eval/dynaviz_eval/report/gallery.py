@@ -67,7 +67,8 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
             pictures.append(view.picture(corrected(reference), "truth", "dynamic in blue", f"{alt}: ground truth"))
         for label in labels:
             if label in found:
-                caption = " ".join(filter(None, case.verdict(label))) or "no case here"
+                spot = case.spot(label)
+                caption = f"{spot.verdict}: {spot.cause}" if spot else "no case here"
                 pictures.append(view.picture(found[label], label, caption, f"{alt}: {label}, {caption}"))
         rows.append(GalleryRow(case, pictures, seen_from))
     return rows

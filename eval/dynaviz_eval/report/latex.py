@@ -1,4 +1,4 @@
-"""A report in LaTeX: the paper's two tables and published numbers, for a document with booktabs."""
+"""A report in LaTeX: the tables, for a document with booktabs."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from dynaviz_eval.report.table import Column, Table, Value
 from dynaviz_eval.report.tables import tables
 
 MAX_COLUMNS = 17  # columns that fit on a page in small print; wider tables are split
+NARROW = 6  # columns that need no special treatment
+LONGER = 2  # letters by which a name exceeds its fields before it is rotated
+LATIN_END = 0x180  # pdflatex prints Latin letters without additional packages
 
 _ESCAPES = {
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "[": "{[}", "]": "{]}",
     "↑": r"$\uparrow$", "↓": r"$\downarrow$", "±": r"$\pm$", "−": r"$-$", "–": "--", "·": r"$\cdot$",
-    "√": r"$\surd$", "†": r"$^\dagger$", "×": r"$\times$",
+    "√": r"$\surd$", "†": r"$^\dagger$", "×": r"$\times$", "≥": r"$\geq$", "≤": r"$\leq$",
+    "…": r"\dots{}",
 }  # fmt: skip
 
 
 def latex_report(study: Study) -> str:
-    """The tables of accuracy and runtime, and published numbers of public sequences."""
+    """The tables of accuracy, runtime, causes, published numbers, cases, objects, range and height."""
     content = tables(study)
     of_boards = [table for board in content.by_board for table in board.every]
     wanted = [t for t in (content.accuracy, content.runtime, content.failures, *of_boards) if t.rows]
@@ -31,8 +35,10 @@ def latex_report(study: Study) -> str:
 
 
 def escape(text: str) -> str:
-    """Escape text for LaTeX."""
-    return "".join(_ESCAPES.get(letter, letter) for letter in text)
+    """Escape text for LaTeX; letters that pdflatex cannot print become question marks."""
+    return "".join(
+        _ESCAPES.get(letter, letter if ord(letter) < LATIN_END else "?") for letter in " ".join(text.split())
+    )
 
 
 def _parts(table: Table) -> Iterator[Table]:
@@ -58,13 +64,13 @@ def _table(table: Table) -> str:
     body = [
         r"\begin{tabular}{" + align + "}",
         r"\toprule",
-        *_heads(table.columns),
+        *_heads(table),
         r"\midrule",
         *(_line([_field(value) for value in row]) for row in table.rows),
         r"\bottomrule",
         r"\end{tabular}",
     ]
-    wide = len(table.columns) > 6
+    wide = len(table.columns) > NARROW
     if wide:
         body = [r"\resizebox{\textwidth}{!}{%", *body, "}"]
     kind = "table*" if wide else "table"
@@ -81,9 +87,20 @@ def _table(table: Table) -> str:
     )
 
 
-def _heads(columns: Sequence[Column]) -> list[str]:
-    """A line of column names, and above it a line of groups with rules, if there are groups."""
-    names = _line([escape(column.name) for column in columns])
+def _heads(table: Table) -> list[str]:
+    """A line of column names, and above it a line of groups with rules, if there are groups.
+
+    In wide tables, the names of groups with names much longer than the fields below are rotated.
+    """
+    columns = table.columns
+    rotated = {
+        column.group
+        for k, column in enumerate(columns)
+        if column.number and len(column.name) > LONGER + max((len(row[k].text) for row in table.rows), default=0)
+    }
+    if len(columns) <= NARROW:
+        rotated = set()
+    names = _line([_name(column, column.number and column.group in rotated) for column in columns])
     if not any(column.group for column in columns):
         return [names]
     fields, rules, at = [], [], 1
@@ -93,6 +110,10 @@ def _heads(columns: Sequence[Column]) -> list[str]:
         rules += [rf"\cmidrule(lr){{{at}-{at + span - 1}}}"] if group else []
         at += span
     return [_line(fields), " ".join(rules), names]
+
+
+def _name(column: Column, rotated: bool) -> str:
+    return rf"\rotatebox{{60}}{{{escape(column.name)}}}" if rotated else escape(column.name)
 
 
 def _field(value: Value) -> str:

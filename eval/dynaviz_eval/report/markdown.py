@@ -23,7 +23,7 @@ def table(table: Table) -> str:
     head = [_head(column) for column in table.columns]
     lines = [_line(head), _line(["---:" if column.number else ":---" for column in table.columns])]
     lines += [_line([_field(value) for value in row]) for row in table.rows]
-    notes = "\n\n".join(_escaped(note) for note in table.notes)
+    notes = "\n\n".join(_escaped(note) for note in (*table.notes, table.details) if note)
     return f"## {_escaped(table.title)}\n\n" + "\n".join(lines) + (f"\n\n{notes}" if notes else "")
 
 

@@ -36,17 +36,17 @@ def object_table(board: ScoreBoard, number: int) -> Table:
     keys = sorted({key for by in fates.values() for key in by}, key=lambda key: _at_stake(key, fates.values()))
     wrong = [key for key in keys if _at_stake(key, fates.values())[0] < 0]
     names = class_names(runs)
-    columns = [Column("object", number=False), Column("frames"), Column("points"), Column("verdict", number=False)]
+    columns = [Column("object", number=False), Column("frames"), Column("points"), Column("kept by", number=False)]
     columns += [Column(run.label, "removed by each method [%]") for run in runs]
     rows = [_row(key, [fates[run.label].get(key) for run in runs], names) for key in wrong[:MOST]]
     notes = [
         f"Kept: less than {HALF:.0f} % of the object's dynamic points were removed. Reasons: different main reasons of "
-        "the methods that kept it. Points: dynamic points of all frames. The small print is the main reason of the "
-        "points that were kept; a stronger colour means that more was kept.",
+        "the methods that kept it. Points: dynamic points of all frames.",
         "Objects on which many points are wrong, or on which the methods disagree, come first"
         + (f"; {many(len(wrong) - MOST, 'object')} with errors not listed." if len(wrong) > MOST else "."),
     ]
-    return Table(f"objects-{number}", f"Objects: {board.title}", columns, rows, notes)
+    details = "Next to each share: the main reason of the points that were kept."
+    return Table(f"objects-{number}", f"Objects: {board.title}", columns, rows, notes, details)
 
 
 def class_names(runs: Iterable[ScoreRow]) -> dict[int, str]:
@@ -93,7 +93,7 @@ def _row(key: Key, fates: Sequence[Fate | None], names: Mapping[int, str]) -> li
     known = [fate for fate in fates if fate]
     by = [fate for fate in known if fate.kept]
     reasons = {fate.reason for fate in by if fate.reason}
-    verdict = f"kept by {len(by)} of {many(len(known), 'method')}"
+    verdict = f"{len(by)} of {many(len(known), 'method')}"
     if reasons:
         verdict += f", for {many(len(reasons), 'reason')}"
     first, last = (edge(getattr(fate.row, name) for fate in known) for edge, name in _FRAMES)

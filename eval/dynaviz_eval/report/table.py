@@ -42,13 +42,25 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a short name for links, a title, and notes below it. The first column names the row."""
+    """A table. The first column names the row.
+
+    Attributes:
+        name: a short name for links.
+        notes: sentences below the table.
+        details: what the details of the fields are; left out by formats that leave out the details.
+    """
 
     name: str
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = field(default_factory=tuple)
+    details: str = ""
+
+    @property
+    def heated(self) -> bool:
+        """Whether any field is coloured."""
+        return any(value.heat is not None for row in self.rows for value in row)
 
 
 def percent(value: float | None, bold: bool = False) -> Value:

@@ -96,13 +96,13 @@ class Tables:
 def tables(study: Study) -> Tables:
     """Make all tables of a study."""
     single = boards(study)
-    combined, notes = combined_boards(study, single)
+    combined, notes = combined_boards(study, _with_truth(single))
     return Tables(
         _headline(study, single, combined),
         single,
         combined,
-        _glance(_with_truth(single), _with_truth(combined)),
-        _accuracy(_with_truth([*combined, *single]), notes),
+        _glance(_with_truth(single), combined),
+        _accuracy([*combined, *_with_truth(single)], notes),
         _runtime(single, combined),
         cause_table(single, _order(single, combined)),
         [_of_board(board, number) for number, board in enumerate(single, 1)],
