@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from dynaviz.arrays import I32, I64, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.kernels.keys import BITS, MASK, REACH, X_SHIFT, Y_SHIFT
 
 GROUP, CASE, LAST = 0, 1, 2  # columns of a remembered cell
@@ -134,3 +134,59 @@ def remember(keys: I64, cells: I64, size: int) -> tuple[I64, I64]:
             for column in range(3):
                 filled[s, column] = cells[i, column]
     return table, filled
+
+
+@njit(cache=True, nogil=True)
+def fold(
+    cases: I32,
+    used: int,
+    points: F32,
+    ranges: F32,
+    first: Bool,
+    touching: Bool,
+    ground: Bool,
+    reasons: U8,
+    codes: int,
+) -> tuple[I64, I64, F32, F32, F64, I64]:
+    """Sum up the points of a frame by case, in the order of case numbers.
+
+    Args:
+        cases: (N,) int32, a number below ``used`` for each point.
+        used: number of cases.
+        points: (N, 3) float32, metres.
+        ranges: (N,) float32, metres.
+        first, touching, ground: (N,) bool, points to count.
+        reasons: (N,) uint8.
+        codes: number of reason codes; larger ones count as the last.
+
+    Returns:
+        numbers: (K,) int64: the cases with points, ascending.
+        counts: (K, 5) int64: position of a point; numbers of points and of first, touching and ground points.
+        low, high: (K, 4) float32, metres: lowest and highest coordinates and range.
+        sums: (K,) float64, metres: sum of ranges.
+        crossed: (K, codes) int64: points by reason.
+    """
+    row = np.full(used, np.int32(-1))
+    for i in range(len(cases)):
+        row[cases[i]] = 0
+    n = np.int32(0)
+    for case in range(used):
+        if row[case] == 0:
+            row[case] = n
+            n += 1
+    numbers, counts, sums = np.empty(n, np.int64), np.zeros((n, 5), np.int64), np.zeros(n)
+    low, high = np.full((n, 4), np.float32(np.inf)), np.full((n, 4), np.float32(-np.inf))
+    crossed = np.zeros((n, codes), np.int64)
+    for i in range(len(cases)):
+        k = row[cases[i]]
+        numbers[k], counts[k, 0] = cases[i], i
+        counts[k, 1] += 1
+        counts[k, 2] += first[i]
+        counts[k, 3] += touching[i]
+        counts[k, 4] += ground[i]
+        for axis in range(3):
+            low[k, axis], high[k, axis] = min(low[k, axis], points[i, axis]), max(high[k, axis], points[i, axis])
+        low[k, 3], high[k, 3] = min(low[k, 3], ranges[i]), max(high[k, 3], ranges[i])
+        sums[k] += ranges[i]
+        crossed[k, min(reasons[i], codes - 1)] += 1
+    return numbers, counts, low, high, sums, crossed

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F32
 from dynaviz.method import Cause, Reason
+from dynaviz.results.behaviour import Behaviour
 
 SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apart
 STATIONARY = 1.0  # metres: a case that moves less ...
@@ -20,21 +21,21 @@ WIDE = 1.5  # metres
 _VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cause.STANDING)
 _EXPLANATIONS: dict[str, dict[str, str]] = {  # by kind and cause
     "false_negative": {
-        Cause.STANDING: "It stayed too long: observed more often as occupied than as free.",
-        Cause.NOTHING_BEHIND: "Too few rays returned from behind it to show that its place became free.",
-        Cause.SPARSE_RINGS: "The sensor's rings are too sparse there to show that its place became free.",
-        Cause.NOT_YET_FREE: "Its place had not been observed as free for long enough before it arrived.",
+        Cause.STANDING: "The method observed its place more often as occupied than as free.",
+        Cause.NOTHING_BEHIND: "The method needs rays through its place, and too few returned from behind it.",
+        Cause.SPARSE_RINGS: "The method needs rays through its place, and the sensor's rings are too sparse there.",
+        Cause.NOT_YET_FREE: "The method had not observed its place as free for long enough before it arrived.",
         Cause.HEIGHT_LIMIT: "It is outside the height limits of the method.",
         Cause.OUT_OF_RANGE: "It is outside the range or field of view of the method.",
         Cause.TAKEN_FOR_GROUND: "The method classified it as ground.",
-        Cause.SHARED_CELL: "It was classified together with static points around it.",
+        Cause.SHARED_CELL: "The method classified it together with static points around it.",
     },
     "false_positive": {
-        Cause.GRAZING_RAYS: "Rays at grazing angles made it appear free.",
-        Cause.SPARSE_RINGS: "Few rays hit it, and others passed between these.",
-        Cause.SHARED_CELL: "It was classified together with something else in one voxel, bin or cluster.",
-        Cause.HEIGHT_LIMIT: "Its height differs between scans.",
-        Cause.STANDING: "It came into view late, or only intermittently.",
+        Cause.GRAZING_RAYS: "Rays at grazing angles made it appear free to the method.",
+        Cause.SPARSE_RINGS: "Few rays hit it, and the method counted those that passed between.",
+        Cause.SHARED_CELL: "The method classified it together with something else in one voxel, bin or cluster.",
+        Cause.HEIGHT_LIMIT: "The method found different heights there in different scans.",
+        Cause.STANDING: "It came into view late, or only intermittently, so the method took it for a mover.",
     },
 }
 
@@ -62,9 +63,9 @@ def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> 
 
 def _refine_removed(case: np.void, cause: Cause) -> Cause:
     """Why rays seem to have passed through static points."""
-    if 2 * case["near_dynamic"] > case["points"]:
+    if 2 * case["touching"] > case["points"]:
         return Cause.SHARED_CELL
-    if _is_level(case["high"] - case["low"]):
+    if is_ground(case) or _is_level(case["high"] - case["low"]):
         return Cause.GRAZING_RAYS
     return Cause.SPARSE_RINGS if _is_sparse(case) else cause
 
@@ -84,10 +85,18 @@ def _is_level(size: F32) -> bool:
     return bool(size[2] < FLAT and max(size[:2]) > WIDE)
 
 
-def shape(kind: str, size: F32) -> str:
-    """Name a case by its size, (3,) metres, for data without class names."""
+def is_ground(case: np.void) -> bool:
+    """Whether most points of a case are on the ground."""
+    return bool(2 * case["ground"] > case["points"])
+
+
+def shape(kind: str, case: np.void) -> str:
+    """Name a case, a row of ``cases.summed``, by its height above ground and its size, without class names."""
+    size = case["high"] - case["low"]
     if kind == "false_negative":
         return "moving object"
+    if is_ground(case):
+        return "ground"
     if _is_level(size):
         return "level surface"
     if max(size[:2]) < WIDE:
@@ -95,16 +104,28 @@ def shape(kind: str, size: F32) -> str:
     return "wall or other surface"
 
 
+def when_and_where(case: Mapping[str, Any]) -> str:
+    """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, parked until the end``."""
+    near, far = case["range"]["min"], case["range"]["max"]
+    metres = f"{near:.0f} to {far:.0f} m" if round(near) != round(far) else f"{near:.0f} m"
+    frames, behaviour = f"{case['frames']} frame{'s' * (case['frames'] > 1)}", case.get("behaviour")
+    if behaviour == Behaviour.FAR_AWAY:
+        return f"{frames}, far away ({metres})"
+    return ", ".join([frames, f"{metres} away", *([behaviour] if behaviour else [])])
+
+
+def extent(case: Mapping[str, Any]) -> str:
+    """The size of a case, such as ``2.0 x 1.0 x 0.5 m``."""
+    return " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True)) + " m"
+
+
 def sentence(case: Mapping[str, Any]) -> str:
-    """Describe a failure case in two short sentences."""
-    cause, near, far = case["cause"], case["range"]["min"], case["range"]["max"]
-    away = f"{near:.0f} to {far:.0f} m away" if round(near) != round(far) else f"{near:.0f} m away"
-    when = f"{case['frames']} frame{'s' * (case['frames'] > 1)}, {away}"
+    """Describe a failure case in two short sentences: what the object did, and what the method did."""
+    name = " ".join(str(part) for part in (case["what"], case["instance"]) if part is not None)
     if case["kind"] == "false_negative":
         moved = f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
-        fact = f"Kept: {case['what']}, {when}, {moved}."
+        fact = f"Kept: {name}, {when_and_where(case)}" + ("." if case["behaviour"] else f", {moved}.")
     else:
-        extent = " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True))
-        fact = f"Removed: {case['what']}, {extent} m, {when}."
-    explanation = _EXPLANATIONS[case["kind"]].get(cause) or f"The method's reason: {next(iter(case['reasons']))}."
-    return f"{fact} {explanation}"
+        fact = f"Removed: {name}, {extent(case)}, {when_and_where(case)}."
+    own = f"The method gives the reason {next(iter(case['reasons']))}."
+    return f"{fact} {_EXPLANATIONS[case['kind']].get(case['cause'], own)}"

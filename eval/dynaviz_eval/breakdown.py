@@ -8,17 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
 from dynaviz.results.scores import RANGE_EDGES
 from dynaviz.scan import Label, Outcome
 from dynaviz_eval.confusion import Counts
+from dynaviz_eval.ground import scan_heights
 
 RANGES = (0.0, *RANGE_EDGES, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
-GROUND_CELL = 1.0  # metres
 
 
 class Breakdown:
@@ -38,7 +37,7 @@ class Breakdown:
         """Add the points of one scan."""
         scan, outcome = labelled.scan, labelled.outcome
         self._range += _count_by_bin(np.sqrt(scan.squared_ranges()), RANGES, outcome)
-        self._height += _count_by_bin(heights_above_ground(scan.points), HEIGHTS, outcome)
+        self._height += _count_by_bin(scan_heights(scan.points), HEIGHTS, outcome)
         self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
         self._objects.add(labelled)
         return {}
@@ -102,23 +101,6 @@ class _Objects:
                 by_name = {self._names[k]: int(wrong[k]) for k in np.argsort(-wrong, kind="stable") if wrong[k]}
                 rows.append({**place, "points": int(by_outcome.sum()), **counts.row(), "reasons": by_name})
         return sorted(rows, key=lambda row: (-row["dynamic_kept"], row["class"], row["instance"]))
-
-
-def heights_above_ground(points: F32) -> F32:
-    """Height of each point above the local ground, estimated from the scan alone, without ground truth.
-
-    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile if these
-    contain fewer than 20 points, so a few reflections below the ground do not matter. Where a scan has no ground points
-    within that window (a roof, a wall behind a fence), heights are relative to the lowest visible surface.
-
-    Args:
-        points: (N, 3) float32, metres, world frame, z up.
-
-    Returns:
-        (N,) float32, metres; NaN for points with non-finite coordinates.
-    """
-    heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
-    return heights
 
 
 def _count_by_bin(values: F32, edges: tuple[float, ...], outcome: U8) -> I64:

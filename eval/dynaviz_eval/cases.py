@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8, Bool, Intp
+from dynaviz.metric import FrameBoxes
+from dynaviz.scan import Outcome
 from dynaviz.spatial.grid import pack
 
 EDGE = 0.5  # metres: points in touching cells belong to one case
@@ -28,21 +31,26 @@ class Cases:
         reasons: number of reason codes.
         span: maximum extent of a case along an axis, metres; larger ones are split.
         dropped: receives the small cases that are over and no longer kept, one row each (``summed``).
+        keep: number of cases that are kept when they are over, largest first.
     """
 
     def __init__(
-        self, reasons: int, span: float, dropped: Callable[[NDArray[np.void]], None] = lambda cases: None
+        self,
+        reasons: int,
+        span: float,
+        dropped: Callable[[NDArray[np.void]], None] = lambda cases: None,
+        keep: int = KEEP,
     ) -> None:
         self._limit = int(min(span / EDGE, 1 << 30))
         self.kind = np.dtype(
             [
                 ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64), ("cells", np.int64),
-                ("near_dynamic", np.int64), ("low", np.float32, 3), ("high", np.float32, 3), ("near", np.float32),
-                ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
+                ("touching", np.int64), ("ground", np.int64), ("low", np.float32, 3), ("high", np.float32, 3),
+                ("near", np.float32), ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
             ]
         )  # fmt: skip
         self.rows = np.empty(0, self.kind)
-        self._dropped = dropped
+        self._dropped, self._keep = dropped, keep
         self._new: list[NDArray[np.void]] = []
         self._table, self._cells = np.full(1024, -1, np.int64), np.empty((1024, 3), np.int64)
         self._remembered = 0
@@ -50,8 +58,17 @@ class Cases:
         self._low = self._high = np.empty((0, 3), np.int32)
         self._used = 0
 
-    def add(self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, near_dynamic: Bool) -> None:
-        """Add the wrong points of a frame. Call it in the order of frames.
+    def add(
+        self,
+        frame: int,
+        points: F32,
+        groups: I64,
+        reasons: U8,
+        ranges: F32,
+        touching: Bool,
+        ground: Bool | None = None,
+    ) -> None:
+        """Add the points of a frame. Call it in the order of frames.
 
         Args:
             frame: position in the run.
@@ -59,30 +76,18 @@ class Cases:
             groups: (N,) int64.
             reasons: (N,) uint8 codes.
             ranges: (N,) float32, metres from the sensor.
-            near_dynamic: (N,) bool, True next to a dynamic point.
+            touching: (N,) bool, True next to points of another kind, such as dynamic ones.
+            ground: (N,) bool, True on the ground; None if unknown.
         """
         if len(points):
-            case, order, starts, cells = self._link(frame, points, groups)
-            rows = np.zeros(len(starts), self.kind)
-            rows["frame"], rows["cells"] = frame, cells
-            rows["case"], rows["group"] = case, groups[order[starts]]
-            rows["points"] = np.diff(np.append(starts, len(points)))
-            for name, values in (("low", points), ("near", ranges)):
-                rows[name] = np.minimum.reduceat(values[order], starts)
-            for name, values in (("high", points), ("far", ranges)):
-                rows[name] = np.maximum.reduceat(values[order], starts)
-            rows["ranges"] = np.add.reduceat(ranges[order].astype(np.float64), starts)
-            rows["near_dynamic"] = np.add.reduceat(near_dynamic[order].astype(np.int64), starts)
-            which = np.repeat(np.arange(len(starts)), rows["points"])
-            codes = rows.dtype["reasons"].shape[0]
-            crossed = np.bincount(which * codes + np.minimum(reasons[order], codes - 1), minlength=len(starts) * codes)
-            rows["reasons"] = crossed.reshape(-1, codes)
-            self._new.append(rows)
+            self._new.append(self._rows(frame, points, groups, reasons, ranges, touching, ground))
         if frame % EVERY == EVERY - 1:
             self.settle(frame)
 
-    def _link(self, frame: int, points: F32, groups: I64) -> tuple[I64, Intp, Intp, I64]:
-        """Cases of a frame, the order of points by case, where each case starts in it, and its number of new cells."""
+    def _rows(
+        self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, touching: Bool, ground: Bool | None
+    ) -> NDArray[np.void]:
+        """Link the points of a frame to cases; one row for each of its cases."""
         self._make_room(len(points))
         of_point, first, fresh, self._used = kernels.cases.link(
             pack(points, EDGE), groups, frame, GAP, self._limit,
@@ -90,9 +95,17 @@ class Cases:
         )  # fmt: skip
         self._remembered += fresh
         of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # cases may have joined since
-        order = np.argsort(of_point, kind="stable")
-        case, starts = np.unique(of_point[order], return_index=True)
-        return case.astype(np.int64), order, starts, np.add.reduceat(first[order].astype(np.int64), starts)
+        case, counts, low, high, sums, crossed = kernels.cases.fold(
+            of_point, self._used, points, ranges, first, touching, first & False if ground is None else ground,
+            reasons, self.kind["reasons"].shape[0],
+        )  # fmt: skip
+        rows = np.zeros(len(case), self.kind)
+        rows["case"], rows["frame"], rows["group"], rows["ranges"] = case, frame, groups[counts[:, 0]], sums
+        for column, name in enumerate(("points", "cells", "touching", "ground"), 1):
+            rows[name] = counts[:, column]
+        rows["low"], rows["high"], rows["near"], rows["far"] = low[:, :3], high[:, :3], low[:, 3], high[:, 3]
+        rows["reasons"] = crossed
+        return rows
 
     def _make_room(self, more: int) -> None:
         room = 2 * (self._remembered + more)
@@ -111,17 +124,17 @@ class Cases:
             self._parent, self._low, self._high = parent, low, high
 
     def settle(self, frame: int) -> None:
-        """Renumber the cases, and drop those that are over by this frame and not among the ``KEEP`` largest."""
+        """Renumber the cases, and drop those that are over by this frame and not among the largest."""
         rows = np.concatenate([self.rows, *self._new])
         self._new = []
         rows["case"] = kernels.cases.roots(self._parent, self._used)[rows["case"]]
-        rows, _ = _pooled(rows, ("case", "frame"))  # several cases of a frame may have joined
+        rows, _ = pooled(rows, ("case", "frame"))  # several cases of a frame may have joined
         old, which = np.unique(rows["case"], return_inverse=True)
         points, last = np.bincount(which, rows["points"], len(old)), np.zeros(len(old), np.int64)
         np.maximum.at(last, which, rows["frame"])
         done = last < frame - GAP
         largest = np.zeros(len(old), np.bool_)
-        largest[np.argsort(-points, kind="stable")[:KEEP]] = True
+        largest[np.argsort(-points, kind="stable")[: self._keep]] = True
         keep = ~done | largest
         self._dropped(summed(rows[~keep[which]]))
         self.rows, new = rows[keep[which]], np.cumsum(keep) - 1
@@ -142,20 +155,20 @@ class Cases:
         self._table, self._cells = kernels.cases.remember(keys, cells, size)
 
 
-def _pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
+def pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
     """Pool rows with equal values in some fields: the pooled rows sorted by these, and the number of rows of each."""
     rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
     changes = np.any([np.diff(rows[name]) != 0 for name in by], axis=0)
     starts = np.flatnonzero(np.append(len(rows) > 0, changes))[: len(rows)]
-    pooled = rows[starts]
+    found = rows[starts]
     if len(starts):
-        for name in ("points", "cells", "near_dynamic", "ranges", "reasons"):
-            pooled[name] = np.add.reduceat(rows[name], starts)
+        for name in ("points", "cells", "touching", "ground", "ranges", "reasons"):
+            found[name] = np.add.reduceat(rows[name], starts)
         for name in ("low", "near"):
-            pooled[name] = np.minimum.reduceat(rows[name], starts)
+            found[name] = np.minimum.reduceat(rows[name], starts)
         for name in ("high", "far"):
-            pooled[name] = np.maximum.reduceat(rows[name], starts)
-    return pooled, np.diff(np.append(starts, len(rows)))
+            found[name] = np.maximum.reduceat(rows[name], starts)
+    return found, np.diff(np.append(starts, len(rows)))
 
 
 def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
@@ -165,11 +178,11 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     ``frames``, and ``moved``: metres between the mean centre of its first three frames and that of its last three.
     """
     rows = rows[np.lexsort((rows["frame"], rows["case"]))]
-    pooled, frames = _pooled(rows, ("case",))
+    found, frames = pooled(rows, ("case",))
     more = [("first", np.int64), ("last", np.int64), ("frames", np.int64), ("moved", np.float32)]
-    total = np.zeros(len(pooled), np.dtype(rows.dtype.descr + more))
+    total = np.zeros(len(found), np.dtype(rows.dtype.descr + more))
     for name in rows.dtype.names or ():
-        total[name] = pooled[name]
+        total[name] = found[name]
     ends = np.cumsum(frames)
     starts = ends - frames
     total["frames"], total["first"], total["last"] = frames, rows["frame"][starts], rows["frame"][ends - 1]
@@ -179,3 +192,50 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     way = centres[ends[:, None] - 1 - three].mean(1) - centres[starts[:, None] + three].mean(1)
     total["moved"] = np.sqrt((way**2).sum(1))
     return total
+
+
+def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]:
+    """What is known about a case without ground truth, as plain JSON values.
+
+    Args:
+        case: a row of ``summed``.
+        names: of the reason codes.
+        grounded: whether its points on the ground were counted.
+    """
+    points = int(case["points"])
+    return {
+        "points": points,
+        "first_frame": int(case["first"]),
+        "last_frame": int(case["last"]),
+        "worst_frame": int(case["frame"]),
+        "frames": int(case["frames"]),
+        "low": [round(float(value), 2) for value in case["low"]],
+        "high": [round(float(value), 2) for value in case["high"]],
+        "range": {
+            "min": round(float(case["near"]), 1),
+            "mean": round(float(case["ranges"]) / points, 1),
+            "max": round(float(case["far"]), 1),
+        },
+        "moved": round(float(case["moved"]), 1),
+        "reasons": {
+            names[code]: int(case["reasons"][code])
+            for code in np.argsort(-case["reasons"], kind="stable")
+            if case["reasons"][code]
+        },
+        "ground": round(float(case["ground"]) / points, 3) if grounded else None,
+    }
+
+
+def boxes(listed: Sequence[tuple[Mapping[str, Any], NDArray[np.void]]], outcomes: Sequence[Outcome]) -> FrameBoxes:
+    """A box around each listed case, overall and in each of its frames.
+
+    Args:
+        listed: plain values of each case, at least one, and its rows.
+        outcomes: of the points of each case.
+    """
+    cases = [case for case, _ in listed]
+    rows = np.concatenate([rows for _, rows in listed])
+    low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
+    number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in listed])
+    labels = tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1))
+    return FrameBoxes(labels, np.array(outcomes, np.uint8), low, high, rows["frame"], number, rows["low"], rows["high"])

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32, I64, Bool, Intp
-from dynaviz.kernels.keys import X_SHIFT, Y_SHIFT
+from dynaviz import kernels
+from dynaviz.arrays import F32, Bool
 from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, FrameBoxes, Labelled
+from dynaviz.metric import Figure, Labelled
 from dynaviz.results.scores import percentage_points_lost
-from dynaviz.scan import Label, Outcome, Scan
-from dynaviz.spatial.grid import in_key_range, pack
+from dynaviz.scan import Label, Outcome
+from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
-from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
+from dynaviz_eval.behaviour import Objects, Places, groups_of
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
+from dynaviz_eval.ground import on_ground, scan_heights
 
 SPAN = 20.0  # metres: maximum size of a false-positive case; larger holes are split. Trails of movers may be longer
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
@@ -30,8 +32,9 @@ class Failures:
     ``cases``: at most 100, each with ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
     ``last_frame``, ``worst_frame``, number of ``frames``, ``low`` and ``high`` corner (metres, world frame), ``range``
     from the sensor (metres), distance ``moved`` (metres), ``reasons`` with their counts, ``cause``, ``class``,
-    ``instance``, ``what`` it is, and a ``sentence``. ``causes``: numbers of cases and points by kind and cause, of all
-    cases. ``others``: cases and points that are not listed.
+    ``instance``, ``what`` it is, its ``behaviour``, the share of its points on the ``ground``, and a ``sentence``.
+    ``causes``: numbers of cases and points by kind and cause, of all cases. ``others``: cases and points that are not
+    listed.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -43,6 +46,7 @@ class Failures:
         self._causes: dict[str, dict[str, dict[str, int]]] = {
             kind: defaultdict(lambda: {"cases": 0, "points": 0}) for kind in spans
         }
+        self._objects, self._places, self._grounded = Objects(), Places(), True
         self._names: dict[int, str] = {}
         self._totals = dict.fromkeys(_KINDS, 0)
         self._frame = 0
@@ -50,32 +54,49 @@ class Failures:
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Join the wrong points of a scan into cases."""
-        labels = labelled.scan.labels
-        if labels is not None:
-            self.add(labelled, int((labels == Label.STATIC).sum()), int((labels == Label.DYNAMIC).sum()))
+        scan = labelled.scan
+        if scan.labels is not None:
+            self._places.add(labelled.frame, scan.points)
+            static, dynamic = (int(np.count_nonzero(scan.labels == label)) for label in (Label.STATIC, Label.DYNAMIC))
+            self.add(labelled, static, dynamic, scan_heights(scan.points))
         return {}
 
-    def add(self, labelled: Labelled, static: int, dynamic: int) -> None:
+    def add(self, labelled: Labelled, static: int, dynamic: int, heights: F32 | None = None) -> None:
         """As ``update``, for a scan reduced to its wrong and its dynamic points.
 
         Args:
             labelled: the scan; correctly labelled static points may be missing.
             static, dynamic: numbers of points in the whole scan, of which costs are shares.
+            heights: (N,) float32, metres above the ground; None if unknown.
         """
         scan, self._frame = labelled.scan, labelled.frame
         self._names |= {number: name for number, name in scan.class_names.items() if number}  # 0 means unlabelled
         self._totals["false_negative"] += dynamic
         self._totals["false_positive"] += static
+        self._grounded &= heights is not None
+        self._objects.add(labelled, heights)
         for kind, cases in self._cases.items():
+            removed = kind == "false_positive"
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
             wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # drop non-finite and very distant points
-            points, groups = scan.points[wrong], _groups(scan, wrong, kind)
+            points, groups = scan.points[wrong], groups_of(scan, wrong, not removed)
             ranges = np.sqrt(scan.squared_ranges(wrong))
-            near = _near_dynamic(points, scan) if kind == "false_positive" else np.zeros(len(points), np.bool_)
-            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near)
+            near = np.zeros(len(points), np.bool_)
+            if removed and dynamic:
+                near = self._next_to_movers(labelled)[wrong]
+            ground = None if heights is None else on_ground(heights[wrong])
+            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near, ground)
+
+    @staticmethod
+    def _next_to_movers(labelled: Labelled) -> Bool:
+        """(N,) bool: wrongly removed points with dynamic points in their cell, or in a cell that touches it."""
+        removed, dynamic = labelled.outcome == Outcome.FALSE_POSITIVE, labelled.scan.labels == Label.DYNAMIC
+        found: Bool = kernels.touching.cells(labelled.scan.points, removed, dynamic, EDGE)
+        return found
 
     def finish(self) -> Mapping[str, Any]:
         """The section."""
+        self._objects.finish()
         listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
         for kind, cases in self._cases.items():
             cases.settle(self._frame + GAP + 1)  # all cases are over by then
@@ -95,22 +116,7 @@ class Failures:
         """A box around each case, overall and in each of its frames."""
         if not self._listed:
             return {}
-        cases = [case for case, _ in self._listed]
-        rows = np.concatenate([rows for _, rows in self._listed])
-        number = np.repeat(np.arange(len(cases)), [len(rows) for _, rows in self._listed])
-        low, high = (np.array([case[name] for case in cases], np.float32) for name in ("low", "high"))
-        return {
-            "failures": FrameBoxes(
-                tuple(f"{number} {case['what']}" for number, case in enumerate(cases, 1)),
-                np.array([_KINDS[case["kind"]] for case in cases], np.uint8),
-                low,
-                high,
-                rows["frame"],
-                number,
-                rows["low"],
-                rows["high"],
-            )
-        }
+        return {"failures": boxes(self._listed, [_KINDS[case["kind"]] for case, _ in self._listed])}
 
     def _count(self, kind: str, over: NDArray[np.void]) -> None:
         """Add cases that are over to the counts of their causes."""
@@ -121,60 +127,21 @@ class Failures:
 
     def _described(self, kind: str, rows: NDArray[np.void]) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
         """Each case as plain JSON values, with its rows."""
+        names = [*(reason.name for reason in self._reasons), "unknown code"]
         total = summed(rows)
         for case, cause in zip(total, causes_of(kind, total, self._reasons), strict=True):
-            group, points = int(case["group"]), int(case["points"])
+            group, own = int(case["group"]), rows[rows["case"] == case["case"]]
             number = (group >> 32) - 1  # of its class
+            behaviour = self._places.behaviour(case) if kind == "false_positive" else self._objects.behaviour(own)
+            found = facts(case, names, self._grounded)
             plain = {
                 "kind": kind,
-                "points": points,
-                "cost": float(percentage_points_lost(points, self._totals[kind])),
-                "first_frame": int(case["first"]),
-                "last_frame": int(case["last"]),
-                "worst_frame": int(case["frame"]),
-                "frames": int(case["frames"]),
-                "low": _rounded(case["low"], 2),
-                "high": _rounded(case["high"], 2),
-                "range": {
-                    "min": round(float(case["near"]), 1),
-                    "mean": round(float(case["ranges"]) / points, 1),
-                    "max": round(float(case["far"]), 1),
-                },
-                "moved": round(float(case["moved"]), 1),
-                "reasons": self._by_name(case["reasons"]),
+                **found,
+                "cost": float(percentage_points_lost(found["points"], self._totals[kind])),
                 "cause": None if cause is None else str(cause),
                 "class": number if number >= 0 else None,
                 "instance": (group & 0xFFFFFFFF) or None,
-                "what": self._names.get(number) or shape(kind, case["high"] - case["low"]),
+                "what": self._names.get(number) or shape(kind, case),
+                "behaviour": None if behaviour is None else str(behaviour),
             }
-            yield {**plain, "sentence": sentence(plain)}, rows[rows["case"] == case["case"]]
-
-    def _by_name(self, counts: I64) -> dict[str, int]:
-        names = [*(reason.name for reason in self._reasons), "unknown code"]
-        return {names[code]: int(counts[code]) for code in np.argsort(-counts, kind="stable") if counts[code]}
-
-
-def _groups(scan: Scan, chosen: Intp, kind: str) -> I64:
-    """Class, and for dynamic points the object, packed into one number; 0 if unknown."""
-    groups = np.zeros(len(chosen), np.int64)
-    if scan.classes is not None:
-        groups += (scan.classes[chosen].astype(np.int64) + 1) << 32
-    if scan.instances is not None and kind == "false_negative":
-        groups += scan.instances[chosen]
-    return groups
-
-
-def _near_dynamic(points: F32, scan: Scan) -> Bool:
-    """(N,) bool: whether the scan has dynamic points in a point's cell, or in a cell that touches it."""
-    dynamic = scan.points[scan.labels == Label.DYNAMIC]
-    dynamic = dynamic[in_key_range(dynamic, EDGE)]
-    if not len(dynamic) or not len(points):
-        return np.zeros(len(points), np.bool_)
-    steps = np.arange(-1, 2)
-    around = ((steps[:, None, None] << X_SHIFT) + (steps[:, None] << Y_SHIFT) + steps).ravel()
-    near = np.unique(np.unique(pack(dynamic, EDGE))[:, None] + around)
-    return np.isin(pack(points, EDGE), near)
-
-
-def _rounded(values: F32, digits: int) -> list[float]:
-    return [round(float(value), digits) for value in values]
+            yield {**plain, "sentence": sentence(plain)}, own

@@ -32,11 +32,13 @@ def cause(kind: str, reason: int, size=(1, 1, 1), **looks) -> Cause | None:
 @pytest.mark.parametrize(
     ("looks", "expected"),
     [
-        ({"near_dynamic": 51}, Cause.SHARED_CELL),
-        ({"near_dynamic": 50}, Cause.NOTHING_BEHIND),
+        ({"touching": 51}, Cause.SHARED_CELL),
+        ({"touching": 50}, Cause.NOTHING_BEHIND),
         ({"size": (1.6, 0.1, 0.5)}, Cause.GRAZING_RAYS),
         ({"size": (0.1, 1.6, 0.5)}, Cause.GRAZING_RAYS),
         ({"size": (1.6, 1.6, 0.61)}, Cause.NOTHING_BEHIND),
+        ({"size": (9, 9, 2), "ground": 51}, Cause.GRAZING_RAYS),
+        ({"size": (9, 9, 2), "ground": 50}, Cause.NOTHING_BEHIND),
         ({"size": (1.5, 1.5, 0.5)}, Cause.NOTHING_BEHIND),
         ({"cells": 51}, Cause.SPARSE_RINGS),
         ({"cells": 50}, Cause.NOTHING_BEHIND),
@@ -64,7 +66,7 @@ def test_the_cause_of_a_kept_case_depends_on_its_motion(reason, looks, expected)
 
 @pytest.mark.parametrize("kind", ["false_negative", "false_positive"])
 def test_shape_and_motion_only_refine_causes_of_visibility(kind):
-    looks = {"frames": 20, "near_dynamic": 100, "cells": 100, "size": (9, 9, 0.1)}
+    looks = {"frames": 20, "touching": 100, "cells": 100, "size": (9, 9, 0.1)}
     assert cause(kind, 4, **looks) is Cause.HEIGHT_LIMIT
     assert cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None  # the last code has no reason
 
@@ -91,13 +93,23 @@ def test_the_cause_of_most_points_wins_over_the_most_frequent_reason():
     ],
 )
 def test_unnamed_cases_are_named_by_their_size(size, expected):
-    assert shape("false_positive", np.array(size, np.float32)) == expected
-    assert shape("false_negative", np.array(size, np.float32)) == "moving object"
+    case = np.zeros((), CASE)
+    case["points"], case["ground"], case["high"] = 100, 50, size
+    assert shape("false_positive", case) == expected
+    assert shape("false_negative", case) == "moving object"
+    case["ground"] = 51
+    assert shape("false_positive", case) == "ground"
 
 
 def sentence_of(**values) -> str:
-    case = {"kind": "false_negative", "what": "car", "cause": "standing too long", "frames": 2, "moved": 1.0}
-    case |= {
+    case = {
+        "kind": "false_negative",
+        "what": "car",
+        "instance": 12,
+        "cause": "standing too long",
+        "behaviour": "parked until the end",
+        "frames": 2,
+        "moved": 1.0,
         "range": {"min": 3.2, "max": 8.4},
         "low": [1, 2, 3],
         "high": [3, 3, 3.5],
@@ -106,12 +118,17 @@ def sentence_of(**values) -> str:
     return sentence(case | values)
 
 
-def test_sentences():
-    stayed = "It stayed too long: observed more often as occupied than as free."
-    assert sentence_of() == f"Kept: car, 2 frames, 3 to 8 m away, moved 1 m. {stayed}"
-    assert sentence_of(frames=1, moved=0.9) == f"Kept: car, 1 frame, 3 to 8 m away, moved less than 1 m. {stayed}"
+def test_sentences_state_what_the_object_did_and_what_the_method_did():
+    stayed = "The method observed its place more often as occupied than as free."
+    assert sentence_of() == f"Kept: car 12, 2 frames, 3 to 8 m away, parked until the end. {stayed}"
+    assert sentence_of(frames=1, instance=None) == f"Kept: car, 1 frame, 3 to 8 m away, parked until the end. {stayed}"
+    assert sentence_of(behaviour="far away") == f"Kept: car 12, 2 frames, far away (3 to 8 m). {stayed}"
+    assert sentence_of(behaviour=None) == f"Kept: car 12, 2 frames, 3 to 8 m away, moved 1 m. {stayed}"
+    assert sentence_of(behaviour=None, moved=0.9).startswith("Kept: car 12, 2 frames, 3 to 8 m away, moved less than")
     assert sentence_of(cause=None, range={"min": 3.2, "max": 3.4}).endswith(
-        "frames, 3 m away, moved 1 m. The method's reason: mystery."
+        "frames, 3 m away, parked until the end. The method gives the reason mystery."
     )
-    removed = sentence_of(kind="false_positive", cause="grazing rays")
-    assert removed.startswith("Removed: car, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away. Rays at grazing angles")
+    removed = {"kind": "false_positive", "cause": "grazing rays", "what": "ground", "instance": None}
+    where = "Removed: ground, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away"
+    assert sentence_of(**removed, behaviour="always in view").startswith(f"{where}, always in view. Rays at grazing")
+    assert sentence_of(**removed, behaviour=None).startswith(f"{where}. Rays at grazing angles")

@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from dynaviz_eval.breakdown import Breakdown, heights_above_ground
+from dynaviz_eval.breakdown import Breakdown
 from dynaviz_eval.confusion import Counts
+from dynaviz_eval.ground import heights_above_ground
 
 pytestmark = pytest.mark.boundscheck
 

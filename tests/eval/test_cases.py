@@ -8,10 +8,10 @@ from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, summed
 pytestmark = pytest.mark.boundscheck
 
 
-def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, near_dynamic=False) -> None:
+def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, touching=False) -> None:
     points = np.asarray(points, np.float32).reshape(-1, 3)
     n = len(points)
-    dtypes = (groups, np.int64), (reasons, np.uint8), (ranges, np.float32), (near_dynamic, np.bool_)
+    dtypes = (groups, np.int64), (reasons, np.uint8), (ranges, np.float32), (touching, np.bool_)
     cases.add(frame, points, *(np.broadcast_to(np.asarray(v, t), n) for v, t in dtypes))
 
 
@@ -21,7 +21,7 @@ def test_a_row_describes_a_case_in_a_frame():
     add(cases, 4, points, [7, 8, 7, 7], [0, 2, 1, 200], [1.5, 5, 2.5, 2], [True, False, True, False])
     cases.settle(4 + GAP + 1)
     row, other = sorted(cases.rows, key=lambda row: row["group"])
-    assert [int(row[name]) for name in ("frame", "group", "points", "cells", "near_dynamic")] == [4, 7, 3, 2, 2]
+    assert [int(row[name]) for name in ("frame", "group", "points", "cells", "touching")] == [4, 7, 3, 2, 2]
     np.testing.assert_allclose(row["low"], [0.1, 0.1, 0.2], rtol=1e-6)
     np.testing.assert_allclose(row["high"], [0.3, 0.3, 0.6], rtol=1e-6)
     assert (row["near"], row["far"], row["ranges"], row["reasons"].tolist()) == (1.5, 2.5, 6.0, [1, 1, 1])
@@ -30,12 +30,12 @@ def test_a_row_describes_a_case_in_a_frame():
 
 def test_two_cases_of_a_frame_that_join_later_become_one_row():
     cases = Cases(1, np.inf)
-    add(cases, 0, [[0, 0, 0], [2, 0, 0]], ranges=[1, 4], near_dynamic=True)
+    add(cases, 0, [[0, 0, 0], [2, 0, 0]], ranges=[1, 4], touching=True)
     add(cases, 1, [[0.6, 0, 0], [1.1, 0, 0], [1.6, 0, 0]])  # a bridge between them
     cases.settle(1 + GAP + 1)
     first, second = cases.rows
     assert (first["case"], second["case"], first["frame"], second["frame"]) == (0, 0, 0, 1)
-    assert (first["points"], first["cells"], first["near_dynamic"], first["ranges"]) == (2, 2, 2, 5)
+    assert (first["points"], first["cells"], first["touching"], first["ranges"]) == (2, 2, 2, 5)
     assert (first["near"], first["far"], first["low"][0], first["high"][0]) == (1, 4, 0, 2)
     assert second["points"] == 3
 

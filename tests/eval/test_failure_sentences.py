@@ -104,4 +104,4 @@ def test_boxes_have_the_numbers_of_the_cases():
 def test_a_level_surface_at_any_position():
     x, y = (v.ravel() for v in np.meshgrid(np.arange(0, 3, 0.2), np.arange(0, 3, 0.2)))
     (case,) = section(labelled(0, np.stack([x - 40, y + 7, np.full(len(x), 5.0)], 1), 0, True))["cases"]
-    assert (case["what"], case["cause"]) == ("level surface", "grazing rays")
+    assert (case["what"], case["cause"]) == ("ground", "grazing rays")

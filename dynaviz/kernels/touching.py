@@ -1,0 +1,100 @@
+"""Which points of a scan lie next to points of another kind, by cells or by columns."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dynaviz.arrays import F32, I64, Bool
+from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
+
+_SIDE = 1024  # columns along a side; the picture wraps around, so a scan may lie anywhere
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(key: np.int64, mask: int) -> np.int64:
+    return np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)) & mask
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _key(x: float, y: float, z: float) -> np.int64:
+    """The packed cell of a point given in cells, -1 if it is not finite or out of range."""
+    if not (abs(x) < REACH - 2 and abs(y) < REACH - 2 and abs(z) < REACH - 2):
+        return np.int64(-1)
+    i, j, k = np.int64(math.floor(x)), np.int64(math.floor(y)), np.int64(math.floor(z))
+    return (i + REACH) << X_SHIFT | (j + REACH) << Y_SHIFT | (k + REACH)
+
+
+@njit(cache=True, nogil=True)
+def _any_around(table: I64, key: np.int64) -> bool:
+    """Whether a cell or one of the 26 cells around it is in the table."""
+    mask = len(table) - 1
+    for dx in range(-1, 2):
+        for dy in range(-1, 2):
+            for dz in range(-1, 2):
+                near = key + (np.int64(dx) << X_SHIFT) + (np.int64(dy) << Y_SHIFT) + np.int64(dz)
+                s = _slot(near, mask)
+                while table[s] >= 0:
+                    if table[s] == near:
+                        return True
+                    s = (s + 1) & mask
+    return False
+
+
+@njit(cache=True, nogil=True)
+def cells(points: F32, chosen: Bool, others: Bool, size: float) -> Bool:
+    """(N,) bool: chosen points with other points in their cell, or in one of the 26 cells around it.
+
+    Args:
+        points: (N, 3) float32, metres; those that are not finite or out of range touch nothing.
+        chosen, others: (N,) bool.
+        size: edge of a cell, metres.
+    """
+    found, inverse = np.zeros(len(points), np.bool_), 1.0 / size
+    length = 16
+    while length < 2 * others.sum():
+        length *= 2
+    table, mask, last = np.full(length, np.int64(-1)), length - 1, np.int64(-1)
+    for i in range(len(points)):
+        if others[i]:
+            key = _key(points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse)
+            if key >= 0 and key != last:  # consecutive points often share a cell
+                last, s = key, _slot(key, mask)
+                while table[s] >= 0 and table[s] != key:
+                    s = (s + 1) & mask
+                table[s] = key
+    last, answer = np.int64(-1), False
+    for i in range(len(points)):
+        if chosen[i]:
+            key = _key(points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse)
+            if key >= 0 and key != last:
+                last, answer = key, _any_around(table, key)
+            found[i] = key >= 0 and answer
+    return found
+
+
+@njit(cache=True, nogil=True)
+def columns(points: F32, chosen: Bool, others: Bool, size: float) -> Bool:
+    """(N,) bool: chosen points with other points in their column, or in one of the 8 columns around it.
+
+    Args:
+        points: (N, 3) float32, metres; those that are not finite touch nothing.
+        chosen, others: (N,) bool.
+        size: edge of a column, metres.
+    """
+    found, inverse = np.zeros(len(points), np.bool_), 1.0 / size
+    near = np.zeros((_SIDE, _SIDE), np.bool_)
+    last_x, last_y = np.int64(-1), np.int64(-1)
+    for i in range(len(points)):
+        if others[i] and math.isfinite(points[i, 0] + points[i, 1]):
+            x, y = np.int64(math.floor(points[i, 0] * inverse)), np.int64(math.floor(points[i, 1] * inverse))
+            if x != last_x or y != last_y:
+                last_x, last_y = x, y
+                for dx in range(-1, 2):
+                    for dy in range(-1, 2):
+                        near[(x + dx) & (_SIDE - 1), (y + dy) & (_SIDE - 1)] = True
+    for i in range(len(points)):
+        if chosen[i] and math.isfinite(points[i, 0] + points[i, 1]):
+            x, y = np.int64(math.floor(points[i, 0] * inverse)), np.int64(math.floor(points[i, 1] * inverse))
+            found[i] = near[x & (_SIDE - 1), y & (_SIDE - 1)]
+    return found

@@ -1,0 +1,70 @@
+"""When the cells of a map were hit: first and last frame, and the number of frames."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
+
+FIRST, LAST, FRAMES = 0, 1, 2  # columns of a cell
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _slot(keys, key):
+    """The slot of a key in a table whose size is a power of two, or the free slot for it."""
+    mask = len(keys) - 1
+    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(20)) & mask
+    while keys[s] >= 0 and keys[s] != key:
+        s = (s + 1) & mask
+    return s
+
+
+@njit(cache=True, nogil=True)
+def visit(points, begin, step, frame, size, keys, visits, used):
+    """Count a frame for the cells of its points; stop where the table is half full.
+
+    Args:
+        points: (N, 3) float32, metres, world frame. Points that are not finite or too far away are skipped.
+        begin, step: number of the first point to count, and from each to the next.
+        frame: position in the run.
+        size: edge of a cell, metres.
+        keys: (2^k,) int64: key of each cell, -1 if free. Modified.
+        visits: (2^k, 3) int32: first frame, last frame and number of frames of each cell. Modified.
+        used: number of cells in the table.
+
+    Returns:
+        The number of the first point that was not counted, and the number of cells in the table.
+    """
+    inverse, last, s = 1.0 / size, np.int64(-1), np.int64(0)
+    for i in range(begin, len(points), step):
+        a, b, c = points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse
+        if not (abs(a) < REACH - 1 and abs(b) < REACH - 1 and abs(c) < REACH - 1):
+            continue
+        x, y, z = np.int64(math.floor(a)), np.int64(math.floor(b)), np.int64(math.floor(c))
+        key = (x + REACH) << X_SHIFT | (y + REACH) << Y_SHIFT | (z + REACH)
+        if key == last:  # consecutive points often share a cell
+            continue
+        s, last = _slot(keys, key), key
+        if keys[s] < 0:
+            if 2 * used >= len(keys):
+                return i, used
+            keys[s], used = key, used + 1
+            visits[s, FIRST], visits[s, LAST], visits[s, FRAMES] = frame, -1, 0
+        if visits[s, LAST] != frame:
+            visits[s, LAST] = frame
+            visits[s, FRAMES] += 1
+    return len(points), used
+
+
+@njit(cache=True, nogil=True)
+def grow(keys, visits, size):
+    """The same cells in tables of ``size`` rows, a power of two."""
+    more, kept = np.full(size, np.int64(-1)), np.empty((size, 3), np.int32)
+    for i in range(len(keys)):
+        if keys[i] >= 0:
+            s = _slot(more, keys[i])
+            more[s] = keys[i]
+            for column in range(3):
+                kept[s, column] = visits[i, column]
+    return more, kept

@@ -1,0 +1,180 @@
+"""What objects and places did during the drive, from the data alone: half of the diagnosis of a failure case."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.metric import Labelled
+from dynaviz.results.behaviour import Behaviour
+from dynaviz.scan import Label, Scan
+from dynaviz.spatial.grid import in_key_range, unpack
+from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
+from dynaviz_eval.ground import GROUND_HEIGHT
+
+WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
+STILL = 0.5  # metres in a window: slower than anyone walks
+LATE = 0.75  # of the drive: less than a quarter of it is left to show that the place is free again
+END = 10  # frames: seen in these last frames of the drive only
+REACH = 3.0  # metres above the ground: what is higher, such as a bridge, touches no road user
+FAR = 30.0  # metres: a car has a few dozen points there, and rays pass between the rings of a spinning sensor
+BRIEF = 5  # frames: too few hits to decide by
+TRACKS = 1000  # objects that are remembered
+CELL = 1.0  # metres: edge of a cell of a place
+SAMPLE = 15_000  # points of a scan that look for its cells: consecutive points are much closer than a cell
+
+
+class Objects:
+    """Follows the dynamic objects of a run, also where the method was right.
+
+    Objects are separated by class and number if the data have them; otherwise points whose cells touch belong to one
+    object, as for failure cases.
+    """
+
+    def __init__(self) -> None:
+        self._cases = Cases(1, np.inf, keep=TRACKS)
+        self._frame = 0
+
+    def add(self, labelled: Labelled, heights: F32 | None) -> None:
+        """Add a scan with ground truth; heights (N,) above the ground, metres, or None if unknown."""
+        scan, self._frame = labelled.scan, labelled.frame
+        dynamic, near = scan.labels == Label.DYNAMIC, np.zeros(len(scan), np.bool_)
+        if heights is not None:
+            standing = (scan.labels == Label.STATIC) & (heights >= GROUND_HEIGHT) & (heights < REACH)
+            near = kernels.touching.columns(scan.points, dynamic, standing, EDGE)
+        chosen = np.flatnonzero(dynamic)
+        chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
+        groups, none = groups_of(scan, chosen, True), np.zeros(len(chosen), np.uint8)
+        ranges = np.sqrt(scan.squared_ranges(chosen))
+        self._cases.add(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen])
+
+    def finish(self) -> None:
+        """Complete the tracks; call it after the last scan."""
+        self._cases.settle(self._frame + GAP + 1)
+
+    def behaviour(self, rows: NDArray[np.void]) -> Behaviour | None:
+        """What the object did to which wrong points belong, given the rows of their case; None if unknown."""
+        track = self._track(rows)
+        return behaviour_of_object(track, self._frame) if len(track) else None
+
+    def _track(self, rows: NDArray[np.void]) -> NDArray[np.void]:
+        """The object in all frames, one row each."""
+        row = rows[np.argmax(rows["points"])]
+        known = self._cases.rows[self._cases.rows["group"] == row["group"]]
+        if not row["group"] & 0xFFFFFFFF:  # no number: the smallest object whose box contains that of the case
+            here = known[known["frame"] == row["frame"]]
+            here = here[(here["low"] <= row["low"]).all(1) & (here["high"] >= row["high"]).all(1)]
+            if not len(here):
+                return here
+            known = known[known["case"] == here["case"][np.argmin((here["high"] - here["low"]).prod(1))]]
+        return pooled(known, ("frame",))[0]
+
+
+def groups_of(scan: Scan, chosen: NDArray[np.intp], objects: bool) -> I64:
+    """(K,) int64: class and, for objects, number of the chosen points, packed into one number; 0 if unknown."""
+    groups = np.zeros(len(chosen), np.int64)
+    if scan.classes is not None:
+        groups += (scan.classes[chosen].astype(np.int64) + 1) << 32
+    if scan.instances is not None and objects:
+        groups += scan.instances[chosen]
+    return groups
+
+
+def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
+    """What a dynamic object did; the first of the rules below that applies.
+
+    Args:
+        track: (R,) rows of the object, as in ``Cases.rows``, one per frame, in the order of frames.
+        end: the last frame of the drive.
+    """
+    first, last = int(track["frame"][0]), int(track["frame"][-1])
+    stood = standing(track)
+    if stood[-1]:
+        return Behaviour.PARKED
+    if stood[0]:
+        return Behaviour.WAITED_FIRST
+    if stood.any():
+        return Behaviour.STOPPED
+    if first > max(end - END, LATE * end):
+        return Behaviour.END_OF_DRIVE
+    if first > LATE * end and last > end - END:
+        return Behaviour.ARRIVED_LATE
+    if track["ranges"].sum() > FAR * track["points"].sum():
+        return Behaviour.FAR_AWAY
+    return Behaviour.TOUCHED if 2 * track["touching"].sum() > track["points"].sum() else Behaviour.PASSED_BY
+
+
+def standing(track: NDArray[np.void]) -> Bool:
+    """(R,) bool: whether the object stands still in each row, for at least ``WINDOW`` frames.
+
+    A sensor that drives past sees another side of an object, which moves one end of the box of its points. The object
+    itself has moved only if both ends did, so the shorter way of both counts.
+    """
+    frames, stood = track["frame"], np.zeros(len(track), np.bool_)
+    ends = np.searchsorted(frames, frames + WINDOW)
+    for i in np.flatnonzero(ends < len(track)):
+        stood[i : ends[i] + 1] |= shift(track[i], track[ends[i]]) < STILL
+    return stood
+
+
+def shift(row: np.void, other: np.void) -> float:
+    """How far a box moved between two rows, seen from above, metres; 0 if it only grew or shrank."""
+    low, high = (other[name][:2].astype(np.float64) - row[name][:2] for name in ("low", "high"))
+    return float(np.hypot(*np.where(low * high > 0, np.minimum(np.abs(low), np.abs(high)), 0.0)))
+
+
+class Places:
+    """Remembers when each cell of the map was hit; memory grows with the mapped area."""
+
+    def __init__(self) -> None:
+        self._keys, self._visits, self._used = np.full(1 << 16, -1, np.int64), np.empty((1 << 16, 3), np.int32), 0
+        self._frame = 0
+        self._index: tuple[I32, I32] | None = None
+
+    def add(self, frame: int, points: F32) -> None:
+        """Add the points of a scan, (N, 3) float32, metres, world frame; a scan's own, read-only array."""
+        self._frame, begin, step, visits = frame, 0, max(1, len(points) // SAMPLE), kernels.visits
+        while begin < len(points):
+            begin, self._used = visits.visit(points, begin, step, frame, CELL, self._keys, self._visits, self._used)
+            if begin < len(points):
+                self._keys, self._visits = visits.grow(self._keys, self._visits, 2 * len(self._keys))
+
+    def visits(self, low: F32, high: F32) -> I32:
+        """(K, 3) int32: first frame, last frame and number of frames of the cells within a box; after the last scan."""
+        if self._index is None:
+            used = self._keys >= 0
+            self._index = unpack(self._keys[used]), self._visits[used]
+        cells, visits = self._index
+        inside = np.ones(len(cells), np.bool_)
+        for axis in range(3):
+            inside &= cells[:, axis] >= np.floor(low[axis] / CELL)
+            inside &= cells[:, axis] <= np.floor(high[axis] / CELL)
+        return visits[inside]
+
+    def behaviour(self, case: np.void) -> Behaviour | None:
+        """What the place of a case of static points did, given its row of ``summed``; None if unknown."""
+        return behaviour_of_place(case, self.visits(case["low"], case["high"]), self._frame)
+
+
+def behaviour_of_place(case: np.void, visits: I32, end: int) -> Behaviour | None:
+    """How well a static place was seen; the first of the rules below that applies.
+
+    Args:
+        case: the case, a row of ``summed``; ``touching`` counts points next to dynamic ones.
+        visits: (K, 3) first frame, last frame and number of frames in which each of its cells was hit.
+        end: the last frame of the drive.
+    """
+    if 2 * case["touching"] > case["points"]:
+        return Behaviour.NEXT_TO_MOVER
+    if case["ranges"] > FAR * case["points"]:
+        return Behaviour.FAR_AWAY
+    if not len(visits):
+        return None
+    first, last, frames = np.median(visits, axis=0)
+    if frames <= BRIEF:
+        return Behaviour.SEEN_BRIEFLY
+    if first > LATE * end:
+        return Behaviour.SEEN_LATE
+    return Behaviour.ON_AND_OFF if 2 * frames < last - first + 1 else Behaviour.IN_VIEW

@@ -1,0 +1,48 @@
+"""The ground, from a single scan and without ground truth: heights of points above it, and the points on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, Bool
+
+GROUND_CELL = 1.0  # metres
+# Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 96 % of the lower points
+# are ground; at 0.2 m it is 95 and 97 %.
+GROUND_HEIGHT = 0.25
+
+_latest: list[tuple[F32, F32]] = []  # points and heights of the last scan, since several metrics need them
+
+
+def heights_above_ground(points: F32) -> F32:
+    """Height of each point above the local ground, estimated from the scan alone, without ground truth.
+
+    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile if these
+    contain fewer than 20 points, so a few reflections below the ground do not matter. Where a scan has no ground points
+    within that window (a roof, a wall behind a fence), heights are relative to the lowest visible surface.
+
+    Args:
+        points: (N, 3) float32, metres, world frame, z up.
+
+    Returns:
+        (N,) float32, metres; NaN for points with non-finite coordinates.
+    """
+    heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
+    return heights
+
+
+def scan_heights(points: F32) -> F32:
+    """As ``heights_above_ground``, computed once per scan: ``points`` must be the read-only array of a scan."""
+    for known, heights in _latest[:1]:
+        if known is points:
+            return heights
+    heights = heights_above_ground(points)
+    _latest[:] = [(points, heights)]
+    return heights
+
+
+def on_ground(heights: F32) -> Bool:
+    """(N,) bool: whether points at these heights, metres, count as ground."""
+    low: Bool = heights < GROUND_HEIGHT
+    return low
