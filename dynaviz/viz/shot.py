@@ -1,10 +1,12 @@
-"""Pictures of a recording, without a screen."""
+"""Pictures and clips of a recording, without a screen."""
 
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import rerun as rr
@@ -12,12 +14,16 @@ from rerun.experimental import ViewerClient
 
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.io.atomic import write_atomic
-from dynaviz.viz import paths, viewer
-from dynaviz.viz.reader import AnyRecording, viewable
+from dynaviz.progress import Progress, silent
+from dynaviz.viz import clip, paths, viewer
+from dynaviz.viz.reader import AnyRecording, RunRecording, read, viewable
 
 SIZE = (1600, 900)
+SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
 SECONDS_TO_LOAD = 120.0
 SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
+
+Picture = Callable[[], bytes]
 
 
 def shot(
@@ -26,41 +32,61 @@ def shot(
     frames: Sequence[int] = (),
     view: str | None = None,
     size: tuple[int, int] = SIZE,
+    case: int | None = None,
+    progress: Progress = silent,
 ) -> list[Path]:
-    """Render PNG pictures of a recording with its own layout.
+    """Render PNG pictures of a recording with its own layout, or an MP4 clip of a failure case.
 
     Args:
         recording: the file.
-        out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix.
+        out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix. With the suffix ``.mp4``, a
+            clip of ``case`` over its frames, by an eye that frames its box, or in ``view``.
         frames: positions in the run; the last one if empty.
         view: name of a single view to show (``map``, ``frame``, a state's name); None for the whole window.
-        size: of the window, in pixels.
+        size: width and height of the window, in pixels.
+        case: number of a failure case in the recording's list, to show it instead of frames; None for frames.
+        progress: called with ``render``, the number of finished pictures, and their total number.
 
     Returns:
-        The pictures' paths.
+        The files' paths.
 
     Raises:
         DataError: for a recording that cannot be read.
-        UsageError: for a frame or view that does not exist.
+        UsageError: for a frame, case, view or size that does not exist.
         MissingDependency: without a graphics adapter.
     """
+    out = Path(out)
     viewable(Path(recording))
-    source, out = AnyRecording(recording), Path(out)
-    count = source.frames
-    frames = tuple(frames) or (max(count - 1, 0),)
-    if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:
-        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
-    pictures = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
-    with viewer.headless(size) as client:
-        start = time.monotonic()
-        push(source.path, client)
-        view_id = None if view is None else _alone(view, client)
-        time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
-        for frame, picture in zip(frames, pictures, strict=True):
-            client.set_time(paths.FRAME, sequence=frame, play_state="paused")
-            client.take_screenshot()  # data may still be missing in the first picture after a jump
-            write_atomic(picture, client.take_screenshot(view_id))
-    return pictures
+    source = read(recording)
+    if not all(SMALLEST <= edge <= LARGEST for edge in size):
+        raise UsageError(f"--size {size[0]}x{size[1]}: each edge must have {SMALLEST} to {LARGEST} pixels")
+    if case is None:
+        return _frames(source, out, frames, view, size, progress)
+    if frames:
+        raise UsageError("--case and --frame cannot be combined. Give one of them")
+    if not isinstance(source, RunRecording):
+        raise UsageError(f"--case {case}: {source.path} contains a comparison, which has no cases. Give --frame")
+    span = clip.case_span(source, case)
+    if out.suffix.lower() != ".mp4":
+        return _case(source, out, case, span, view, size)
+    with _window(source, size) as client:
+        if view is None:
+            clip.show_alone(client, source, span)
+        picture = _picture(client, view or span.title)
+        pictures = _at_frames(client, span.frames, picture, progress)
+        write_atomic(out, clip.encoded(pictures, len(span.frames)))
+    return [out]
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of ``1600x900``.
+
+    Raises:
+        UsageError: for another text.
+    """
+    if (match := re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text.strip())) is None:
+        raise UsageError(f"--size {text}: give WIDTHxHEIGHT in pixels, for example 1600x900")
+    return int(match[1]), int(match[2])
 
 
 def push(path: Path, client: ViewerClient) -> None:
@@ -82,12 +108,72 @@ def push(path: Path, client: ViewerClient) -> None:
         time.sleep(0.1)
 
 
-def _alone(view: str, client: ViewerClient) -> str:
-    """Give a view the whole window, for one behind another's tab has no picture; returns its id."""
+@contextmanager
+def _window(source: AnyRecording, size: tuple[int, int]) -> Iterator[ViewerClient]:
+    """A viewer that shows a recording, without the messages that it shows at first."""
+    with viewer.headless(size) as client:
+        start = time.monotonic()
+        push(source.path, client)
+        time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
+        yield client
+
+
+def _frames(
+    source: AnyRecording,
+    out: Path,
+    frames: Sequence[int],
+    view: str | None,
+    size: tuple[int, int],
+    progress: Progress,
+) -> list[Path]:
+    """Pictures of frames."""
+    count = source.frames
+    frames = tuple(frames) or (max(count - 1, 0),)
+    if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:
+        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
+    files = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
+    with _window(source, size) as client:
+        for file, png in zip(files, _at_frames(client, frames, _picture(client, view), progress), strict=True):
+            write_atomic(file, png)
+    return files
+
+
+def _case(
+    source: RunRecording, out: Path, case: int, span: clip.CaseSpan, view: str | None, size: tuple[int, int]
+) -> list[Path]:
+    """A picture of a case: at its place on the timeline of cases, or of its worst frame without such a timeline."""
+    timelines = {column.name for column in source.store.schema().index_columns()}
+    with _window(source, size) as client:
+        picture = _picture(client, view)
+        if paths.CASE in timelines:
+            client.set_time(paths.CASE, sequence=case, play_state="paused")
+        else:
+            client.set_time(paths.FRAME, sequence=span.worst, play_state="paused")
+        client.take_screenshot()
+        write_atomic(out, picture())
+    return [out]
+
+
+def _at_frames(client: ViewerClient, frames: Sequence[int], picture: Picture, progress: Progress) -> Iterator[bytes]:
+    """A PNG of each frame."""
+    for done, frame in enumerate(frames, 1):
+        client.set_time(paths.FRAME, sequence=frame, play_state="paused")
+        client.take_screenshot()  # data may still be missing in the first picture after a jump
+        yield picture()
+        progress("render", done, len(frames))
+
+
+def _picture(client: ViewerClient, view: str | None) -> Picture:
+    """What takes a picture of the whole window, or of a view, which gets the whole window.
+
+    A view behind another's tab has no picture.
+    """
+    if view is None:
+        return client.take_screenshot
     ids = {shown.name: str(shown.view_id) for shown in client.get_state().views}
     if view not in ids:
         raise UsageError(f"--view-name {view}: choose from {', '.join(sorted(ids))}")
     blueprint = client.get_blueprint().blueprint
     blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
     client.set_blueprint(blueprint, of="recording")
-    return ids[view]
+    return lambda: client.take_screenshot(ids[view])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from helpers.guessing_method import record
@@ -13,7 +15,7 @@ from helpers.viewer_client import headless
 from helpers.worlds import room
 
 from dynaviz.errors import MissingDependency, UsageError
-from dynaviz.viz.shot import shot
+from dynaviz.viz.shot import parse_size, shot
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +31,6 @@ def graphics() -> None:
 
 
 def pixels(png: Path) -> np.ndarray:
-    import cv2
-
     picture = cv2.imread(str(png))
     assert picture is not None
     return np.asarray(picture)
@@ -55,6 +55,56 @@ def test_pictures_of_frames_and_views(recording: Path, tmp_path: Path) -> None:
 def test_pictures_of_a_comparison(merged: dict[str, Path], tmp_path: Path) -> None:
     made = shot(merged["two"], tmp_path / "x.png", frames=(1, 3), view="A octomap resolution=0.15", size=(500, 300))
     assert len(made) == 2
+
+
+@pytest.mark.usefixtures("graphics")
+def test_a_picture_and_a_clip_of_a_case(runs: dict[str, Path], tmp_path: Path) -> None:
+    run = runs["errors/coarse"] / "run.rrd"
+    (made,) = shot(run, tmp_path / "case.png", case=1, size=(480, 360))
+    assert pixels(made).shape == (360, 480, 3)
+    (made,) = shot(run, tmp_path / "case.mp4", case=1, size=(321, 321))
+    clip = cv2.VideoCapture(str(made))
+    assert clip.get(cv2.CAP_PROP_FRAME_COUNT) == 6
+    ghosts_or_holes = np.concatenate([clip.read()[1] for _ in range(6)]).max(2) > 200
+    assert ghosts_or_holes.any()
+
+
+def test_a_case_that_is_not_listed(runs: dict[str, Path], merged: dict[str, Path], recording: Path) -> None:
+    with pytest.raises(UsageError, match=r"--case 99: .*run.rrd lists the cases 1 to \d+$"):
+        shot(runs["errors/coarse"] / "run.rrd", "no.png", case=99)
+    with pytest.raises(UsageError, match=r"--case 1: .*run.rrd lists no case$"):
+        shot(recording, "no.png", case=1)
+    with pytest.raises(UsageError, match=r"contains a comparison, which has no cases\. Give --frame"):
+        shot(merged["two"], "no.png", case=1)
+    with pytest.raises(UsageError, match=r"--case and --frame cannot be combined\. Give one"):
+        shot(recording, "no.png", case=1, frames=(0,))
+
+
+def test_sizes_are_parsed() -> None:
+    assert parse_size("3840x2160") == (3840, 2160)
+    for text in ("1600", "1600x", "x900", "1600:900", "axb", "-5x5"):
+        with pytest.raises(UsageError, match=f"--size {text}: give WIDTHxHEIGHT in pixels, for example 1600x900"):
+            parse_size(text)
+
+
+def test_a_window_without_pixels_is_refused(recording: Path) -> None:
+    with pytest.raises(UsageError, match="--size 100x900: each edge must have 200 to 7680 pixels"):
+        shot(recording, "no.png", size=(100, 900))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ((), "nothing to write. Give -o IMAGE.png, or --case N --clip VIDEO.mp4"),
+        (("--clip", "case.mp4"), "--clip shows the frames of a case. Give its number with --case N"),
+        (("--case", "1", "--clip", "case.gif"), "--clip case.gif: the name must end in .mp4"),
+        (("-o", "case.mp4"), "-o case.mp4: is for images. Give --clip case.mp4"),
+    ],
+)
+def test_the_command_says_what_is_missing(
+    arguments: tuple[str, ...], problem: str, run_command: Callable[..., tuple[int, str, str]]
+) -> None:
+    assert run_command("shot", "run.rrd", *arguments) == (2, "", f"dynaviz: {problem}\n")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="takes Vulkan away the way Linux finds it")
