@@ -40,25 +40,29 @@ def arcs(sensor: F64, far: float, bend: float, longest: float, rng: np.random.Ge
     return [Path(points, anchor) for points in xy]
 
 
-def followed(
-    positions: F64, frame: int, far: float, longest: float, lanes: bool, rng: np.random.Generator
-) -> list[Path]:
-    """Paths parallel to the trajectory, (F, 2) metres; those on its left mostly in the opposite direction.
-
-    With ``lanes``, most are a whole number of lanes aside. Empty if the sensor hardly moves.
-    """
+def road(positions: F64) -> Route | None:
+    """The trajectory, (F, 2) metres, smoothed, and extended at both ends; None if the sensor hardly moves."""
     kept = [0]
     for row in range(1, len(positions)):
         if np.hypot(*(positions[row] - positions[kept[-1]])) > 1.5:
             kept.append(row)
     if len(kept) < 4:
-        return []
+        return None
     middle = positions[kept]
     middle[1:-1] = (middle[:-2] + middle[1:-1] + middle[2:]) / 3  # smooths the noise of the poses
     ends = [(middle[0] - middle[2], middle[0]), (middle[-1] - middle[-3], middle[-1])]
     first, last = (end + AHEAD * direction / np.hypot(*direction) for direction, end in ends)
-    route = Route(np.concatenate([[first], middle, [last]]), rounds=2)
-    station = route.distance[np.hypot(*(route.xy - positions[frame]).T).argmin()]
+    return Route(np.concatenate([[first], middle, [last]]), rounds=2)
+
+
+def followed(
+    route: Route, sensor: F64, far: float, longest: float, lanes: bool, rng: np.random.Generator
+) -> list[Path]:
+    """Paths parallel to a road, near the sensor, (2,) metres; those on its left mostly in the opposite direction.
+
+    With ``lanes``, all are a whole number of lanes aside.
+    """
+    station = route.distance[np.hypot(*(route.xy - sensor).T).argmin()]
     found = []
     for _ in range(FOLLOWED):
         left, along = _aside(lanes, rng), station + rng.uniform(-far, far)

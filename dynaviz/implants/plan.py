@@ -10,7 +10,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.paths import SPACING, Path, arcs, followed, paced, swerved
+from dynaviz.implants.paths import SPACING, Path, arcs, followed, paced, road, swerved
 from dynaviz.implants.scene import Implant
 from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.space import TALL, FreeSpace
@@ -26,6 +26,8 @@ IN_LANE = 0.8  # share of vehicles that keep to a lane along the trajectory; the
 APART = 0.4  # metres to dynamic points and other movers
 TRIPS = 3  # times and speeds to try
 TRIED = 60  # best paths for which a schedule is checked
+DRIVING = 3.0  # m/s; a faster sensor drives on a road
+ROADWAY = 3.0  # metres from the middle of the sensor's lane
 TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
 
 
@@ -141,6 +143,12 @@ class _Planner:
 
         self._survey, self._space = survey, space
         self._tracks: list[tuple[F64, float]] = []
+        steps = np.hypot(*np.diff(survey.positions[:, :2], axis=0).T) / np.diff(survey.times)
+        self._pace = float(np.median(steps)) if len(steps) else 0.0
+        self._road = road(survey.positions[:, :2])
+        if self._road:
+            x, y, _ = self._road.at(np.arange(0, self._road.length, SPACING))
+            self._lane = cKDTree(np.column_stack([x, y]))
         apart, _ = cKDTree(survey.positions[:, :2]).query(space.known_ground())
         self._faded = min(FADED, float(np.quantile(apart, 0.9)))
 
@@ -172,12 +180,11 @@ class _Planner:
 
     def _trip(self, kind: Kind, parks: bool, waits: bool, rng: np.random.Generator) -> Trip:
         """What a mover does, when and how fast; vehicles keep pace with the sensor if that is fast."""
-        times, positions = self._survey.times, self._survey.positions[:, :2]
+        times = self._survey.times
         duration = times[-1] - times[0]
         speed = float(rng.uniform(*kind.speeds))
-        if kind.radius > 1 and len(times) > 1:
-            steps = np.hypot(*np.diff(positions, axis=0).T) / np.diff(times)
-            speed *= max(1.0, float(np.median(steps)) / np.mean(kind.speeds))
+        if kind.radius > 1:
+            speed *= max(1.0, self._pace / float(np.mean(kind.speeds)))
         frame = int(rng.integers(len(times)))
         wait = min(float(rng.uniform(0.15, 0.4)) * duration, 8.0)
         stop = times[0] + float(rng.uniform(0.3, 0.6)) * duration
@@ -185,13 +192,12 @@ class _Planner:
 
     def _best_paths(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[Path]:
         """Free parts of random paths, the best first; for vehicles those in lanes before those that cross, or after."""
-        positions = self._survey.positions[:, :2]
-        anchor, parks = positions[trip.frame], trip.behaviour == "parks"
+        anchor, parks = self._survey.positions[trip.frame, :2], trip.behaviour == "parks"
         vehicle, keeps_lane = kind.radius > 1, bool(rng.random() < IN_LANE)
         candidates = [*arcs(anchor, kind.far, kind.bend, kind.lengths[1], rng)]
         crossing = len(candidates)
-        if kind.radius > 0.4:
-            candidates += followed(positions, trip.frame, kind.far, kind.lengths[1], vehicle, rng)
+        if kind.radius > 0.4 and self._road:
+            candidates += followed(self._road, anchor, kind.far, kind.lengths[1], vehicle, rng)
         scored: list[tuple[bool, float, int, Path]] = []
         for number, candidate in enumerate(candidates):
             path = self._trimmed(candidate, kind)
@@ -204,6 +210,9 @@ class _Planner:
             score += 0.5 * self._in_sight(anchor, path.xy[path.anchor])
             score += 1.5 * float((clear < TIGHT).mean()) if brushes else 0.0
             score -= float(clear[-1]) / 4 if parks else 0.0
+            if kind.radius < 0.4 and self._pace > DRIVING and self._road:  # persons do not walk on the road
+                apart, _ = self._lane.query(path.xy)
+                score -= float((apart < ROADWAY).mean())
             second = vehicle and keeps_lane != (number >= crossing)
             scored.append((second, -score, number, path))
         tried: Counter[bool] = Counter()
