@@ -1,4 +1,4 @@
-"""Time, points per frame and dynamic share of each preset: ``python benchmarks/simulate.py [PRESET ...]``."""
+"""Time, points per frame and dynamic share of each preset: ``python benchmarks/simulate.py [PRESET?frames=N ...]``."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ import numpy as np
 
 from dynaviz.io.pcd import read_pcd
 from dynaviz.simulate import PRESETS, simulate
+from dynaviz.simulate.options import Chosen
 
 
 def main(names: list[str]) -> None:
     import open3d  # noqa: F401  # loaded before the measurement
 
     for name in names or PRESETS:
-        frames = PRESETS[name].frames
+        frames = Chosen.parse(name).frames
         with tempfile.TemporaryDirectory() as folder:
-            start = time.perf_counter()
-            out = simulate(name, Path(folder) / name)
-            seconds = time.perf_counter() - start
+            start, used = time.perf_counter(), time.process_time()
+            out = simulate(name, Path(folder) / "scene")
+            seconds, used = time.perf_counter() - start, time.process_time() - used
             dynamic = read_pcd(out / "gt_cloud.pcd")["intensity"]
             print(
-                f"{name:15} {frames:4d} frames {seconds:6.1f} s ({100 * seconds / frames:5.1f} s per 100 frames) "
+                f"{name:15} {frames:4d} frames {seconds:6.1f} s ({100 * seconds / frames:5.1f} s per 100 frames, {100 * used / frames:5.1f} s of processors) "
                 f"{len(dynamic) / frames:9,.0f} points per frame {100 * np.mean(dynamic, dtype=float):5.2f} % dynamic",
                 flush=True,
             )

@@ -74,12 +74,13 @@ REAL = Effects(
 )
 """All effects but rain, as large as in real scans; ``docs/simulator.md`` gives the source of each number."""
 
-_DIVERGENCE = {"hdl64e": 2.0}  # mrad; 3.0 for the other sensors
+_SENSORS = {"hdl64e": {"dropout_range": 0.005}}
+"""Changes for a sensor whose scans were measured."""
 
 
 def _real(preset: Preset) -> Preset:
     """The preset with the effects of real scans instead of smooth pose errors."""
-    effects = replace(REAL, divergence_mrad=_DIVERGENCE.get(preset.sensor, REAL.divergence_mrad))
+    effects = replace(REAL, **_SENSORS.get(preset.sensor, {}))
     title = f"{preset.title}, with the effects of real scans"
     return replace(preset, name=f"{preset.name}_real", title=title, pose_noise=(0.0, 0.0), effects=effects)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from dynaviz.simulate.sweep import sensor_pose
 from dynaviz.spatial import geometry
 
 VERSION = 1  # increase whenever the same preset and seed give different points
+WORKERS = 2  # sweeps simulated at the same time
 BUILDERS = {"street": street, "square": square, "hall": hall}
 
 
@@ -73,9 +76,16 @@ def build(preset: Preset, frames: int, seed: int = 0) -> SimulatedScene:
 
 
 def record_sweeps(scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0) -> Iterator[SimulatedSweep]:
-    """Simulate one sweep after another. Each has its own random numbers, so sweeps do not depend on each other."""
+    """Simulate the sweeps in order, two at a time. Each has its own random numbers, so they do not depend on others."""
     recorder = Recorder(scene, preset, frames, seed)
-    return map(recorder.sweep, range(frames))
+    with ThreadPoolExecutor(WORKERS) as pool:
+        waiting: deque[Future[SimulatedSweep]] = deque()
+        for index in range(frames):
+            waiting.append(pool.submit(recorder.sweep, index))
+            if len(waiting) > WORKERS:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
 
 class Recorder:
@@ -92,6 +102,7 @@ class Recorder:
         self.scene, self.effects, self.seed = scene, preset.effects, seed
         self.sensor = load_sensor(preset.sensor)
         self._ray_scene = RayScene(scene)
+        self._ray_scene.static.cast(np.zeros((1, 6), np.float32))  # builds the structure, before threads share it
         self._T_scene_world = sensor_pose(scene, self.sensor, 0.0)
         errors = poses.slow_errors(np.random.default_rng([seed, 1]), frames, preset.pose_noise)
         if self.effects.drift_m or self.effects.drift_deg:
