@@ -65,7 +65,7 @@ def thinned(points, rows, centre, size, near, table):
             level += np.uint64(1)
             edge *= 2.0
             reach *= 0.5
-        key = level
+        key = level * GOLDEN
         for axis in range(3):
             key = (key ^ np.uint64(np.int64(np.floor(points[row, axis] / edge)))) * GOLDEN
             key ^= key >> np.uint64(29)

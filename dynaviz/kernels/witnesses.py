@@ -4,28 +4,12 @@ import numpy as np
 from numba import njit
 
 MOST = 32  # boxes: one bit of a uint32 each
+TINY = 1e-300  # instead of a step of zero, whose inverse would not be a number
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _crosses(o, p, low, high):
-    """Whether the segment from o to p passes through a box that contains neither end (slab test)."""
-    enter, leave = 0.0, 1.0
-    for axis in range(3):
-        step = np.float64(p[axis]) - o[axis]
-        if step == 0.0:
-            if o[axis] < low[axis] or o[axis] > high[axis]:
-                return False
-            continue
-        first, second = (low[axis] - o[axis]) / step, (high[axis] - o[axis]) / step
-        enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
-        if enter >= leave:
-            return False
-    return enter > 0.0 and leave < 1.0
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def touched(points, origins, low, high):
-    """The boxes that each ray of a scan touches, as bits: bit b stands for box b.
+    """The boxes that each ray of a scan touches, as bits: bit b stands for box b. Slab test.
 
     Args:
         points: (N, 3) float32, metres, world frame: ends of the rays; a ray with a non-finite end touches nothing.
@@ -39,16 +23,28 @@ def touched(points, origins, low, high):
     n, one = len(points), len(origins) == 1
     hit, crossed = np.zeros(n, np.uint32), np.zeros(n, np.uint32)
     for i in range(n):
-        p, o = points[i], origins[0 if one else i]
-        if not np.isfinite(p).all():
+        o = origins[0 if one else i]
+        ox, oy, oz = o[0], o[1], o[2]
+        sx, sy, sz = points[i, 0] - ox, points[i, 1] - oy, points[i, 2] - oz
+        if not abs(sx) + abs(sy) + abs(sz) < np.inf:
             continue
+        ix, iy, iz = 1.0 / (sx if sx else TINY), 1.0 / (sy if sy else TINY), 1.0 / (sz if sz else TINY)
         for b in range(len(low)):
-            bit = np.uint32(1) << np.uint32(b)
-            inside = True
-            for axis in range(3):
-                inside &= low[b, axis] <= p[axis] <= high[b, axis]
-            if inside:
-                hit[i] |= bit
-            elif _crosses(o, p, low[b], high[b]):
-                crossed[i] |= bit
+            # As shares of the way from the origin to the end of the ray.
+            first, second = (low[b, 0] - ox) * ix, (high[b, 0] - ox) * ix
+            enter, leave = min(first, second), max(first, second)
+            if leave < 0.0 or enter > 1.0:
+                continue
+            first, second = (low[b, 1] - oy) * iy, (high[b, 1] - oy) * iy
+            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            if enter > leave or leave < 0.0 or enter > 1.0:
+                continue
+            first, second = (low[b, 2] - oz) * iz, (high[b, 2] - oz) * iz
+            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            if enter > leave or leave < 0.0 or enter > 1.0:
+                continue
+            if leave >= 1.0:
+                hit[i] |= np.uint32(1) << np.uint32(b)
+            elif enter > 0.0:
+                crossed[i] |= np.uint32(1) << np.uint32(b)
     return hit, crossed

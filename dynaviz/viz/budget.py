@@ -8,11 +8,12 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, I64, Bool
 from dynaviz.scan import Label, Scan
 
-FAR = 50.0  # metres from the sensor along each axis: the part of a state that is drawn
+FAR = 30.0  # metres from the sensor along each axis: the part of a state that is drawn
 CELL = 1.0  # metres: edge of the cells around errors
-SHARE = 2 / 3  # of the budget, at most, for what lies around errors
-NEAR = 10.0  # metres: beyond twice this range, the rest is thinned more
+SHARE = 0.5  # of the budget, at most, for what lies around errors
+NEAR = 8.0  # metres: beyond twice this range, the rest is thinned more
 FINE = 0.1  # metres: least distance of what is left
+ROUNDS = 3  # of thinning; what is still too much is cut
 _SIDE = int(2 * FAR / CELL)
 _STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
 
@@ -27,7 +28,7 @@ class Budget:
     """
 
     def __init__(self, scan: Scan, most: int, errors: F32 | None = None) -> None:
-        self._most, self._centre, self._corner = most, scan.position, scan.position - FAR
+        self._most, self._centre, self._corner = most, scan.position.copy(), scan.position - FAR
         self._interest: Bool = np.zeros((_SIDE,) * 3, np.bool_)
         if scan.labels is not None:
             self._mark(scan.points[scan.labels == Label.DYNAMIC])
@@ -44,13 +45,15 @@ class Budget:
         return np.sort(np.concatenate([first, others]))
 
     def _fitted(self, points: F32, rows: I64, room: int) -> I64:
-        """At most ``room`` of these rows, evenly spread."""
+        """At most ``room`` of these rows, spread evenly over the places."""
         size = FINE
-        while len(rows) > room:
+        for _ in range(ROUNDS):
+            if len(rows) <= room:
+                return rows
+            size *= max(1.2, float(np.sqrt(len(rows) / max(room, 1))))  # the number of cells falls with the square
             table = np.empty(1 << int(2 * len(rows)).bit_length(), np.uint64)
             rows = kernels.thinning.thinned(points, rows, self._centre, size, NEAR, table)
-            size *= 1.05 * max(1.2, float(np.sqrt(len(rows) / max(room, 1))))  # surfaces grow with the square
-        return rows
+        return rows if len(rows) <= room else rows[np.linspace(0, len(rows) - 1, room).astype(np.intp)]
 
     def _mark(self, points: F32) -> None:
         """Mark the cells of points, and those around them."""

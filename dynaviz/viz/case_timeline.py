@@ -23,7 +23,7 @@ from dynaviz.viz.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
 SCENE = 40.0  # metres: the part of the scan
-AROUND = 7.0  # metres: least radius of the circle around a case; the eye tracks it, and its size sets the distance
+AROUND = (7.0, 10.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 EDGES = rr.Radius.ui_points(1.6)
@@ -128,7 +128,7 @@ class CaseTimeline:
 
     def _see(self, state: str | None) -> str:
         meaning = {known.name: known.meaning for known in self._info.emits}
-        return f"- **State**: the tab *{state}* shows this place. {meaning[state]}.\n" if state else ""
+        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n" if state else ""
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
         middle, size = (low + high) / 2, high - low
@@ -172,7 +172,7 @@ class CaseTimeline:
 def _circle(low: F64, high: F64) -> F32:
     """A circle on the ground around a box."""
     middle, reach = (low + high) / 2, np.linalg.norm((high - low)[:2])
-    circle: F32 = (np.array([*middle[:2], low[2]]) + max(AROUND, 0.8 * float(reach)) * CIRCLE).astype(np.float32)
+    circle: F32 = (np.array([*middle[:2], low[2]]) + np.clip(0.8 * reach, *AROUND) * CIRCLE).astype(np.float32)
     return circle
 
 

@@ -17,7 +17,7 @@ from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.viz import keys, paths
 
 KEY_SHARE = 4.0  # height of the views of states, in heights of their key
-CLEAR = 0.4  # opacity of voxels: wrong points inside remain visible
+CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
 SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 

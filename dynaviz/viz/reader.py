@@ -126,13 +126,13 @@ class AnyRecording:
                     found |= _row(batch, row, chunk.timeline_names)
         return found
 
-    def rows(self, path: str) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Rows of an entity by frame; the parts of a row may be in several chunks, in any order."""
+    def rows(self, path: str, timeline: str = paths.FRAME) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Rows of an entity by frame or case; the parts of a row may be in several chunks, in any order."""
         places: defaultdict[int, list[tuple[Any, int]]] = defaultdict(list)
         with self.decoding():
-            for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=paths.FRAME):
+            for chunk in self.store.stream().filter(content=f"/{path}", has_timeline=timeline):
                 batch = chunk.to_record_batch()
-                for row, frame in enumerate(batch[paths.FRAME].to_pylist()):
+                for row, frame in enumerate(batch[timeline].to_pylist()):
                     places[frame].append((chunk, row))
             for frame in sorted(places):
                 merged: dict[str, Any] = {}

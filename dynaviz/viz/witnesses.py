@@ -17,8 +17,8 @@ NAMES = {
     CROSSED: "crossed: speaks for moved",
     GRAZED: "grazed the surface: weak evidence for moved",
 }
-REACH = 70.0  # metres between the sensor and a place; scans from farther away are not searched
-SCANS = 160  # scans that are searched at most, evenly spread over those within reach
+REACH = 50.0  # metres between the sensor and a place; scans from farther away are not searched
+SCANS = 150  # scans that are searched at most, evenly spread over those within reach
 STRIPS = 60  # rays drawn per place
 ABOUT = 1.0  # metres: a place reaches this far from the middle of its points along each axis
 MARGIN = 0.1  # metres around the points of a place, about half a voxel

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import rerun as rr
 
+from dynaviz import registry
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.metric import FrameHistograms, Labelled
@@ -115,4 +116,15 @@ def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any)
     rr.set_strict_mode(True)
     with Recorder(path, mode) as recorder:
         execute(guess_run(sequence, **changes), [recorder], recorder)
+    return path
+
+
+def record_with_metrics(sequence: Sequence, path: Path, mode: Any = "errors") -> Path:
+    """Record a run with the real metrics that find failures; in strict mode, as ``record``."""
+    rr.set_strict_mode(True)
+    names = {handle.name for handle in registry.handles("metrics")} & {"confusion", "failures", "removals"}
+    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in sorted(names))
+    params = GuessParams()
+    with Recorder(path, mode) as recorder:
+        execute(RunSpec(Guess(params), sequence, params, metrics), [recorder], recorder)
     return path

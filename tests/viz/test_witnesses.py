@@ -57,7 +57,7 @@ def test_hits_speak_for_static_and_crossings_for_moved() -> None:
     )
     positions = np.array([scan.position for scan in sequence.scans])
     found, none = find(
-        sequence, positions, [Place.of(sequence[0].points), Place.of(np.array([[0, 50, 0]], np.float32))]
+        sequence, positions, [Place.of(sequence[0].points), Place.of(np.array([[0, 40, 0]], np.float32))]
     )
     assert found.rays == {HIT: 121, CROSSED: 121, GRAZED: 0}
     assert found.scans == {HIT: 1, CROSSED: 1, GRAZED: 0}
