@@ -89,6 +89,13 @@ def method_colour(name: str) -> Colour:
     return METHODS.get(name) or OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
 
 
+def shade(colour: Colour, name: str) -> Colour:
+    """A darker or lighter shade of a colour, by the checksum of a name: for curves of the same meaning."""
+    factor = (0.72, 0.9, 1.1, 1.3)[zlib.crc32(name.encode()) % 4]
+    red, green, blue = (min(255, round(factor * part)) for part in colour)
+    return red, green, blue
+
+
 def web(colour: Colour) -> str:
     """A colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -43,4 +43,6 @@ def test_each_method_has_a_colour_for_good() -> None:
     assert built_in == set(colours.METHODS)
     assert colours.method_colour("erasor") == (195, 0, 0)
     assert colours.method_colour("mine") == colours.method_colour("mine") in colours.OTHERS
+    shades = {colours.shade((100, 200, 50), name) for name in "abcdefgh"}
+    assert shades == {(72, 144, 36), (90, 180, 45), (110, 220, 55), (130, 255, 65)}
     assert colours.web((195, 0, 10)) == "#c3000a"

@@ -8,10 +8,16 @@ import rerun as rr
 
 from dynaviz import colours
 from dynaviz.scan import Outcome
+from dynaviz.viz import paths
 from dynaviz.viz.sink import RecordingFile
 
 BATCH = 10  # frames; a killed run loses at most this many values of each curve
 
+_KINDS = {  # of the curves of reasons: the outcome whose colour they have, and their name as on hover
+    "false_negative": (Outcome.FALSE_NEGATIVE, "ghost"),
+    "false_positive": (Outcome.FALSE_POSITIVE, "hole"),
+    "removed": (Outcome.UNLABELLED_REMOVED, "removed"),
+}
 _WRONG = {"false_negatives": Outcome.FALSE_NEGATIVE, "false_positives": Outcome.FALSE_POSITIVE}
 
 
@@ -45,6 +51,10 @@ class Curves:
 def style(path: str) -> rr.SeriesLines:
     """Name and colour of a curve, from its path."""
     words = path.split("/")[1:]
+    if path.startswith(f"{paths.REASONS}/") and words[0] in _KINDS:
+        outcome, kind = _KINDS[words[0]]
+        label = f"{kind}: {' '.join(words[1:])}".replace("_", " ")
+        return rr.SeriesLines(names=label, colors=colours.shade(colours.FIRM[outcome], words[-1]), widths=1.5)
     name = words[0] if words[1:] == ["so_far"] else words[-1] if words[-1] in _WRONG else " ".join(words)
     colour = colours.FIRM[_WRONG[name]] if name in _WRONG else colours.SCORES.get(words[0])
     return rr.SeriesLines(names=name.replace("_", " "), colors=colour, widths=1.5)

@@ -170,9 +170,11 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     """
     if view is None:
         return client.take_screenshot
-    ids = {shown.name: str(shown.view_id) for shown in client.get_state().views}
+    views = client.get_state().views
+    ids = {shown.name: str(shown.view_id) for shown in views}
     if view not in ids:
-        raise UsageError(f"--view-name {view}: choose from {', '.join(sorted(ids))}")
+        names = sorted(shown.name for shown in views if "/keys/" not in shown.origin)
+        raise UsageError(f"--view-name {view}: choose from {', '.join(names)}")
     blueprint = client.get_blueprint().blueprint
     blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
     client.set_blueprint(blueprint, of="recording")
