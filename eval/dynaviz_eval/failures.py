@@ -23,6 +23,7 @@ from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
 from dynaviz_eval.ground import on_ground, scan_heights
 
 SPAN = 20.0  # metres: maximum size of a false-positive case; larger holes are split. Trails of movers may be longer
+_UNLABELLED = 1 << 32  # the group of class 0
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
@@ -85,6 +86,8 @@ class Failures:
             if removed and dynamic:
                 near = self._next_to_movers(labelled)[wrong]
             ground = None if heights is None else on_ground(heights[wrong])
+            if removed and ground is not None:  # where the class is unknown, ground is a group of its own
+                groups[groups <= _UNLABELLED] |= ground[groups <= _UNLABELLED]
             cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near, ground)
 
     @staticmethod
@@ -140,7 +143,7 @@ class Failures:
                 "cost": float(percentage_points_lost(found["points"], self._totals[kind])),
                 "cause": None if cause is None else str(cause),
                 "class": number if number >= 0 else None,
-                "instance": (group & 0xFFFFFFFF) or None,
+                "instance": (group & 0xFFFFFFFF) or None if kind == "false_negative" else None,
                 "what": self._names.get(number) or shape(kind, case),
                 "behaviour": None if behaviour is None else str(behaviour),
             }

@@ -115,8 +115,12 @@ def test_a_ground_strip_has_grazing_rays_and_a_trunk_next_to_a_pedestrian_shares
 
     pedestrian, trunk = cube(60), cube(60) * [0.3, 0.3, 2] + [1.1, 0, 0]
     scan = Scan(0, np.concatenate([pedestrian, trunk]), np.eye(4), labels=np.repeat([1, 0], 60))
-    (case,) = section(Labelled.of(0, scan, np.ones(120, np.bool_), np.zeros(120, np.uint8)))["cases"]
-    assert (case["cause"], case["what"]) == ("shared cell", "pole or trunk")
+    cases = section(Labelled.of(0, scan, np.ones(120, np.bool_), np.zeros(120, np.uint8)))["cases"]
+    found = [(case["cause"], case["what"], case["behaviour"], case["ground"]) for case in cases]
+    assert found == [
+        ("shared cell", "pole or trunk", "next to a mover", 0.0),
+        ("shared cell", "ground", "next to a mover", 1.0),  # its foot
+    ]
 
 
 def test_causes_other_than_visibility_come_from_the_method():
@@ -138,7 +142,7 @@ def test_classes_and_objects_separate_and_name_cases():
 
 
 def test_the_costliest_case_is_first_whatever_its_kind():
-    static, ghost = cube(500), cube(10, x=50)
+    static, ghost = cube(500) * [1, 1, 0.1], cube(10, x=50)
     frames = labelled(0, static, 0, True), labelled(1, ghost, 1, False), labelled(2, cube(500, x=90), 0, False)
     found = section(*frames)["cases"]
     assert [(c["kind"], c["cost"]) for c in found] == [("false_negative", 100.0), ("false_positive", 50.0)]

@@ -1,0 +1,139 @@
+"""What a run removed; without ground truth also clusters of removed points, the most suspicious first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, I64, Bool
+from dynaviz.method import MethodInfo
+from dynaviz.metric import Figure, Labelled
+from dynaviz.results.scores import RANGE_EDGES
+from dynaviz.scan import Label, Outcome
+from dynaviz.spatial.grid import in_key_range
+from dynaviz_eval.attribution import shape
+from dynaviz_eval.behaviour import Places
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
+from dynaviz_eval.ground import on_ground, scan_heights
+from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
+
+SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with ground truth
+
+
+class Removals:
+    """Section ``removals``: removed points by reason, range and frame, for every run.
+
+    A run without ground truth also has ``clusters``: at most 100, removed points that belong together as those of a
+    failure case do, ranked by ``suspicion`` times number of points.
+    """
+
+    def __init__(self, info: MethodInfo) -> None:
+        self._names = [*(reason.name for reason in info.reasons), "unknown code"]
+        self._reasons = np.zeros(len(self._names), np.int64)
+        self._range = np.zeros((2, len(RANGE_EDGES) + 1), np.int64)
+        self._frames: list[dict[str, int]] = []
+        self._clusters: _Clusters | None = _Clusters(self._names)
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the points of one scan."""
+        scan, removed = labelled.scan, np.flatnonzero(labelled.dynamic)
+        codes = np.minimum(labelled.reasons[removed], len(self._names) - 1)
+        self._reasons += np.bincount(codes, minlength=len(self._names))
+        squared = scan.squared_ranges()
+        self._range += _by_range(squared), _by_range(squared[removed])
+        counts = {"points": len(scan), "removed": len(removed)}
+        self._frames.append({"frame": labelled.frame, "index": scan.index, **counts})
+        if scan.labels is not None and (scan.labels != Label.UNLABELLED).any():
+            self._clusters = None
+        elif self._clusters:
+            self._clusters.add(labelled)
+        return {}
+
+    def finish(self) -> Mapping[str, Any]:
+        """The section."""
+        ends = [0.0, *RANGE_EDGES, None]
+        order = np.argsort(-self._reasons, kind="stable")
+        section = {
+            "points": sum(row["points"] for row in self._frames),
+            "removed": sum(row["removed"] for row in self._frames),
+            "reasons": {self._names[code]: int(self._reasons[code]) for code in order if self._reasons[code]},
+            "range": [
+                {"from": low, "to": high, "points": points, "removed": removed}
+                for low, high, points, removed in zip(ends[:-1], ends[1:], *self._range.tolist(), strict=True)
+            ],
+            "frame": self._frames,
+        }
+        return {"removals": section | (self._clusters.finish() if self._clusters else {})}
+
+    def figures(self) -> Mapping[str, Figure]:
+        """A box around each cluster, overall and in each of its frames; empty for runs with ground truth."""
+        if not self._clusters or not self._clusters.listed:
+            return {}
+        listed = self._clusters.listed
+        return {"clusters": boxes(listed, [Outcome.UNLABELLED_REMOVED] * len(listed))}
+
+
+class _Clusters:
+    """Joins removed points of unknown truth into clusters."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
+        self._names, self._places, self._frame = names, Places(), 0
+        self._dropped = {"cases": 0, "points": 0}
+        self._cases = Cases(len(names), SPAN, self._drop)
+
+    def add(self, labelled: Labelled) -> None:
+        scan, self._frame = labelled.scan, labelled.frame
+        self._places.add(labelled.frame, scan.points)
+        chosen = np.flatnonzero(labelled.dynamic)
+        chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
+        ground = on_ground(scan_heights(scan.points))
+        near, ground = _next_to_kept(labelled, ground)[chosen], ground[chosen]
+        groups = ground.astype(np.int64)  # so that ground does not join what stands or moves on it
+        points, ranges = scan.points[chosen], np.sqrt(scan.squared_ranges(chosen))
+        self._cases.add(labelled.frame, points, groups, labelled.reasons[chosen], ranges, near, ground)
+
+    def finish(self) -> dict[str, Any]:
+        self._cases.settle(self._frame + GAP + 1)  # all clusters are over by then
+        rows = self._cases.rows
+        found = [self._described(case, rows[rows["case"] == case["case"]]) for case in summed(rows)]
+        found.sort(key=lambda pair: (-pair[0]["suspicion"] * pair[0]["points"], pair[0]["first_frame"], pair[0]["low"]))
+        self.listed, rest = found[:KEEP], found[KEEP:]
+        cases, points = len(rest), sum(cluster["points"] for cluster, _ in rest)
+        others = {"cases": self._dropped["cases"] + cases, "points": self._dropped["points"] + points}
+        return {"clusters": [cluster for cluster, _ in self.listed], "others": others}
+
+    def _described(self, case: np.void, rows: NDArray[np.void]) -> tuple[dict[str, Any], NDArray[np.void]]:
+        """A cluster as plain JSON values, with its rows."""
+        score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
+        plain = {
+            **facts(case, self._names, True),
+            "kept_near": round(float(case["touching"] / case["points"]), 3),
+            "suspicion": score,
+            "why": list(why),
+            "what": MOVING if moved(rows) else shape("false_positive", case),
+        }
+        return {**plain, "sentence": cluster_sentence(plain)}, rows
+
+    def _drop(self, over: NDArray[np.void]) -> None:
+        self._dropped["cases"] += len(over)
+        self._dropped["points"] += int(over["points"].sum())
+
+
+def _next_to_kept(labelled: Labelled, ground: Bool) -> Bool:
+    """(N,) bool: removed points next to kept ones of the same kind; that a mover touches the ground means nothing."""
+    removed, points = labelled.dynamic, labelled.scan.points
+    found: Bool = np.zeros(len(points), np.bool_)
+    for kind in (ground, ~ground):
+        found |= kernels.touching.cells(points, removed & kind, ~removed & kind, EDGE)
+    return found
+
+
+def _by_range(squared: F32) -> I64:
+    """(5,) int64: number of points in each interval between ``RANGE_EDGES``, given squared ranges."""
+    below = [np.count_nonzero(squared < edge * edge) for edge in RANGE_EDGES]
+    return np.diff([0, *below, len(squared)])  # NaN counts in the last interval
