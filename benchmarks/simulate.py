@@ -24,9 +24,11 @@ def main(names: list[str]) -> None:
             out = simulate(name, Path(folder) / "scene")
             seconds, used = time.perf_counter() - start, time.process_time() - used
             dynamic = read_pcd(out / "gt_cloud.pcd")["intensity"]
+            per_100 = 100 / frames
             print(
-                f"{name:15} {frames:4d} frames {seconds:6.1f} s ({100 * seconds / frames:5.1f} s per 100 frames, {100 * used / frames:5.1f} s of processors) "
-                f"{len(dynamic) / frames:9,.0f} points per frame {100 * np.mean(dynamic, dtype=float):5.2f} % dynamic",
+                f"{name:15} {frames:4d} frames {seconds:6.1f} s ({per_100 * seconds:5.1f} s per 100 frames, "
+                f"{per_100 * used:5.1f} s of processor time) {len(dynamic) / frames:9,.0f} points per frame "
+                f"{100 * np.mean(dynamic, dtype=float):5.2f} % dynamic",
                 flush=True,
             )
 

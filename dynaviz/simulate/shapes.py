@@ -128,12 +128,18 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     helper = np.where(np.abs(tangents[:, 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    u = np.cross(helper, tangents)
+    u = _cross(helper, tangents)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(tangents, u)
+    v = _cross(tangents, u)
     around = 2 * np.pi * np.arange(sides)[:, None] / sides
     circle = np.cos(around) * u[:, None] + np.sin(around) * v[:, None]
     return loft(points[:, None] + circle * np.broadcast_to(radii, len(points))[:, None, None])
+
+
+def _cross(a: F64, b: F64) -> F64:
+    """The cross product of (P, 3) vectors; for few vectors much faster than numpy's, with the same bits."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def layers(profile: Iterable[tuple[float, float, float, float]]) -> Mesh:
