@@ -33,6 +33,9 @@ ORIGIN_STEP = 10_000_000  # nanoseconds; rays within a step share an origin, so 
 MAX_POSE_GAP = 50_000_000  # nanoseconds between a sweep and its pose
 _POSE_COLUMNS = ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
 _SWEEP_COLUMNS = ("x", "y", "z", "laser_number", "offset_ns")
+_TEXT, _INTEGERS = ("track_uuid", "category", "sensor_name"), ("timestamp_ns", "offset_ns", "laser_number")
+_LONGEST_SWEEP = 10**10  # nanoseconds
+_LARGEST = 1e9  # metres, of positions and sizes
 _BOX_COLUMNS = ("timestamp_ns", "track_uuid", "category", "length_m", "width_m", "height_m", *_POSE_COLUMNS)
 
 
@@ -145,7 +148,7 @@ class Argoverse2Sequence:
 
     def __getitem__(self, position: int) -> Scan:
         stamp = list(self.scans)[position]
-        sweep = read_feather(self.scans[stamp], _SWEEP_COLUMNS)
+        sweep = _read(self.scans[stamp], _SWEEP_COLUMNS)
         xyz = np.column_stack([sweep[axis].astype(np.float64) for axis in "xyz"])
         T_world_ego = self.poses.at(stamp)
         T_ego_sensor = geometry.pose(self.mounts[0], (1, 0, 0, 0))
@@ -178,6 +181,16 @@ class Argoverse2Sequence:
         return origins
 
 
+def _read(path: Path, columns: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    """Columns of a table; DataError as ``read_feather``, and for times that do not fit into a sweep."""
+    table = read_feather(path, columns, _TEXT, _INTEGERS)
+    offsets = table.get("offset_ns")
+    if offsets is not None and len(offsets) and not -_LONGEST_SWEEP < offsets.min() <= offsets.max() < _LONGEST_SWEEP:
+        problem = f"column offset_ns spans {offsets.min()} to {offsets.max()} ns, longer than a sweep"
+        raise DataError(path, problem, hint="Copy the file again")
+    return table
+
+
 def _logs(path: Path) -> list[Path]:
     """The logs that a path may refer to."""
     for log in (path, path.parent.parent):
@@ -203,14 +216,14 @@ def _transforms(path: Path, table: dict[str, NDArray[Any]]) -> F64:
             raise DataError(
                 path, "the quaternion is not a rotation", at=f"row {row}", hint="Copy the file again"
             ) from None
-    if not np.isfinite(out).all():
-        row = int(np.flatnonzero(~np.isfinite(out).all((1, 2)))[0])
-        raise DataError(path, "the position is not finite", at=f"row {row}", hint="Copy the file again")
+    if not (valid := np.abs(rows[:, 4:]) < _LARGEST).all():
+        row = int(np.flatnonzero(~valid.all(1))[0])
+        raise DataError(path, "the position is not finite, or too far", at=f"row {row}", hint="Copy the file again")
     return out
 
 
 def _poses(path: Path) -> EgoPoses:
-    table = read_feather(path, ("timestamp_ns", *_POSE_COLUMNS))
+    table = _read(path, ("timestamp_ns", *_POSE_COLUMNS))
     if not len(table["timestamp_ns"]):
         raise DataError(path, "contains no poses", hint="Copy the file again")
     order = np.argsort(table["timestamp_ns"], kind="stable")
@@ -219,7 +232,7 @@ def _poses(path: Path) -> EgoPoses:
 
 def _mounts(path: Path) -> F64:
     """(2, 3) float64, metres, ego frame: positions of the two lidars."""
-    table = read_feather(path, ("sensor_name", *_POSE_COLUMNS))
+    table = _read(path, ("sensor_name", *_POSE_COLUMNS))
     names = table["sensor_name"].tolist()
     for lidar in LIDARS:
         if lidar not in names:
@@ -229,10 +242,13 @@ def _mounts(path: Path) -> F64:
 
 def _boxes(path: Path) -> dict[int, list[OrientedBox]]:
     """The boxes of each sweep by its stamp, in order of time."""
-    table = read_feather(path, _BOX_COLUMNS)
+    table = _read(path, _BOX_COLUMNS)
     numbers = {track: number for number, track in enumerate(sorted(set(table["track_uuid"])), 1)}
     class_ids = {category.replace(" ", "_").upper(): number for number, category in enumerate(CATEGORIES)}
     sizes = np.column_stack([table[name].astype(np.float64) for name in ("length_m", "width_m", "height_m")])
+    if not (valid := np.abs(sizes) < _LARGEST).all():
+        row = int(np.flatnonzero(~valid.all(1))[0])
+        raise DataError(path, "the size is not finite, or too large", at=f"row {row}", hint="Copy the file again")
     T_ego_box = _transforms(path, table)
     T_ego_box[:, :3, 3] -= T_ego_box[:, :3, 2] * sizes[:, 2:] / 2  # from the centre of the box to its bottom face
     boxes: dict[int, list[OrientedBox]] = {int(stamp): [] for stamp in np.unique(table["timestamp_ns"])}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,16 @@ from dynaviz.io.atomic import open_file
 _HINT = "Copy the file again"
 
 
-def read_feather(path: str | os.PathLike[str], columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+def read_feather(
+    path: str | os.PathLike[str], columns: Sequence[str], text: Collection[str] = (), integers: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
     """Read columns of a table.
 
     Args:
         path: the file.
-        columns: names of the columns.
+        columns: names of the columns; they contain numbers.
+        text: those that contain text instead.
+        integers: those that contain integers.
 
     Returns:
         (rows,) arrays by name, in the types of the file; text as objects.
@@ -38,13 +42,18 @@ def read_feather(path: str | os.PathLike[str], columns: Sequence[str]) -> dict[s
             problem = f"not a valid Feather file ({str(error)[:80]})"
             raise DataError(path, problem, hint=_HINT) from None
     for name in columns:
-        if name not in table.column_names:
-            raise DataError(path, f"column {name} is missing (found: {' '.join(table.column_names)})", hint=_HINT)
+        if (count := table.column_names.count(name)) != 1:
+            problem = f"column {name} is missing (found: {' '.join(table.column_names)})"
+            raise DataError(path, f"there are {count} columns {name}" if count else problem, hint=_HINT)
         if table[name].null_count:
             raise DataError(path, f"column {name} has missing values", hint=_HINT)
         kind = table.schema.field(name).type
-        if not (
-            types.is_integer(kind) or types.is_floating(kind) or types.is_string(kind) or types.is_large_string(kind)
-        ):
-            raise DataError(path, f"column {name} contains {kind}, not numbers or text", hint=_HINT)
+        if name in text:
+            valid, expected = types.is_string(kind) or types.is_large_string(kind), "text"
+        elif name in integers:
+            valid, expected = types.is_integer(kind), "integers"
+        else:
+            valid, expected = types.is_integer(kind) or types.is_floating(kind), "numbers"
+        if not valid:
+            raise DataError(path, f"column {name} contains {kind}, not {expected}", hint=_HINT)
     return {name: np.asarray(table[name].to_numpy()) for name in columns}

@@ -48,7 +48,8 @@ def read_las(path: str | os.PathLike[str]) -> F32:
                     raise ValueError(
                         f"too short: the header states {header.point_count} points, the file has {available}"
                     )
-                parts = [np.column_stack([p.x, p.y, p.z]) for p in las.chunk_iterator(_CHUNK)]
+                with np.errstate(over="ignore", invalid="ignore"):  # a damaged scale or offset
+                    parts = [np.column_stack([p.x, p.y, p.z]) for p in las.chunk_iterator(_CHUNK)]
         # laspy and its decompressor raise many types of errors for corrupt files; PanicException is not an Exception.
         except BaseException as error:
             if not isinstance(error, Exception) and type(error).__name__ != "PanicException":

@@ -53,6 +53,8 @@ class Bag:
         with self._errors():
             counts = {name: info.msgcount for name, info in self._reader.topics.items()}
             connections = self._reader.connections
+            if not all(isinstance(name, str) for each in connections for name in (each.topic, each.msgtype)):
+                raise TypeError("a topic or its type is not text")
             return {each.topic: each.msgtype for each in connections if counts[each.topic]}
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
