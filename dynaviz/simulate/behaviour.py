@@ -87,7 +87,8 @@ class Stage:
         ground = self.scene.height(xy[:, 0], xy[:, 1])
         levels = [np.column_stack([xy, ground + z]).astype(np.float32) for z in (0.3, 0.8, 1.4)]
         found = [self._static.compute_distance(self._tensor(level)).numpy() for level in levels]
-        return np.min(found, axis=0).astype(np.float64)
+        lowest: F64 = np.min(found, axis=0).astype(np.float64)
+        return lowest
 
     def near(self, routes: Iterable[Route], time: float) -> Iterator[tuple[Route, float]]:
         """Routes with their point near the sensor at a time (distance along the route, metres), in random order."""

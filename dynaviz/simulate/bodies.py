@@ -55,8 +55,8 @@ def sitter(distance: float, end: float, height: float) -> Mesh:
     for side in (-0.1, 0.1):
         hip = np.array([0, side, 0.92 - drop])
         knee = hip + 0.46 * np.array([np.sin(lean), 0, -np.cos(lean)])
-        shoulder, hand = (0, 2.5 * side, 1.4 - drop), knee + np.array([-0.05, 0, 0.1])
-        parts += [tube([hip, knee, (knee[0], side, 0.03)], (0.095, 0.07, 0.05), 6)]
-        parts += [tube([shoulder, hand], (0.06, 0.035), 6)]
+        shoulder, hand = np.array([0, 2.5 * side, 1.4 - drop]), knee + np.array([-0.05, 0, 0.1])
+        parts += [tube(np.array([hip, knee, (knee[0], side, 0.03)]), (0.095, 0.07, 0.05), 6)]
+        parts += [tube(np.array([shoulder, hand]), (0.06, 0.035), 6)]
     body = join(parts).scaled(height / 1.75, 1, height / 1.75)
     return body.moved(yaw=np.pi / 2 * share).moved(0, -0.5 * share)

@@ -96,11 +96,11 @@ def parse_value(name: str, text: str, place: str) -> float | int:
     Raises:
         UsageError: for an unknown effect, or text that is not a number; the message starts with ``place``.
     """
-    kinds = {each.name: type(each.default) for each in fields(Effects)}
+    kinds = {each.name: int if isinstance(each.default, int) else float for each in fields(Effects)}
     if name not in kinds:
         raise UsageError(f"{place}: unknown effect '{name}'. {suggest(name, kinds)}")
     try:
-        return kinds[name](text)
+        return int(text) if kinds[name] is int else float(text)
     except ValueError:
         kind = "a whole number" if kinds[name] is int else "a number"
         raise UsageError(f"{place}: {name} = {text!r}: give {kind}") from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I32, U8, U16, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U8, U16, Bool
 from dynaviz.sensors import Sensor
 from dynaviz.simulate import optics
 from dynaviz.simulate.classes import ObjectClass
@@ -136,7 +136,7 @@ def _noise(hits: Hits, effects: Effects, rng: np.random.Generator) -> F64:
     return deviation
 
 
-def _placed(rays: Rays, distance: F64, moving: tuple[F64, F64] | None) -> F64:
+def _placed(rays: Rays, distance: F64, moving: tuple[F64, I64] | None) -> F64:
     """(N, 3) points along the nominal rays: raw in the sensor frame, or deskewed in the scene frame."""
     points = rays.origins + rays.directions * np.where(np.isfinite(distance), distance, 0.0)[:, None]
     return points if moving is None else by_tick(*moving, points)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64, Bool
+from dynaviz.arrays import F64, I32, I64, U16, Bool
 from dynaviz.sensors import Sensor
 from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.effects import Effects
@@ -77,7 +77,8 @@ def around(directions: F64, radius: F64, angle: F64) -> F64:
     left = np.stack([-y / flat, x / flat, np.zeros(len(x))], axis=1)
     up = np.stack([-z * x / flat, -z * y / flat, flat], axis=1)
     turned = directions + radius[:, None] * (np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * up)
-    return turned / np.sqrt((turned**2).sum(1, keepdims=True))
+    unit: F64 = turned / np.sqrt((turned**2).sum(1, keepdims=True))
+    return unit
 
 
 def mix(
@@ -121,7 +122,7 @@ def combine(samples: Hits, pulse: float, washed: float) -> Hits:
     near = (np.abs(finite[:, :, None] - finite[:, None, :]) < pulse) & seen[:, None, :]
     power = (near * light[:, None, :]).sum(2)
     row = np.arange(len(ranges))
-    members = near[row, power.argmax(1)] & seen.any(1)[:, None]
+    members: Bool = near[row, power.argmax(1)] & np.any(seen, axis=1, keepdims=True)
     weights = np.where(members, light, 0.0)
     total = np.maximum(weights.sum(1), 1e-300)
     mean = np.where(members.any(1), (weights * np.where(members, finite, 0.0)).sum(1) / total, np.inf)
@@ -132,7 +133,7 @@ def combine(samples: Hits, pulse: float, washed: float) -> Hits:
 
 def _identify(
     samples: Hits, members: Bool, weights: F64, finite: F64, mean: F64, washed: float
-) -> tuple[F64, F64, I64]:
+) -> tuple[U16, I32, I64]:
     """Class, instance and (N,) sample that owns each return.
 
     A return within ``washed`` of one of its surfaces belongs to the nearest such surface. Others are mixed pixels if
@@ -187,7 +188,8 @@ def bloom(directions: F64, hits: Hits, effects: Effects, rng: np.random.Generato
     if not len(signs):
         return hits
     radius = 2 * np.sin(np.radians(effects.bloom_deg) / 2)
-    distance, near = cKDTree(directions[signs]).query(directions, distance_upper_bound=radius)
+    found_near = cKDTree(directions[signs]).query(directions, distance_upper_bound=radius)
+    distance, near = (np.asarray(each) for each in found_near)
     found = np.flatnonzero(np.isfinite(distance) & (distance > 0))
     sign = signs[near[found]]
     lit = (chance[found] > distance[found] / radius) & (hits.range[found] > hits.range[sign] + HALO)

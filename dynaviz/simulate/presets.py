@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Any
 
 from dynaviz.simulate.effects import Effects
 
@@ -74,7 +75,7 @@ REAL = Effects(
 )
 """All effects but rain, as large as in real scans; ``docs/simulator.md`` gives the source of each number."""
 
-_SENSORS = {"hdl64e": {"dropout_range": 0.005}}
+_SENSORS: Mapping[str, Mapping[str, Any]] = {"hdl64e": {"dropout_range": 0.005}}
 """Changes for a sensor whose scans were measured."""
 
 

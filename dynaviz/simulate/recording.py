@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -179,8 +180,9 @@ def simulate(
             writer.append(sweep.index, sweep.points, sweep.T_world_sensor, sweep.intensity, lidar)
             writer.append_truth(sweep.points, sweep.labels, sweep.kinds, sweep.instances)
             progress(sweep.index + 1, frames)
-        facts = {"name": out.name, "title": preset_.title, "preset": preset_.name, "sensor": preset_.sensor}
-        facts |= {"seed": seed, "frames": frames, "rate": load_sensor(preset_.sensor).rate, "generator": VERSION}
+        facts: dict[str, Any] = {"name": out.name, "title": preset_.title, "preset": preset_.name}
+        facts |= {"sensor": preset_.sensor, "seed": seed, "frames": frames}
+        facts |= {"rate": load_sensor(preset_.sensor).rate, "generator": VERSION}
         names = {k: name for k, name in CLASS_NAMES.items() if chosen.effects or k not in BY_EFFECTS}
         writer.describe(facts | chosen.effects, names)
     return out
