@@ -1,6 +1,6 @@
 """Does the ranking of the methods by implants agree with the ranking by true labels? ``python benchmarks/implants.py``.
 
-    python benchmarks/implants.py -o FOLDER [--frames N] [--seeds N] [--grid] [SEQUENCE ...]
+    python benchmarks/implants.py -o FOLDER [--frames N] [--seeds N] [--methods A,B | --grid] [SEQUENCE ...]
 
 SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or with ``--grid``
 DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the sequence with implants for each
@@ -217,11 +217,13 @@ def main() -> None:
     parser.add_argument("sequences", nargs="*", default=list(DEFAULT), metavar="SEQUENCE")
     parser.add_argument("--frames", type=int, default=24, metavar="N")
     parser.add_argument("--seeds", type=int, default=2, metavar="N")
+    parser.add_argument("--methods", metavar="A,B", help="methods to compare; default: all")
     parser.add_argument("--grid", action="store_true", help="compare parameters instead of methods")
     parser.add_argument("-o", "--out", type=Path, default=Path("build/benchmarks/implants"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    entries = grid() if arguments.grid else [(handle.name, {}) for handle in registry.handles("methods")]
+    names = arguments.methods.split(",") if arguments.methods else [known.name for known in registry.handles("methods")]
+    entries = grid() if arguments.grid else [(name, {}) for name in names]
     for text in arguments.sequences:
         base = opened(text, arguments.frames, arguments.out)
         facts = report(base, entries, compare(base, arguments.seeds, entries))
