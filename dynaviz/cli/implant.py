@@ -39,7 +39,7 @@ def implant(
         str | None,
         typer.Option(
             metavar="METHODS",
-            help="Without labels: methods, separated by commas, that must agree for a point to be static; or 'none'. "
+            help="Without labels: methods, separated by commas, that vote on which points are static; or 'none'. "
             "[default: three fast methods]",
         ),
     ] = None,

@@ -22,7 +22,7 @@ class ImplantOptions:
         seed: random seed of paths, shapes and noise.
         frames, stride: frames of the sequence to use, as in ``dynaviz.open``.
         scene: a scene file; it replaces the numbers of movers and the seed.
-        panel: methods whose agreement makes an unlabelled point static (``dynaviz.implants.panel``).
+        panel: methods that vote on which unlabelled points are static (``dynaviz.implants.panel``).
     """
 
     cars: int = 4
