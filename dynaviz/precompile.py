@@ -11,7 +11,10 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-LATE = ("hmm_mos",)  # methods that the demo leaves out, to stay short; their kernels are compiled on first use
+LATE = (
+    "freedom",
+    "hmm_mos",
+)  # methods that the demo leaves out, to stay short; their kernels are compiled on first use
 
 
 @contextlib.contextmanager

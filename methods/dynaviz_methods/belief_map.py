@@ -72,8 +72,7 @@ class BeliefMap(BlockGrid):
         self.since, self._seen, self._scores = (np.zeros((n, VOXELS), np.int32) for _ in range(3))
         self._used = np.zeros(n, np.bool_)  # blocks with known voxels
         self._bits, self._touched = np.zeros((lanes, n, 8), np.uint64), np.zeros((lanes, n), np.bool_)
-        keys = self._blocks @ (1 << SHIFTS)  # sorted
-        self._neighbours = np.stack([_find(keys, keys + shift @ (1 << SHIFTS)) for shift in AROUND], 1).reshape(-1, 27)
+        self._neighbours = neighbours_of(self._blocks)
         self._likelihoods = np.exp(-np.arange(CAP + 1) / 2)
         self._before = np.empty(0, np.int64)  # occupied voxels of the last scan
         self.number = 0  # of the scan, from 1
@@ -182,6 +181,12 @@ def _set(bits: U64, voxels: I64) -> I32:
     """Set the bits of voxels (N,); returns the blocks that had none."""
     blocks: I32 = kernels.ever_free.put(voxels, bits)
     return blocks
+
+
+def neighbours_of(blocks: I64) -> I32:
+    """(B, 27) int32: the numbers of the blocks around each of a grid's blocks (B, 3), in its order; -1 if absent."""
+    keys = blocks @ (1 << SHIFTS)  # sorted
+    return np.stack([_find(keys, keys + shift @ (1 << SHIFTS)) for shift in AROUND], 1).reshape(-1, 27)
 
 
 def _find(keys: I64, wanted: I64) -> I32:

@@ -1,0 +1,95 @@
+"""Rays into the sky: directions in which a scan has no return, to the depth that the pixels around them suggest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from dynaviz.arrays import F64, U8, Bool
+from dynaviz.scan import Scan
+
+NEAREST = 0.2  # metres: closer points do not enter the image, as published
+SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """The layout of a depth image over 360 degrees with square pixels, and how its holes are filled.
+
+    Attributes:
+        rows: number of rows.
+        top, bottom: elevation of the first and the last row, radians.
+        farthest: depth of the largest value, 255, metres.
+        inpaint: radius from which holes are filled, pixels.
+        erosion: pixels by which holes shrink and near depths grow.
+    """
+
+    rows: int
+    top: float
+    bottom: float
+    farthest: float
+    inpaint: int
+    erosion: int
+
+    @property
+    def pixel(self) -> float:
+        """Height of a pixel, radians."""
+        return (self.top - self.bottom) / (self.rows - 1)
+
+    @property
+    def columns(self) -> int:
+        """Number of columns."""
+        return math.ceil(2 * math.pi / self.pixel)
+
+    def of(self, scan: Scan) -> tuple[U8, U8]:
+        """Project a scan.
+
+        Returns:
+            depth: (rows, columns) uint8, least depth of the pixel's points in units of farthest / 255; 255 without.
+            hole: (rows, columns) uint8, 255 for pixels without points, else 0.
+        """
+        points = (scan.points[np.isfinite(scan.points).all(1)] - scan.position) @ scan.T_world_sensor[:3, :3]
+        x, y, z = points.astype(np.float32).T
+        ranges = np.sqrt(x * x + y * y + z * z)
+        upper, width = self.top + self.pixel / 2, 2 * math.pi / self.columns
+        row = np.floor((upper - np.arctan2(z, np.hypot(x, y))) / self.pixel).astype(np.int64)
+        column = np.floor((math.pi - np.arctan2(y, x)) / width).astype(np.int64)
+        inside = (row >= 0) & (row < self.rows) & (column >= 0) & (column < self.columns) & (ranges >= NEAREST)
+        row, column, ranges = row[inside], column[inside], ranges[inside]
+        depth = np.full((self.rows, self.columns), 255, np.uint8)
+        hole = depth.copy()
+        order = np.argsort(-ranges, kind="stable")  # the nearest point of a pixel is written last
+        depth[row[order], column[order]] = np.minimum(255, np.floor(ranges[order] / (self.farthest / 255)))
+        hole[row, column] = 0
+        return depth, hole
+
+    def sky(self, depth: U8, hole: U8) -> tuple[F64, Bool]:
+        """Fill the holes of a depth image, and select those that reach its upper border but not the lower one.
+
+        Returns:
+            filled: (rows, columns) float64, metres.
+            chosen: (rows, columns) bool, pixels of the sky.
+        """
+        margin, square = self.erosion + self.inpaint, np.ones((2 * self.erosion + 1,) * 2, np.uint8)
+        depth, hole = (np.concatenate([a[:, a.shape[1] - margin :], a, a[:, :margin]], 1) for a in (depth, hole))
+        filled = cv2.inpaint(cv2.erode(depth, square), hole, self.inpaint, cv2.INPAINT_TELEA)
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, square), connectivity=4)
+        first, last = stats[:, cv2.CC_STAT_TOP], stats[:, cv2.CC_STAT_TOP] + stats[:, cv2.CC_STAT_HEIGHT]
+        chosen = (first == 0) & (last < self.rows)
+        chosen[0] = False  # pixels that are no holes
+        middle, unit = slice(margin, margin + self.columns), self.farthest / 255
+        steps = np.maximum(filled[:, middle].astype(np.int64) - math.ceil(SHORTER / unit), 0)
+        return steps * unit, chosen[parts[:, middle]]
+
+    def targets(self, scan: Scan, filled: F64, chosen: Bool) -> F64:
+        """(K, 3) float64, metres, world frame: ends of the rays into the chosen pixels."""
+        row, column = np.nonzero(chosen)
+        azimuth = math.pi - (column + 0.5) * (2 * math.pi / self.columns)
+        elevation, depth = self.top - row * self.pixel, filled[row, column]
+        level = depth * np.cos(elevation)
+        local = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), depth * np.sin(elevation)], 1)
+        ends: F64 = local @ scan.T_world_sensor[:3, :3].T + scan.position
+        return ends
