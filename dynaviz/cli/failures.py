@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,9 @@ import typer
 from dynaviz.cli.console import show
 
 if TYPE_CHECKING:
-    from dynaviz.results.sections import Failures
+    from rich.console import RenderableType
+
+    from dynaviz.results.sections import Failures, Removals
 
 
 def add_to(app: typer.Typer) -> None:
@@ -28,7 +29,8 @@ def failures(
 ) -> None:
     """List the failure cases of a run, costliest first.
 
-    Each case has its position, its frames, its number of points, and the reasons for the errors.
+    Each case has its position, its frames, its number of points, and the reasons for the errors. For a run without
+    ground truth, this lists clusters of removed points that look suspicious.
 
     \b
     dynaviz failures recordings/demo/octomap/run.rrd
@@ -37,43 +39,51 @@ def failures(
     import json
 
     import msgspec
-    from rich.markup import escape
 
     from dynaviz.io.atomic import write_atomic
+    from dynaviz.results.sections import Failures
 
     section = _section(run)
-    for number, case in enumerate(section.cases[:top], 1):
-        low, high = (" ".join(f"{x:.1f}" for x in getattr(case, corner)) for corner in ("low", "high"))
-        frames = f"frames {case.first_frame} to {case.last_frame}, worst {case.worst_frame}"
-        show(
-            f"[bold]{number:>3}  -{case.cost:.2f} % {case.metric}[/]  {escape(case.sentence)}",
-            f"     [dim]{case.points:,} points, {frames}, from ({low}) to ({high}) m; {_main_reasons(case.reasons)}[/]",
-        )
-    more = max(len(section.cases) - top, 0) + section.others.cases
-    show(f"{more:,} more cases." if section.cases else "No failure cases: no point is wrong.")
+    show(*(_cases(section, top) if isinstance(section, Failures) else _clusters(section, top)))
     if out:
         write_atomic(out, json.dumps(msgspec.to_builtins(section), indent=1, allow_nan=False).encode())
 
 
-def _section(run: Path) -> Failures:
-    """The failures of a run, from its result file or its recording."""
+def _cases(section: Failures, top: int) -> list[RenderableType]:
+    from dynaviz.cli.cases import listing
+
+    if not section.cases:
+        return ["No failure cases: no labelled point is wrong."]
+    more = max(len(section.cases) - top, 0) + section.others.cases
+    return [listing(section.cases[:top]), f"{more:,} more cases."]
+
+
+def _clusters(section: Removals, top: int) -> list[RenderableType]:
+    from dynaviz.cli.cases import RANKING, listing, main_reasons
+
+    lines = ["There is no ground truth, so it is unknown which points are wrong."]
+    if not section.removed:
+        return [*lines, "No point was removed."]
+    share = f"{section.removed:,} of {section.points:,} points were removed ({section.percent:.2f} %)"
+    more = max(len(section.clusters) - top, 0) + section.others.cases
+    found: list[RenderableType] = [*lines, f"{share}: {main_reasons(section.reasons)}."]
+    if section.clusters:
+        found += [f"Clusters of removed points, most suspicious first. {RANKING}", listing(section.clusters[:top])]
+    return [*found, f"{more:,} more clusters."]
+
+
+def _section(run: Path) -> Failures | Removals:
+    """The failures of a run, or its removals without ground truth, from its result file or its recording."""
     from dynaviz.errors import DataError
     from dynaviz.results.result import Result
 
     if run.suffix == ".rrd":
-        from dynaviz.viz.failures import failures_of
+        from dynaviz.viz.failures import failures_of, removals_of
 
-        return failures_of(run)
+        return removals_of(run) or failures_of(run)
     result = Result.load(run)
-    if result.metrics.get("SA") is None and result.metrics.get("DA") is None:
-        hint = "Run the method on a sequence with ground truth"
-        raise DataError(run, "the sequence has no ground truth, so failures cannot be computed", hint=hint)
-    section = result.sections.failures
+    section = result.sections.failures if result.has_truth else result.sections.removals
     if section is None:
-        raise DataError(run, "has no failure cases", hint="Run the method again, or give its run.rrd")
+        problem = "has no failure cases" if result.has_truth else "has no ground truth and no section on removed points"
+        raise DataError(run, problem, hint="Run the method again, or give its run.rrd")
     return section
-
-
-def _main_reasons(reasons: Mapping[str, int]) -> str:
-    total = sum(reasons.values())
-    return ", ".join(f"{name} {100 * count / total:.0f} %" for name, count in list(reasons.items())[:3])

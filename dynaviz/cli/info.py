@@ -73,16 +73,21 @@ def info(
 def _show_result(result: Result) -> None:
     from rich.table import Table
 
-    from dynaviz.results.sections import Reasons
+    from dynaviz.results.sections import Reasons, Removals
 
     show(result)
-    reasons = result.sections.reasons or Reasons()
-    for outcome, meaning in (("false_positive", "static points removed"), ("false_negative", "dynamic points kept")):
+    reasons, removals = result.sections.reasons or Reasons(), result.sections.removals or Removals()
+    found = [
+        ("Static points removed, by reason", reasons.false_positive),
+        ("Dynamic points kept, by reason", reasons.false_negative),
+        ("Points removed, by reason", {} if result.has_truth else removals.reasons),
+    ]
+    for title, counts in found:
         table = Table("reason", "points", box=None)
-        for name, count in sorted(getattr(reasons, outcome).items(), key=lambda pair: -pair[1]):
+        for name, count in sorted(counts.items(), key=lambda pair: -pair[1]):
             table.add_row(name, f"{count:,}")
         if table.row_count:
-            show(f"\n{meaning.capitalize()}, by reason", table)
+            show(f"\n{title}", table)
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show, written
+from dynaviz.cli.console import program, progress, show, written
 from dynaviz.cli.options import (
     Deskew,
     Frames,
@@ -100,4 +100,7 @@ def run(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=report,
         )
-    show(result, written(folder, record is not RecordModeOption.none))
+    from dynaviz.cli.cases import top_of
+
+    command = f"{program()} failures {shlex.quote(str(folder / 'result.json'))}"
+    show(result, *top_of(result, command), written(folder, record is not RecordModeOption.none))

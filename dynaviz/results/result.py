@@ -24,6 +24,7 @@ from dynaviz.results.sections import (
     Environment,
     FailureCase,
     Machine,
+    Removals,
     RemovedCluster,
     Runtime,
     Sections,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 RecordMode = Literal["full", "errors", "scores"]  # how much a recording contains
+_REASONS = 3  # in a row of a table
 _HINT = "Give the result.json of a run"
 
 
@@ -181,18 +183,16 @@ def run_label(method: str, variant: str, online: bool) -> str:
 def result_table(results: Sequence[Result], title: str | None = None) -> Table:
     """One row per result, in 80 columns; the best AA of each sequence and scoring is bold.
 
-    Percentages have two decimals as in the papers, ``n/a`` where undefined. Scores of different scorings (``mask``,
-    ``nn``) cannot be compared: if there are several, the scoring has its own column.
+    If no result has ground truth, the table shows what was removed instead of scores. Percentages have two decimals as
+    in the papers, ``n/a`` where undefined. Scores of different scorings (``mask``, ``nn``) cannot be compared: if there
+    are several, the scoring has its own column.
     """
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table
 
+    if any(result.sections.removals for result in results) and not any(result.has_truth for result in results):
+        return _removal_table(results, title)
     scorings = sorted({result.scoring for result in results})
-    table = Table(title=title, caption=_caption(results, scorings), caption_justify="left")
-    table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
-    table.add_column("sequence", overflow="fold")
-    table.add_column("method", no_wrap=not any(result.variant for result in results), overflow="fold")
+    table = _plain_table(results, title, _caption(results, scorings))
     for name in ("SA ↑", "DA ↑", "AA ↑", "HA ↑", "FP", "FN", "s/frame"):
         table.add_column(name, justify="right", no_wrap=True)
     if len(scorings) > 1:
@@ -215,6 +215,44 @@ def result_table(results: Sequence[Result], title: str | None = None) -> Table:
             _runtime(result),
             *([result.scoring] if len(scorings) > 1 else []),
             end_section=following is not None and following.sequence.name != result.sequence.name,
+        )
+    return table
+
+
+def _plain_table(results: Sequence[Result], title: str | None, caption: str) -> Table:
+    """A table with the columns that name a result."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title=title, caption=caption, caption_justify="left")
+    table.box, table.padding, table.pad_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False
+    table.add_column("sequence", overflow="fold")
+    table.add_column("method", no_wrap=not any(result.variant for result in results), overflow="fold")
+    return table
+
+
+def _removal_table(results: Sequence[Result], title: str | None) -> Table:
+    """What runs without ground truth removed, and why."""
+    from rich.markup import escape
+
+    slowed = ["* runtime includes recording of states"] if any(result.instrumented for result in results) else []
+    note = "There is no ground truth, so it is unknown which points were removed rightly"
+    table = _plain_table(results, title, "\n".join([note, *slowed]))
+    for name in ("removed", "in %"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("main reasons", overflow="fold")
+    table.add_column("s/frame", justify="right", no_wrap=True)
+    for result in results:
+        removals = result.sections.removals or Removals()
+        listed = list(removals.reasons.items())[:_REASONS]
+        shares = [f"{name} {100 * n / removals.removed:.0f}\N{NO-BREAK SPACE}%" for name, n in listed]
+        table.add_row(
+            escape(result.sequence.name),
+            escape(run_label(result.method, result.variant, result.online)),
+            f"{removals.removed:,}" if removals.points else "n/a",
+            "n/a" if removals.percent is None else f"{removals.percent:.2f}",
+            escape("\n".join(shares)) or "n/a",
+            _runtime(result),
         )
     return table
 

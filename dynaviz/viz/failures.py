@@ -12,7 +12,7 @@ from dynaviz.comparison.answers import Answers
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
-from dynaviz.results.sections import Failures, Sections
+from dynaviz.results.sections import Failures, Removals, Sections
 from dynaviz.scan import Label, Outcome, Scan
 from dynaviz.viz import paths
 from dynaviz.viz.reader import DrawnPoints, RunRecording
@@ -39,6 +39,22 @@ def failures_of(path: str | os.PathLike[str]) -> Failures:
         raise DataError(path, problem, hint="Run the method again, or with --record errors")
     with recording.decoding():
         return _compute(recording)
+
+
+def removals_of(path: str | os.PathLike[str]) -> Removals | None:
+    """The section ``removals`` of a recorded run without ground truth; None for a run with ground truth.
+
+    Raises:
+        DataError: for a recording that cannot be read, or has neither ground truth nor a section on removed points.
+    """
+    recording = RunRecording(path)
+    if recording.properties["has_labels"]:
+        return None
+    result = recording.result
+    if result is None or result.sections.removals is None:
+        problem = "has no ground truth and no section on removed points, so nothing is known about failures"
+        raise DataError(path, problem, hint="Run the method again")
+    return result.sections.removals
 
 
 def _compute(recording: RunRecording) -> Failures:

@@ -79,11 +79,21 @@ def test_labels_of_every_other_frame(run_command: Command, folder: Path, tmp_pat
     assert first["labels_sha256"] == again["labels_sha256"]
 
 
-def test_failures_need_ground_truth(run_command: Command, folder: Path, tmp_path: Path) -> None:
-    assert run_command("run", "octomap", folder / "bare", "-o", tmp_path, "--record", "none")[0] == 0
-    code, _, err = run_command("failures", tmp_path / "result.json")
-    assert code == 2
-    assert "has no ground truth" in err
+def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, folder: Path, tmp_path: Path) -> None:
+    code, out, err = run_command("run", "octomap", folder / "bare", "-o", tmp_path)
+    assert code == 0, err
+    removals = json.loads((tmp_path / "result.json").read_text())["removals"]
+    assert removals["removed"] > 0
+    assert f"{removals['removed']:,}" in out
+    assert "crossed_by_rays 100" in out
+    assert "SA" not in out
+    for name in ("result.json", "run.rrd"):
+        code, out, err = run_command("failures", tmp_path / name, "--json", tmp_path / "removals.json")
+        assert code == 0, err
+        assert "There is no ground truth, so it is unknown which points are wrong." in out
+        assert f"{removals['removed']:,} of {removals['points']:,} points were removed" in out
+        assert json.loads((tmp_path / "removals.json").read_text()) == removals
+    assert "Points removed, by reason" in run_command("info", tmp_path / "result.json")[1]
 
 
 def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, folder: Path, tmp_path: Path) -> None:

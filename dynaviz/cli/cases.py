@@ -1,0 +1,65 @@
+"""Failure cases and clusters of removed points in the terminal, with hanging indents at any width."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from dynaviz.results.sections import FailureCase, RemovedCluster
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from dynaviz.results.result import Result
+
+TOP = 3  # listed after a run
+RANKING = "Suspicion runs from 0 (looks like a mover) to 1 (looks like a static surface)."
+
+
+def listing(cases: Sequence[FailureCase | RemovedCluster], details: bool = True) -> RenderableType:
+    """Numbered cases: the cost or the suspicion, the sentence, and its numbers if ``details``."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(justify="right", no_wrap=True, style="bold")
+    table.add_column(no_wrap=True, style="bold")
+    table.add_column(overflow="fold")
+    for number, case in enumerate(cases, 1):
+        text = Text(case.sentence)
+        if details:
+            text.append(f"\n{_details(case)}", style="dim")
+        table.add_row(str(number), _weight(case), text)
+    return table
+
+
+def top_of(result: Result, command: str) -> tuple[RenderableType, ...]:
+    """The costliest failures of a run, or its most suspicious clusters without ground truth.
+
+    Args:
+        result: of the run.
+        command: lists all of them.
+    """
+    cases = result.failures if result.has_truth else result.clusters
+    if not cases:
+        return ()
+    what = "Costliest failures" if result.has_truth else "Removed points that look most suspicious"
+    return f"[bold]{what}[/] ({command} lists all):", listing(cases[:TOP], details=False)
+
+
+def _weight(case: FailureCase | RemovedCluster) -> str:
+    return f"-{case.cost:.2f} % {case.metric}" if isinstance(case, FailureCase) else f"{case.suspicion:.2f}"
+
+
+def _details(case: FailureCase | RemovedCluster) -> str:
+    low, high = (" ".join(f"{x:.1f}" for x in corner) for corner in (case.low, case.high))
+    frames = f"frames {case.first_frame} to {case.last_frame}, worst {case.worst_frame}"
+    return f"{case.points:,} points, {frames}, from ({low}) to ({high}) m; {main_reasons(case.reasons)}"
+
+
+def main_reasons(reasons: Mapping[str, int], most: int = 3) -> str:
+    """The most frequent reasons with their shares."""
+    total = sum(reasons.values())
+    return ", ".join(
+        f"{name} {100 * count / total:.0f}\N{NO-BREAK SPACE}%" for name, count in list(reasons.items())[:most]
+    )
