@@ -17,7 +17,7 @@ from dynaviz.probe import Mask, Plane, PolarGrid, RangeImage, State
 from dynaviz.scan import Scan
 from dynaviz.viz import paths
 
-STACK = 4  # range images in one tab
+STACK = 2  # range images in one tab
 WIDTH, ROW = 760, 52  # pixels of a strip, and of each of its rows
 BAR = 20  # pixels: height of a colour bar or swatch
 STEPS = 44  # of a colour bar; a smooth one would be a larger file
@@ -26,6 +26,7 @@ TEXT: colours.Colour = (225, 225, 230)
 FONT_SCALE = 0.58
 NAME_WIDTH = 170  # pixels for the name, where a strip has several rows
 PART = (0.25, 0.8)  # of viridis: without its near-black, and without its yellow, which is the colour of holes
+GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty pixels
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
 RING_COLOUR: colours.Colour = (150, 150, 160)
 STANDING = 0.05  # metres between two scans: less is no motion
@@ -57,7 +58,7 @@ def strip(states: Sequence[State]) -> rr.EncodedImage:
         elif state.kind in (Mask, Plane) or (state.kind not in paths.FLAT and state.value_range is None):
             _swatches(row, [(state.name.replace("_", " "), colours.STATE)])
         else:
-            _bar(row, left, state.value_range)
+            _bar(row, left, state)
     png = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1]
     return rr.EncodedImage(contents=png.tobytes(), media_type="image/png")
 
@@ -67,10 +68,10 @@ def heading(states: Sequence[State]) -> str:
     return states[0].meaning if len(states) == 1 else "; ".join(dict.fromkeys(state.meaning for state in states))
 
 
-def stretched(low: float, high: float) -> tuple[float, float]:
-    """The range of the whole of viridis, of which ``PART`` covers low to high."""
-    unit = (high - low) / (PART[1] - PART[0])
-    return low - PART[0] * unit, high + (1 - PART[1]) * unit
+def stretched(low: float, high: float, part: tuple[float, float] = PART) -> tuple[float, float]:
+    """The range of a whole colour scale, of which a part covers low to high."""
+    unit = (high - low) / (part[1] - part[0])
+    return low - part[0] * unit, high + (1 - part[1]) * unit
 
 
 def coloured(shares: F32) -> U8:
@@ -89,11 +90,11 @@ def _viridis() -> U8:
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1], np.uint8)
 
 
-def _bar(row: U8, left: int, value_range: tuple[float, float] | None) -> None:
-    right = WIDTH - MARGIN
-    row[4 : 4 + BAR, left:right] = coloured(
-        (np.arange(right - left) * STEPS // (right - left) / np.float32(STEPS - 1)).astype(np.float32)
-    )
+def _bar(row: U8, left: int, state: State) -> None:
+    right, value_range = WIDTH - MARGIN, state.value_range
+    shares = (np.arange(right - left) * STEPS // (right - left) / (STEPS - 1)).astype(np.float32)
+    grey = (255 * (GREYS[0] + (GREYS[1] - GREYS[0]) * shares)).astype(np.uint8)[:, None]
+    row[4 : 4 + BAR, left:right] = grey if issubclass(state.kind, paths.FLAT) else coloured(shares)
     low, high = value_range or (0.0, 1.0)
     for share in (0.0, 0.5, 1.0):
         words = f"{low + share * (high - low):.3g}" if value_range else {0.0: "lowest", 1.0: "highest"}.get(share, "")

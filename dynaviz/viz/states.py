@@ -17,7 +17,7 @@ from dynaviz.viz.budget import Budget
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
 CORNERS = 48  # of the polygon that approximates a disc
 CIRCLE = np.linspace(0.0, 2 * np.pi, CORNERS, endpoint=False)
-WIDE = 5.0  # a range image at most this much wider than high; its rows are repeated, or it would be a hairline
+WIDE = 4.5  # a range image at most this much wider than high; its rows are repeated, or it would be a hairline
 EMPTY = 255  # class of empty pixels
 
 
@@ -114,10 +114,10 @@ def _picture(values: F32, state: State) -> Any:
     if state.legend:
         return rr.SegmentationImage(np.where(np.isnan(values), EMPTY, values).astype(np.uint8), opacity=1.0)
     low, high = state.value_range or _range(values)
-    first, last = keys.stretched(low, high)
+    first, last = keys.stretched(low, high, keys.GREYS)
     small = np.where(np.isnan(values), first, np.clip(values, low, high)).astype(np.float16)
     return rr.DepthImage(
-        small, meter=1.0, colormap="viridis", depth_range=[first, last], magnification_filter="nearest"
+        small, meter=1.0, colormap="grayscale", depth_range=[first, last], magnification_filter="nearest"
     )
 
 
