@@ -24,6 +24,7 @@ from dynaviz.viz.sink import RecordingFile
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
 SCENE = 40.0  # metres: the part of the scan
 AROUND = (7.0, 10.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
+AIM_LINES = 3
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 EDGES = rr.Radius.ui_points(1.6)
@@ -97,8 +98,7 @@ class CaseTimeline:
         contents += [paths.FAILURES, paths.CLUSTERS, f"{self._info.name}/**"]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         places = [_place(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
-        legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
-        self._sink.log(paths.CASE_RAYS, rr.AnnotationContext(legend), static=True)
+        self._styles()
         states = []
         for case, place, evidence in zip(self._cases, places, witnesses.find(scans, sensor, places), strict=True):
             self._sink.at_case(case.number)
@@ -132,54 +132,69 @@ class CaseTimeline:
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
         middle, size = (low + high) / 2, high - low
-        box = rr.Boxes3D(
-            centers=[middle], half_sizes=[size / 2], labels=[label], colors=[colours.BRIGHT[outcome]], radii=EDGES,
-            fill_mode=WIRES, show_labels=True,
-        )  # fmt: skip
+        box = rr.Boxes3D.from_fields(
+            centers=[middle], half_sizes=[size / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
+        )
         self._sink.log(paths.CASE_BOX, box)
-        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D([_circle(low, high)], colors=[90, 90, 100], radii=THIN))
-        self._sink.log(paths.CASE_AIM, rr.LineStrips3D(_aim(sensor, middle), colors=[70, 70, 80], radii=THIN))
+        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=_circles(low[None], high[None])))
+        self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
+
+    def _styles(self) -> None:
+        """What is the same for all cases."""
+        log, lines = self._sink.log, rr.LineStrips3D.from_fields
+        box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=True)
+        log(paths.CASE_BOX, box, static=True)
+        log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
+        log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
+        legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
+        log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=THIN, show_labels=False), static=True)
 
     def _rays(self, evidence: witnesses.Witnesses) -> None:
-        labels = [
-            f"frame {frame}: {witnesses.NAMES[kind]}"
-            for frame, kind in zip(evidence.frames.tolist(), evidence.kinds.tolist(), strict=True)
-        ]
-        strips = rr.LineStrips3D(
-            evidence.strips, class_ids=evidence.kinds.astype(np.uint16), labels=labels, show_labels=False, radii=THIN
-        )
-        self._sink.log(paths.CASE_RAYS, strips)
+        kinds = evidence.kinds.astype(np.uint16)
+        self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=evidence.strips, class_ids=kinds))
 
     def _text(self, text: str) -> None:
         self._sink.log(paths.CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def _by_frame(self, sensor: F64, boxes: FrameBoxes) -> None:
         """Show in each frame the costliest of its cases."""
-        first = np.lexsort((boxes.case, boxes.frames))
-        first = first[boxes.case[first] < len(self._cases)]
-        frames, at = np.unique(boxes.frames[first], return_index=True)
+        rows = np.lexsort((boxes.case, boxes.frames))
+        rows = rows[boxes.case[rows] < len(self._cases)]
+        frames, first = np.unique(boxes.frames[rows], return_index=True)
+        rows, cases = rows[first], [self._cases[case] for case in boxes.case[rows[first]]]
+        low, high = boxes.box_low[rows].astype(np.float64), boxes.box_high[rows].astype(np.float64)
+        middle, size = (low + high) / 2, high - low
+        box = rr.Boxes3D.columns(
+            centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
+            colors=[colours.BRIGHT[case.outcome] for case in cases],
+        )  # fmt: skip
+        aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
+        self._sink.columns(paths.CASE_BOX, frames, [None], box)
+        self._sink.columns(paths.CASE_AROUND, frames, [None], rr.LineStrips3D.columns(strips=_circles(low, high)))
+        self._sink.columns(paths.CASE_AIM, frames, [None], aims.partition([AIM_LINES] * len(frames)))
         last = None
-        for frame, row in zip(frames.tolist(), first[at].tolist(), strict=True):
-            case = self._cases[boxes.case[row]]
-            self._sink.at(frame, None)
-            low, high = boxes.box_low[row].astype(np.float64), boxes.box_high[row].astype(np.float64)
-            self._outline(case.label, case.outcome, low, high, sensor[frame])
+        for frame, case in zip(frames.tolist(), cases, strict=True):
             if case is not last:
+                self._sink.at(frame, None)
                 self._text(f"{case.text}\n\n{HOW}")
                 last = case
 
 
-def _circle(low: F64, high: F64) -> F32:
-    """A circle on the ground around a box."""
-    middle, reach = (low + high) / 2, np.linalg.norm((high - low)[:2])
-    circle: F32 = (np.array([*middle[:2], low[2]]) + np.clip(0.8 * reach, *AROUND) * CIRCLE).astype(np.float32)
-    return circle
+def _circles(low: F64, high: F64) -> F32:
+    """(N, 49, 3): a circle on the ground around each box."""
+    reach = np.linalg.norm((high - low)[:, :2], axis=1)
+    centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
+    radius = np.clip(0.8 * reach, *AROUND)
+    circles: F32 = (centre[:, None] + radius[:, None, None] * CIRCLE).astype(np.float32)
+    return circles
 
 
-def _aim(sensor: F64, middle: F64) -> list[F64]:
-    """A line from the sensor to a case, and two specks that keep an eye that tracks them at a distance."""
+def _aims(sensor: F64, middle: F64) -> F32:
+    """(3 N, 2, 3): a line from the sensor to each case, and two specks that keep an eye that tracks them away."""
     centre, reach = (sensor + middle) / 2, np.array([BACK, BACK, 0.0])
-    return [np.array([sensor, middle]), *(np.array([end, end + 0.01]) for end in (centre - reach, centre + reach))]
+    specks = [np.stack([end, end + 0.01], 1) for end in (centre - reach, centre + reach)]
+    lines: F32 = np.stack([np.stack([sensor, middle], 1), *specks], 1).astype(np.float32).reshape(-1, 2, 3)
+    return lines
 
 
 def _place(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:

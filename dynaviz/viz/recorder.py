@@ -125,7 +125,8 @@ class Recorder(Listener):
         scan = labelled.scan
         self._positions.append(scan.position)
         self._open.at(labelled.frame, scan.stamp_ns)
-        self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
+        if self._queue:
+            self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
         if self._scene is not None:
             self._scene.pose(scan)
             self._scene.frame(labelled)

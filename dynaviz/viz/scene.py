@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, I64, U8, Bool
+from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
 from dynaviz.spatial.extent import CELL, Extent
@@ -112,13 +114,14 @@ class MapDrawing:
         self._trajectory.append(labelled.scan.position)
         local = labelled.scan.points - self._middle
         finite = in_key_range(local, FINE)
+        rows = _by_outcome(labelled.outcome, finite)
         for outcome, downsampled in self._maps.items():
-            chosen = finite & (labelled.outcome == outcome)
-            downsampled.add(local[chosen], labelled.reasons[chosen])
+            if len(rows[outcome]):
+                downsampled.add(local[rows[outcome]], labelled.reasons[rows[outcome]])
         if self._full:
             self._draw(labelled, np.arange(len(local)), None)
         else:
-            self._draw(labelled, *_chosen(labelled, local, finite))
+            self._draw(labelled, *_chosen(labelled, local, rows))
 
     def finish(self) -> None:
         """Draw the map of the whole run and the trajectory of the sensor."""
@@ -183,12 +186,20 @@ def _radii(outcome: U8) -> F32:
     return sizes[outcome]
 
 
-def _chosen(labelled: Labelled, local: F32, finite: Bool) -> tuple[np.ndarray, np.ndarray]:
+def _by_outcome(outcome: U8, finite: Bool) -> list[Intp]:
+    """The rows of each ``Outcome``, ascending, without those that are not finite."""
+    order = np.argsort(outcome, kind="stable")
+    order = order[finite[order]]
+    bounds = np.searchsorted(outcome[order], np.arange(len(Outcome) + 1, dtype=np.uint8))
+    return [order[first:end] for first, end in itertools.pairwise(bounds)]
+
+
+def _chosen(labelled: Labelled, local: F32, rows: list[Intp]) -> tuple[np.ndarray, np.ndarray]:
     """Points to draw, and how many each stands for: all dynamic points, and one per voxel of those wrongly removed."""
     dynamic = np.isin(labelled.outcome, DYNAMIC)
     chosen, stands_for = [np.flatnonzero(dynamic)], [np.ones(int(dynamic.sum()), np.intp)]
     for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
-        points = np.flatnonzero(finite & (labelled.outcome == outcome))
+        points = rows[outcome]
         first, counts = voxel_downsample(local[points], VOXEL)
         chosen.append(points[first])
         stands_for.append(counts)

@@ -18,7 +18,7 @@ NAMES = {
     GRAZED: "grazed the surface: weak evidence for moved",
 }
 REACH = 50.0  # metres between the sensor and a place; scans from farther away are not searched
-SCANS = 150  # scans that are searched at most, evenly spread over those within reach
+SCANS = 80  # scans that are searched at most, evenly spread over those within reach
 STRIPS = 60  # rays drawn per place
 ABOUT = 1.0  # metres: a place reaches this far from the middle of its points along each axis
 MARGIN = 0.1  # metres around the points of a place, about half a voxel
@@ -136,7 +136,8 @@ def _count(found: Witnesses, frame: int, scan: Scan, ends: Intp, passes: Intp, n
     few_ends, few_passes = _evenly(len(ends), SAMPLES), _evenly(len(passes), SAMPLES)
     rays = np.concatenate([ends[few_ends], passes[few_passes]])
     kinds = np.concatenate([np.full(len(few_ends), HIT, np.uint8), kinds[few_passes]])
-    strips = np.stack([_origins(scan, rays), scan.points[rays]], 1).astype(np.float32)
+    strips = np.empty((len(rays), 2, 3), np.float32)
+    strips[:, 0], strips[:, 1] = _origins(scan, rays), scan.points[rays]
     return np.full(len(rays), frame), kinds, strips
 
 
@@ -158,7 +159,8 @@ def _evenly(count: int, most: int) -> Intp:
 
 
 def _origins(scan: Scan, rays: Intp) -> F64:
-    return np.broadcast_to(scan.origins, (len(scan), 3))[rays]
+    """(1, 3) or (K, 3): the origins of some rays."""
+    return scan.origins if len(scan.origins) == 1 else scan.origins[rays]
 
 
 def _normal(points: F64) -> F64 | None:
