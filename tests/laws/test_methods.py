@@ -30,6 +30,10 @@ NOT_MET = {
     ): "a voxel and all its neighbours must be observed as free for 6 frames before the box arrives: "
     "earlier boxes are kept, and so are boxes next to space that no ray crossed",
     (
+        "freedom",
+        "removed",
+    ): "a voxel and all its neighbours must be crossed in 6 scans in a row, without a hit: parts of the box are kept",
+    (
         "hmm_mos",
         "removed",
     ): "the first 6 of 10 scans are never labelled: the histories of their voxels are too short",
