@@ -24,6 +24,7 @@ from dynaviz.scan import Label, Outcome
 TRUTHS = ("static", "dynamic")
 AGREEMENT = ("neither", "only_first", "only_second", "both")  # bit 0: the first run is right; bit 1: the second is
 NEITHER, FIRST, SECOND, BOTH = range(4)
+REMOVED_BY = AGREEMENT  # of points without ground truth: which of the runs removed them
 WRONG = ("FP", "FN")  # points: static points removed, dynamic points kept
 PLACE = 5.0  # metres: edge of the square columns called places
 LEVEL = 0.95
@@ -69,12 +70,17 @@ class AgreementCounts:
         bands: (2, 4, 5) int64, points by truth, agreement and range band.
         reasons: (2, 4, 256, 256) int64, points that at least one run got wrong, by truth, agreement and the reason
             codes of the first and of the second run.
+        removed_bands: (4, 5) int64, unlabelled points by ``REMOVED_BY`` and range band.
+        removed_reasons: (4, 256, 256) int64, unlabelled points that only one run removed, by ``REMOVED_BY`` and the
+            reason codes of the first and of the second run.
     """
 
     index: I64
     frames: I64
     bands: I64
     reasons: I64
+    removed_bands: I64
+    removed_reasons: I64
 
     @property
     def points(self) -> I64:
@@ -92,6 +98,8 @@ def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> Agre
     index, frames = [], []
     bands = np.zeros((len(TRUTHS), len(AGREEMENT), len(BAND_NAMES)), np.int64)
     reasons = np.zeros((len(TRUTHS), len(AGREEMENT), _REASONS, _REASONS), np.int64)
+    removed_bands = np.zeros((len(REMOVED_BY), len(BAND_NAMES)), np.int64)
+    removed_reasons = np.zeros((len(REMOVED_BY), _REASONS, _REASONS), np.int64)
     for a, b in zip(first, second, strict=True):
         if not np.array_equal(a.truth, b.truth):
             raise ValueError(f"in frame {a.frame} the ground truth differs")
@@ -103,9 +111,20 @@ def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> Agre
         wrong = kind % len(AGREEMENT) != BOTH
         codes = (kind[wrong] * _REASONS + a.reasons[labelled][wrong]) * _REASONS + b.reasons[labelled][wrong]
         reasons += np.bincount(codes, minlength=reasons.size).reshape(reasons.shape)
+        if not labelled.all():
+            _count_removed(a, b, ~labelled, removed_bands, removed_reasons)
         index.append(a.index)
     counts = np.array(frames, np.int64).reshape(-1, len(TRUTHS), len(AGREEMENT))
-    return AgreementCounts(np.array(index, np.int64), counts, bands, reasons)
+    return AgreementCounts(np.array(index, np.int64), counts, bands, reasons, removed_bands, removed_reasons)
+
+
+def _count_removed(a: Answers, b: Answers, chosen: Bool, bands: I64, reasons: I64) -> None:
+    """Add the chosen points of a frame to counts by which run removed them."""
+    by = (a.dynamic[chosen] + np.uint8(2) * b.dynamic[chosen]).astype(np.intp)
+    bands += np.bincount(by * len(BAND_NAMES) + a.bands[chosen], minlength=bands.size).reshape(bands.shape)
+    differ = (by == FIRST) | (by == SECOND)
+    codes = (by[differ] * _REASONS + a.reasons[chosen][differ]) * _REASONS + b.reasons[chosen][differ]
+    reasons += np.bincount(codes, minlength=reasons.size).reshape(reasons.shape)
 
 
 def scores(counts: I64 | F64) -> tuple[ByScore[F64], ByScore[F64]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +23,8 @@ from dynaviz.comparison.counts import (
     largest,
     scores,
 )
+from dynaviz.comparison.removed import ReasonNames as ReasonNames
+from dynaviz.comparison.removed import RemovalComparison, compare_removals
 from dynaviz.comparison.settings import RuntimeRatio, SettingChange, runtime_ratio, setting_changes
 from dynaviz.results.result import Result
 from dynaviz.results.sections import Runtime
@@ -31,7 +32,6 @@ from dynaviz.results.sections import Runtime
 MOST = 10  # frames and places listed, at most
 
 Scores = ByScore[float | None]  # None where undefined
-ReasonNames = Mapping[int, str]  # by code
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +181,7 @@ class PairComparison:
         places_note: what a place is, or why there are none.
         differ: settings that differ.
         runtime: ratio of runtimes.
+        removed: what the runs removed, if there is no ground truth; else None.
     """
 
     first: str
@@ -194,6 +195,7 @@ class PairComparison:
     places_note: str
     differ: tuple[SettingChange, ...]
     runtime: RuntimeRatio
+    removed: RemovalComparison | None = None
 
 
 def compare_pair(
@@ -225,6 +227,7 @@ def compare_pair(
         places_note=places_note,
         differ=setting_changes(*results),
         runtime=runtime_ratio(*results),
+        removed=compare_removals(counts, reasons),
     )
 
 

@@ -14,6 +14,7 @@ import msgspec
 from dynaviz.comparison import tables
 from dynaviz.comparison.counts import LEVEL, RESAMPLES, SEED, block_length
 from dynaviz.comparison.pair import ComparedRun, PairComparison, ScoreChange
+from dynaviz.comparison.removed import RemovalComparison
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.results.sections import SequenceInfo
@@ -123,25 +124,45 @@ def _verdict(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> s
     by_name = {"AA": pair.scores.AA, "SA": pair.scores.SA, "DA": pair.scores.DA}
     defined = [(name, score) for name, score in by_name.items() if score.delta is not None]
     if not defined:
-        return "No score is defined."
+        return _removed(first, second, pair.removed) if pair.removed else "No score is defined."
     sentences = [_headline(first, second, *defined[0])]
     for what, name in (("keeps more static points", "SA"), ("removes more dynamic points", "DA")):
-        if delta := by_name[name].delta:
+        delta = by_name[name].delta
+        if delta and _is_clear(by_name[name]):
             sentences.append(f"{(second if delta > 0 else first).label} {what} ({name} {abs(delta):+.2f}).")
     return " ".join(sentences)
 
 
 def _headline(first: ComparedRun, second: ComparedRun, name: str, score: ScoreChange) -> str:
     delta = score.delta or 0.0
-    low, high = score.interval or (-float("inf"), float("inf"))
     better, worse = (first, second) if delta < 0 else (second, first)
     best, least = (score.first, score.second) if delta < 0 else (score.second, score.first)
     if delta == 0:
         return f"{first.label} and {second.label} are even: {name} {best:.2f}."
     numbers = f"{name} {best:.2f} against {least:.2f}"
-    if low <= 0 <= high:
+    if not _is_clear(score):
         return f"No clear winner: {better.label} has {numbers}, but {_why_unclear(score)}."
     return f"{better.label} is better than {worse.label}: {numbers}."
+
+
+def _is_clear(score: ScoreChange) -> bool:
+    """Whether the interval of the change excludes zero."""
+    low, high = score.interval or (0.0, 0.0)
+    return not low <= 0 <= high
+
+
+def _removed(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> str:
+    """Without ground truth: how much each run removes, and how much only one of them removes."""
+    points = removed.points
+    total = points.neither + points.only_first + points.only_second + points.both
+    if not total:
+        return "No score is defined, because there are no points."
+    shares, only = points.shares, (100 * n / total for n in (points.only_first, points.only_second))
+    runs = [
+        f"{run.label} removes {share:.2f} % of the points, {alone:.2f} % that the other keeps"
+        for run, share, alone in zip((first, second), shares, only, strict=True)
+    ]
+    return f"There is no ground truth, so neither run is known to be better. {'; '.join(runs)}."
 
 
 def _why_unclear(score: ScoreChange) -> str:

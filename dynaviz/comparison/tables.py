@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dynaviz.comparison.counts import WRONG
 from dynaviz.comparison.pair import Agreement, ComparedRun, FrameChange, PairComparison, PlaceChange, RangeAgreement
+from dynaviz.comparison.removed import RemovalComparison
 from dynaviz.comparison.settings import text
 from dynaviz.results.scores import SCORES
 
@@ -34,7 +36,12 @@ def sections(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> It
         runs: all runs.
         pairs: the first run against each other run.
     """
-    if len(pairs) == 1:
+    unscored = [(run, pair.removed) for run, pair in zip(runs[1:], pairs, strict=True) if pair.removed]
+    if unscored:
+        for run, removed in unscored:
+            yield _removed_by_range(runs[0], run, removed)
+            yield _removal_reasons(runs[0], run, removed)
+    elif len(pairs) == 1:
         first, second, pair = *runs, pairs[0]
         yield _scores_of_two(first, second, pair)
         yield _agreement(first, second, pair)
@@ -129,6 +136,30 @@ def _reasons(pair: PairComparison) -> TableSection:
         for row in pair.by_reason[:LISTED]
     ]
     return TableSection("Errors by reason", ("correct", "point", "A's reason", "B's reason", "points"), tuple(rows))
+
+
+def _removed_by_range(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
+    head = ("points", f"only {first.label}", f"only {second.label}", "neither", "both", f"{first.letter} in %",
+            f"{second.letter} in %")  # fmt: skip
+    rows = []
+    for name, points in (("all", removed.points), *((row.band, row.points) for row in removed.by_range)):
+        counts = (points.only_first, points.only_second, points.neither, points.both)
+        shares = ("n/a" if math.isnan(share) else f"{share:.2f}" for share in points.shares)
+        rows.append((name, *(f"{n:,}" for n in counts), *shares))
+    note = "There is no ground truth, so it is unknown which points were removed rightly"
+    return TableSection("Removed points, by range from the sensor", head, tuple(rows), note)
+
+
+def _removal_reasons(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
+    a, b = first.letter, second.letter
+    only = {"only_first": f"only {a}", "only_second": f"only {b}"}
+    rows = [
+        (only[row.removed_by], row.first_reason, row.second_reason, f"{row.points:,}")
+        for row in removed.by_reason[:LISTED]
+    ]
+    note = "" if rows else "both runs removed the same points"
+    head = ("removed by", f"{a}'s reason", f"{b}'s reason", "points")
+    return TableSection("What one run removed and the other kept", head, tuple(rows), note)
 
 
 _CHANGES = ("better", "SA gain", "DA gain", "FP A", "FP B", "FN A", "FN B")

@@ -50,6 +50,14 @@ def comparison(**changes: ScoreChange) -> Comparison:
             {"AA": ScoreChange(70.3, 70.8, 0.5, None)},
             "No clear winner: B dufomap[fine] has AA 70.80 against 70.30, but there is no 95 % interval.",
         ),
+        (
+            {"AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)), "DA": ScoreChange(90.0, 92.9, 2.9, (-0.1, 6.0))},
+            "B dufomap[fine] is better than A octomap: AA 71.80 against 70.30.",
+        ),
+        (
+            {"AA": ScoreChange(70.3, 71.8, 1.5, (0.5, 2.0)), "SA": ScoreChange(90.0, 92.9, 2.9, None)},
+            "B dufomap[fine] is better than A octomap: AA 71.80 against 70.30.",
+        ),
         ({}, "A octomap and B dufomap[fine] are even: AA 50.00."),
         ({"AA": UNDEFINED, "DA": UNDEFINED}, "A octomap and B dufomap[fine] are even: SA 50.00."),
         (dict.fromkeys(("AA", "SA", "DA"), UNDEFINED), "No score is defined."),
