@@ -18,13 +18,13 @@ from dynaviz.scan import Scan
 from dynaviz.viz import paths
 
 STACK = 2  # range images in one tab
-WIDTH, ROW = 760, 52  # pixels of a strip, and of each of its rows
-BAR = 20  # pixels: height of a colour bar or swatch
+WIDTH, ROW = 520, 44  # pixels of a strip, and of each of its rows
+BAR = 16  # pixels: height of a colour bar or swatch
 STEPS = 44  # of a colour bar; a smooth one would be a larger file
 MARGIN = 12
 TEXT: colours.Colour = (225, 225, 230)
-FONT_SCALE = 0.58
-NAME_WIDTH = 170  # pixels for the name, where a strip has several rows
+FONT_SCALE = 0.62
+NAME_WIDTH = 140  # pixels for the name, where a strip has several rows
 PART = (0.25, 0.8)  # of viridis: without its near-black, and without its yellow, which is the colour of holes
 GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty pixels
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
@@ -104,16 +104,17 @@ def _bar(row: U8, left: int, state: State) -> None:
 
 def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
     wide = (WIDTH - 2 * MARGIN) // max(len(entries), 1)
+    scale = FONT_SCALE * min(1.0, (wide - 10) / max((_width(name) for name, _ in entries), default=1))
     for k, (name, colour) in enumerate(entries):
         left = MARGIN + k * wide
         row[4 : 4 + BAR, left : left + wide - 8] = colour
-        _text(row, name, left, ROW - 9)
+        _text(row, name, left, ROW - 9, scale)
 
 
-def _text(row: U8, words: str, left: int, base: int) -> None:
+def _text(row: U8, words: str, left: int, base: int, scale: float = FONT_SCALE) -> None:
     import cv2
 
-    cv2.putText(row, words, (left, base), cv2.FONT_HERSHEY_SIMPLEX, FONT_SCALE, TEXT, 1, cv2.LINE_AA)  # type: ignore[call-overload]
+    cv2.putText(row, words, (left, base), cv2.FONT_HERSHEY_SIMPLEX, scale, TEXT, 1, cv2.LINE_AA)  # type: ignore[call-overload]
 
 
 def _width(words: str) -> int:

@@ -21,6 +21,7 @@ from dynaviz.viz.reader import AnyRecording, RunRecording, read, viewable
 SIZE = (1600, 900)
 SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
 SECONDS_TO_LOAD = 120.0
+ATTEMPTS = 4  # to take a picture
 SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
 
 Picture = Callable[[], bytes]
@@ -149,7 +150,7 @@ def _case(
             client.set_time(paths.CASE, sequence=case, play_state="paused")
         else:
             client.set_time(paths.FRAME, sequence=span.worst, play_state="paused")
-        client.take_screenshot()
+        _drawn(client)
         write_atomic(out, picture())
     return [out]
 
@@ -158,7 +159,7 @@ def _at_frames(client: ViewerClient, frames: Sequence[int], picture: Picture, pr
     """A PNG of each frame."""
     for done, frame in enumerate(frames, 1):
         client.set_time(paths.FRAME, sequence=frame, play_state="paused")
-        client.take_screenshot()  # data may still be missing in the first picture after a jump
+        _drawn(client)  # data may still be missing in the first picture after a jump
         yield picture()
         progress("render", done, len(frames))
 
@@ -169,7 +170,7 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     A view behind another's tab has no picture.
     """
     if view is None:
-        return client.take_screenshot
+        return lambda: _drawn(client)
     views = client.get_state().views
     ids = {shown.name: str(shown.view_id) for shown in views}
     if view not in ids:
@@ -178,4 +179,20 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     blueprint = client.get_blueprint().blueprint
     blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
     client.set_blueprint(blueprint, of="recording")
-    return lambda: client.take_screenshot(ids[view])
+    return lambda: _drawn(client, ids[view])
+
+
+def _drawn(client: ViewerClient, view_id: str | None = None) -> bytes:
+    """A PNG of the window or of a view.
+
+    Raises:
+        DynavizError: if the viewer does not draw it in time.
+    """
+    for _ in range(ATTEMPTS):
+        try:
+            return client.take_screenshot(view_id)
+        except TimeoutError:  # the client waits 15 s; drawing in software on a busy machine may take longer
+            continue
+    raise DynavizError(
+        "the viewer did not draw the picture in time. Try a smaller --size, or one view with --view-name"
+    )
