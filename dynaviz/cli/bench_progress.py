@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dynaviz.benchmarking.leaderboard import BenchRow
 from dynaviz.benchmarking.plan import BenchCell
 from dynaviz.benchmarking.runner import BenchCallbacks
-from dynaviz.cli.console import LOG_INTERVAL, PhaseTimer
+from dynaviz.cli.console import LOG_INTERVAL, PhaseTimer, duration
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -35,27 +35,59 @@ def row_style(row: BenchRow) -> str:
     return "dim" if row.kept else ""
 
 
+class CellCounter:
+    """Counts the cells of a bench, and estimates the time left from those that ran."""
+
+    def __init__(self) -> None:
+        self.planned = self.ended = self._ran = 0
+        self._since = time.monotonic()
+
+    def end(self, row: BenchRow) -> None:
+        """Count an ended cell; one that is kept from before took no time."""
+        if row.kept and not self._ran:
+            self._since = time.monotonic()
+        self.ended += 1
+        self._ran += not row.kept
+
+    def left(self) -> str:
+        """Time left, such as ``, 5 min left``; empty if unknown or if no cell is left."""
+        seconds, more = time.monotonic() - self._since, self.planned - self.ended
+        return f", {duration(seconds / self._ran * more)} left" if self._ran and more > 0 else ""
+
+
+class Preparation:
+    """Texts on the preparation of sequences, with the speed and the time left."""
+
+    def __init__(self) -> None:
+        self._timers: dict[str, PhaseTimer] = {}
+
+    def line(self, task: str, done: int, total: int) -> str:
+        """Such as ``survey street 40/100 frames, 12.3 frames/s, 5 s left``."""
+        return self._timers.setdefault(task, PhaseTimer("frames", done)).line(task, done, total)
+
+
 class ProgressLines(BenchCallbacks):
     """Writes one line per cell to standard error."""
 
     def __init__(self, now: float):
-        self._planned = self._ended = 0
+        self._cells, self._preparation = CellCounter(), Preparation()
         self._printed = now
 
     def preparing(self, task: str, done: int, total: int) -> None:
         """Print it at the end, and every few seconds before."""
+        line = self._preparation.line(task, done, total)
         if done == total or time.monotonic() - self._printed > LOG_INTERVAL:
             self._printed = time.monotonic()
-            print(f"{task} {done}/{total} frames", file=sys.stderr, flush=True)
+            print(line, file=sys.stderr, flush=True)
 
     def planned(self, number: int) -> None:
         """Add to the number of all cells."""
-        self._planned += number
+        self._cells.planned += number
 
     def ended(self, row: BenchRow) -> None:
-        """Print how it ended."""
-        self._ended += 1
-        count = f"[{self._ended}/{self._planned}]"
+        """Print how it ended, and the time left."""
+        self._cells.end(row)
+        count = f"[{self._cells.ended}/{self._cells.planned}{self._cells.left()}]"
         print(f"{count} {row.cell.path.name} on {row.cell.source.name}: {outcome(row)}", file=sys.stderr, flush=True)
 
 
@@ -67,8 +99,8 @@ class ProgressBars(BenchCallbacks):
         from rich.live import Live
 
         self._lock = threading.Lock()
-        self._preparing = ""
-        self._planned = self._kept = self._failed = self._done = 0
+        self._preparing, self._preparation, self._cells = "", Preparation(), CellCounter()
+        self._kept = self._failed = self._done = 0
         self._timers: dict[tuple[Path, str], PhaseTimer] = {}
         self._running: dict[Path, str] = {}
         self._recent: list[BenchRow] = []
@@ -83,11 +115,12 @@ class ProgressBars(BenchCallbacks):
 
     def preparing(self, task: str, done: int, total: int) -> None:
         """Show it above the table."""
-        self._preparing = f"{task} {done}/{total} frames" if done < total else ""
+        line = self._preparation.line(task, done, total)
+        self._preparing = line if done < total else ""
 
     def planned(self, number: int) -> None:
         """Add to the number of all cells."""
-        self._planned += number
+        self._cells.planned += number
 
     def running(self, cell: BenchCell, phase: str, done: int, total: int) -> None:
         """Show the progress of the cell, with its speed and the time left in this phase."""
@@ -99,6 +132,7 @@ class ProgressBars(BenchCallbacks):
         """Move the cell to the ended ones."""
         with self._lock:
             self._running.pop(row.cell.path, None)
+            self._cells.end(row)
             self._recent = [*self._recent, row][-RECENT:]
             self._kept += row.kept
             self._failed += row.error is not None
@@ -119,8 +153,8 @@ class ProgressBars(BenchCallbacks):
         return table
 
     def _title(self) -> str:
-        """How many runs have ended, and what is being prepared."""
-        parts = [f"{self._done} of {self._planned} runs finished"]
+        """How many runs have ended, the time left, and what is being prepared."""
+        parts = [f"{self._done} of {self._cells.planned} runs finished{self._cells.left()}"]
         if self._kept:
             parts.append(f"{self._kept} from before")
         if self._failed:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from rich.console import Console
 from dynaviz.benchmarking import bench as bench_module
 from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard, SearchResult
 from dynaviz.benchmarking.plan import BenchCell, ParameterSet, SequenceSpec
-from dynaviz.cli.bench_progress import ProgressBars
+from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -84,6 +86,30 @@ def test_an_error_is_shown_unchanged(run_command: Command, monkeypatch: pytest.M
     code, out, _ = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
     assert f"{tmp_path}/[auto]/error" in out.replace("\n", "")
+
+
+def test_progress_shows_speed_and_the_time_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    row = failed(tmp_path, "cannot be read")
+    lines, live = ProgressLines(now[0]), ProgressBars()
+    for progress in (lines, live):
+        progress.planned(4)
+        progress.preparing("survey street", 1, 20)
+    now[0] += 6.0
+    for progress in (lines, live):
+        progress.preparing("survey street", 7, 20)
+        progress.ended(replace(row, error=None, kept=True))  # takes no time
+    assert "0 of 4 runs finished, 1 from before, survey street 7/20 frames, 1.0 frames/s, 13 s left" in live._title()
+    now[0] += 10.0
+    for progress in (lines, live):
+        progress.ended(row)
+    assert "0 of 4 runs finished, 20 s left, 1 from before, 1 failed" in live._title()
+    printed = capsys.readouterr().err.splitlines()
+    assert printed[0] == "survey street 7/20 frames, 1.0 frames/s, 13 s left"
+    assert [line.partition("]")[0] for line in printed[1:]] == ["[1/4", "[2/4, 20 s left"]
 
 
 def test_the_named_error_file_exists(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
