@@ -39,6 +39,7 @@ STATES = {  # the state in a method's picture, and its frame: 24 unless another 
     "octomap_gf": ("noise", 24),
     "dufomap": ("void", 24),
     "hmm_mos": ("window_score", 24),
+    "freedom": ("levels", 24),
     "beautymap": ("removed", 24),
 }
 CASES = 4  # failure cases on the page of a method
