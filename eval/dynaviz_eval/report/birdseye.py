@@ -227,7 +227,7 @@ class View:
         if self.box is not None:
             low, high = ((corner - self.low[:2]) / self.pixel for corner in self.box)
             corners = [(int(low[0]), int(height - high[1])), (int(high[0]), int(height - low[1]))]
-            cv2.rectangle(indices, *corners, FRAME)
+            cv2.rectangle(indices, *corners, FRAME, 2)
         picture = np.ascontiguousarray(_PALETTE[indices][:, :, ::-1])  # OpenCV's order is BGR
         bar = min(round(self.bar / self.pixel), width - 20)
         if bar > 0 and height > 40:

@@ -126,7 +126,7 @@ def _spots(rows: Iterable[ScoreRow]) -> list[Spot]:
     for row in rows:
         spots += [Spot.of_case(row.label, case) for case in row.result.failures]
         if not row.result.has_truth:
-            spots += [Spot.of_cluster(row.label, cluster) for cluster in row.result.clusters]
+            spots += [Spot.of_cluster(row.label, cluster) for cluster in row.result.clusters if cluster.why]
     return [spot for spot in spots if len(spot.low) == len(spot.high) == 3]
 
 
@@ -162,7 +162,7 @@ def case_table(board: ScoreBoard, cases: Sequence[SharedCase], number: int) -> T
             row.append(Value(spot.size, spot.weight, detail=spot.cause) if spot else Value(ABSENT))
         rows.append(row)
     title = f"{'Costliest cases' if known else 'Suspicious clusters'}: {board.title}"
-    details = "The description of a case is that of the method that loses most there; next to each number is the cause."
+    details = "The description is about the method with the largest number; next to each number is the cause."
     return Table(f"cases-{number}", title, columns, rows, [note(known)], details)
 
 
