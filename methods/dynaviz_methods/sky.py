@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from dynaviz.arrays import F64, U8, Bool
@@ -73,6 +72,8 @@ class DepthImage:
             filled: (rows, columns) float64, metres.
             chosen: (rows, columns) bool, pixels of the sky.
         """
+        import cv2
+
         margin, square = self.erosion + self.inpaint, np.ones((2 * self.erosion + 1,) * 2, np.uint8)
         depth, hole = (np.concatenate([a[:, a.shape[1] - margin :], a, a[:, :margin]], 1) for a in (depth, hole))
         filled = cv2.inpaint(cv2.erode(depth, square), hole, self.inpaint, cv2.INPAINT_TELEA)
