@@ -109,12 +109,17 @@ def _non_repetitive(sensor: Sensor, frame: int) -> tuple[F64, F64]:
     return np.radians(azimuth), np.radians(elevation)
 
 
+Bodies = dict[int, tuple[float, Mesh]]
+"""The latest body of each mover by its number, and the distance for which it was built."""
+
+
 class RayScene:
     """A scene prepared for ray casting: static meshes once, moving meshes again for each sweep."""
 
     def __init__(self, scene: SimulatedScene):
         self.scene = scene
         self.static = Surfaces(scene.parts, [part.mesh for part in scene.parts])
+        self.bodies: Bodies = {}
 
     def cast(self, rays: Rays, T_scene_sensor: F64, time: float) -> Hits:
         """Hits of the rays of a sensor at a pose and time, seconds."""

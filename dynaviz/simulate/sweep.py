@@ -8,7 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.sensors import Sensor
-from dynaviz.simulate.lidar import Hits, Rays, RayScene, Surfaces
+from dynaviz.simulate.lidar import Bodies, Hits, Rays, RayScene, Surfaces
+from dynaviz.simulate.movers import Mover
 from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.shapes import Mesh
 
@@ -60,7 +61,7 @@ class MovingSweep:
     def __init__(self, ray_scene: RayScene, time: float, duration: float):
         self._static, scene = ray_scene.static, ray_scene.scene
         self.slices = SLICES if duration else 1
-        self._moving = _slices(scene, time, duration, self.slices)
+        self._moving = _slices(scene, time, duration, self.slices, ray_scene.bodies)
 
     def cast(self, rays: TimedRays) -> Hits:
         """Nearest surface along each ray at its time."""
@@ -77,19 +78,27 @@ class MovingSweep:
         return hits
 
 
-def _slices(scene: SimulatedScene, middle: float, duration: float, count: int) -> list[Surfaces | None]:
+def _slices(scene: SimulatedScene, middle: float, duration: float, count: int, bodies: Bodies) -> list[Surfaces | None]:
     """The movers in each time slice, on a line between their places at the ends, in the posture of the middle."""
     present = []
     for mover in scene.movers:
         now, *ends = (mover.motion.pose(middle + side * duration / 2, scene.height) for side in (0, -1, 1))
         if now is not None:
-            body = mover.body(mover.motion.schedule(middle))
+            body = _body(mover, mover.motion.schedule(middle), bodies)
             first, last = (body.transformed(now if T is None else T) for T in ends)
             present.append((mover, first, last.vertices - first.vertices))
     if not present:
         return [None] * count
     owners, shares = [mover for mover, _, _ in present], (np.arange(count) + 0.5) / count
     return [Surfaces(owners, [Mesh(m.vertices + u * way, m.triangles) for _, m, way in present]) for u in shares]
+
+
+def _body(mover: Mover, distance: float, bodies: Bodies) -> Mesh:
+    """The mover's body; that of a mover who waits is built once."""
+    known = bodies.get(mover.instance)
+    if known is None or known[0] != distance:
+        known = bodies[mover.instance] = (distance, mover.body(distance))
+    return known[1]
 
 
 def sensor_poses(scene: SimulatedScene, sensor: Sensor, time: float, duration: float, shares: F64) -> tuple[F64, I64]:
