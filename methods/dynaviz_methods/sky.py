@@ -80,7 +80,7 @@ class DepthImage:
         _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, square), connectivity=4)
         first, last = stats[:, cv2.CC_STAT_TOP], stats[:, cv2.CC_STAT_TOP] + stats[:, cv2.CC_STAT_HEIGHT]
         chosen = (first == 0) & (last < self.rows)
-        chosen[0] = False  # pixels that are no holes
+        chosen[0] = False  # pixels with points
         middle, unit = slice(margin, margin + self.columns), self.farthest / 255
         steps = np.maximum(filled[:, middle].astype(np.int64) - math.ceil(SHORTER / unit), 0)
         return steps * unit, chosen[parts[:, middle]]
