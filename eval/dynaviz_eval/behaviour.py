@@ -13,6 +13,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT
+from dynaviz_eval.per_scan import scan_squared_ranges
 
 WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
 STILL = 0.5  # metres in a window: slower than anyone walks
@@ -47,7 +48,7 @@ class Objects:
         chosen = np.flatnonzero(dynamic)
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
         groups, none = groups_of(scan, chosen, True), np.zeros(len(chosen), np.uint8)
-        ranges = np.sqrt(scan.squared_ranges(chosen))
+        ranges = np.sqrt(scan_squared_ranges(scan)[chosen])
         self._cases.add(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen])
 
     def finish(self) -> None:

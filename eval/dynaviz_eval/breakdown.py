@@ -14,7 +14,7 @@ from dynaviz.metric import Figure, Labelled
 from dynaviz.results.scores import RANGE_EDGES
 from dynaviz.scan import Label, Outcome
 from dynaviz_eval.confusion import Counts
-from dynaviz_eval.ground import scan_heights
+from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 
 RANGES = (0.0, *RANGE_EDGES, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
@@ -36,8 +36,8 @@ class Breakdown:
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
         scan, outcome = labelled.scan, labelled.outcome
-        self._range += _count_by_bin(np.sqrt(scan.squared_ranges()), RANGES, outcome)
-        self._height += _count_by_bin(scan_heights(scan.points), HEIGHTS, outcome)
+        self._range += _count_by_bin(np.sqrt(scan_squared_ranges(scan)), RANGES, outcome)
+        self._height += _count_by_bin(scan_heights(scan), HEIGHTS, outcome)
         self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
         self._objects.add(labelled)
         return {}

@@ -20,7 +20,8 @@ from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, Places, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
-from dynaviz_eval.ground import on_ground, scan_heights
+from dynaviz_eval.ground import on_ground
+from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 
 SPAN = 20.0  # metres: maximum size of a false-positive case; larger holes are split. Trails of movers may be longer
 _UNLABELLED = 1 << 32  # the group of class 0
@@ -59,7 +60,7 @@ class Failures:
         if scan.labels is not None:
             self._places.add(labelled.frame, scan.points)
             static, dynamic = (int(np.count_nonzero(scan.labels == label)) for label in (Label.STATIC, Label.DYNAMIC))
-            self.add(labelled, static, dynamic, scan_heights(scan.points))
+            self.add(labelled, static, dynamic, scan_heights(scan))
         return {}
 
     def add(self, labelled: Labelled, static: int, dynamic: int, heights: F32 | None = None) -> None:
@@ -81,7 +82,7 @@ class Failures:
             wrong = np.flatnonzero(labelled.outcome == _KINDS[kind])
             wrong = wrong[in_key_range(scan.points[wrong], EDGE)]  # drop non-finite and very distant points
             points, groups = scan.points[wrong], groups_of(scan, wrong, not removed)
-            ranges = np.sqrt(scan.squared_ranges(wrong))
+            ranges = np.sqrt(scan_squared_ranges(scan)[wrong])
             near = np.zeros(len(points), np.bool_)
             if removed and dynamic:
                 near = self._next_to_movers(labelled)[wrong]

@@ -12,8 +12,6 @@ GROUND_CELL = 1.0  # metres
 # are ground; at 0.2 m it is 95 and 97 %.
 GROUND_HEIGHT = 0.25
 
-_latest: list[tuple[F32, F32]] = []  # points and heights of the last scan, since several metrics need them
-
 
 def heights_above_ground(points: F32) -> F32:
     """Height of each point above the local ground, estimated from the scan alone, without ground truth.
@@ -29,16 +27,6 @@ def heights_above_ground(points: F32) -> F32:
         (N,) float32, metres; NaN for points with non-finite coordinates.
     """
     heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
-    return heights
-
-
-def scan_heights(points: F32) -> F32:
-    """As ``heights_above_ground``, computed once per scan: ``points`` must be the read-only array of a scan."""
-    for known, heights in _latest[:1]:
-        if known is points:
-            return heights
-    heights = heights_above_ground(points)
-    _latest[:] = [(points, heights)]
     return heights
 
 

@@ -18,7 +18,8 @@ from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import shape
 from dynaviz_eval.behaviour import Places
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
-from dynaviz_eval.ground import on_ground, scan_heights
+from dynaviz_eval.ground import on_ground
+from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
 
 SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with ground truth
@@ -43,13 +44,13 @@ class Removals:
         scan, removed = labelled.scan, np.flatnonzero(labelled.dynamic)
         codes = np.minimum(labelled.reasons[removed], len(self._names) - 1)
         self._reasons += np.bincount(codes, minlength=len(self._names))
-        squared = scan.squared_ranges()
+        squared = scan_squared_ranges(scan)
         self._range += _by_range(squared), _by_range(squared[removed])
         counts = {"points": len(scan), "removed": len(removed)}
         self._frames.append({"frame": labelled.frame, "index": scan.index, **counts})
-        if scan.labels is not None and (scan.labels != Label.UNLABELLED).any():
+        if self._clusters and scan.labels is not None and (scan.labels != Label.UNLABELLED).any():
             self._clusters = None
-        elif self._clusters:
+        if self._clusters:
             self._clusters.add(labelled)
         return {}
 
@@ -91,10 +92,10 @@ class _Clusters:
         self._places.add(labelled.frame, scan.points)
         chosen = np.flatnonzero(labelled.dynamic)
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
-        ground = on_ground(scan_heights(scan.points))
+        ground = on_ground(scan_heights(scan))
         near, ground = _next_to_kept(labelled, ground)[chosen], ground[chosen]
         groups = ground.astype(np.int64)  # so that ground does not join what stands or moves on it
-        points, ranges = scan.points[chosen], np.sqrt(scan.squared_ranges(chosen))
+        points, ranges = scan.points[chosen], np.sqrt(scan_squared_ranges(scan)[chosen])
         self._cases.add(labelled.frame, points, groups, labelled.reasons[chosen], ranges, near, ground)
 
     def finish(self) -> dict[str, Any]:
