@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 from dynaviz import colours
 from dynaviz.arrays import F64
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.viz import paths
+from dynaviz.viz import paths, viewer
 from dynaviz.viz.cases import listed, suspicious
 from dynaviz.viz.layout import blueprint, solid
 from dynaviz.viz.reader import RunRecording
@@ -88,7 +88,7 @@ def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) ->
     stream.flush(timeout_sec=SECONDS_TO_SHOW)
     stream.disconnect()
     end = time.monotonic() + SECONDS_TO_SHOW
-    while span.title not in {view.name for view in client.get_state().views}:
+    while span.title not in {view.name for view in viewer.patient(client.get_state).views}:
         if time.monotonic() > end:
             raise DynavizError("the viewer did not show the case in time")
         time.sleep(0.1)

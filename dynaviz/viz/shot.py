@@ -21,7 +21,6 @@ from dynaviz.viz.reader import AnyRecording, RunRecording, read, viewable
 SIZE = (1600, 900)
 SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
 SECONDS_TO_LOAD = 120.0
-ATTEMPTS = 4  # to take a picture
 SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
 
 Picture = Callable[[], bytes]
@@ -103,7 +102,7 @@ def push(path: Path, client: ViewerClient) -> None:
         stream.log_file_from_path(path)
         stream.flush(timeout_sec=SECONDS_TO_LOAD)
     end = time.monotonic() + SECONDS_TO_LOAD
-    while not client.get_state().views:
+    while not viewer.patient(client.get_state).views:
         if time.monotonic() > end:
             raise DynavizError("the viewer did not load the recording in time")
         time.sleep(0.1)
@@ -147,10 +146,9 @@ def _case(
     with _window(source, size) as client:
         picture = _picture(client, view)
         if paths.CASE in timelines:
-            client.set_time(paths.CASE, sequence=case, play_state="paused")
+            _go_to(client, paths.CASE, case)
         else:
-            client.set_time(paths.FRAME, sequence=span.worst, play_state="paused")
-        _drawn(client)
+            _go_to(client, paths.FRAME, span.worst)
         write_atomic(out, picture())
     return [out]
 
@@ -158,8 +156,7 @@ def _case(
 def _at_frames(client: ViewerClient, frames: Sequence[int], picture: Picture, progress: Progress) -> Iterator[bytes]:
     """A PNG of each frame."""
     for done, frame in enumerate(frames, 1):
-        client.set_time(paths.FRAME, sequence=frame, play_state="paused")
-        _drawn(client)  # data may still be missing in the first picture after a jump
+        _go_to(client, paths.FRAME, frame)
         yield picture()
         progress("render", done, len(frames))
 
@@ -171,28 +168,23 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     """
     if view is None:
         return lambda: _drawn(client)
-    views = client.get_state().views
+    views = viewer.patient(client.get_state).views
     ids = {shown.name: str(shown.view_id) for shown in views}
     if view not in ids:
         names = sorted(shown.name for shown in views if "/keys/" not in shown.origin)
         raise UsageError(f"--view-name {view}: choose from {', '.join(names)}")
-    blueprint = client.get_blueprint().blueprint
+    blueprint = viewer.patient(client.get_blueprint).blueprint
     blueprint["/viewport"]["ViewportBlueprint"]["maximized"] = ids[view]
-    client.set_blueprint(blueprint, of="recording")
+    viewer.patient(lambda: client.set_blueprint(blueprint, of="recording"))
     return lambda: _drawn(client, ids[view])
 
 
-def _drawn(client: ViewerClient, view_id: str | None = None) -> bytes:
-    """A PNG of the window or of a view.
+def _go_to(client: ViewerClient, timeline: str, index: int) -> None:
+    """Move the time cursor, and draw once: data may be missing in the first picture after a jump."""
+    viewer.patient(lambda: client.set_time(timeline, sequence=index, play_state="paused"))
+    _drawn(client)
 
-    Raises:
-        DynavizError: if the viewer does not draw it in time.
-    """
-    for _ in range(ATTEMPTS):
-        try:
-            return client.take_screenshot(view_id)
-        except TimeoutError:  # the client waits 15 s; drawing in software on a busy machine may take longer
-            continue
-    raise DynavizError(
-        "the viewer did not draw the picture in time. Try a smaller --size, or one view with --view-name"
-    )
+
+def _drawn(client: ViewerClient, view_id: str | None = None) -> bytes:
+    """A PNG of the window or of a view."""
+    return viewer.patient(lambda: client.take_screenshot(view_id))

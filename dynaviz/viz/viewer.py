@@ -9,9 +9,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 import rerun_cli
 from rerun.experimental import ViewerClient
@@ -20,6 +20,9 @@ from dynaviz.errors import DynavizError, MissingDependency, UsageError
 
 HOME = "127.0.0.1"
 SECONDS_TO_START = 30.0
+ATTEMPTS = 6
+
+T = TypeVar("T")
 
 
 def program() -> str:
@@ -100,6 +103,18 @@ def headless(size: tuple[int, int]) -> Iterator[ViewerClient]:
         finally:
             process.terminate()
             process.wait()
+
+
+def patient(request: Callable[[], T]) -> T:
+    """The answer of a viewer to a request, repeated while it is too busy; drawing in software may take long.
+
+    Raises:
+        DynavizError: if it does not answer in time.
+    """
+    for _ in range(ATTEMPTS):
+        with contextlib.suppress(TimeoutError):  # the client waits 15 s or less
+            return request()
+    raise DynavizError("the viewer does not answer in time. Try a smaller --size, or one view with --view-name")
 
 
 def _connected(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:

@@ -12,7 +12,7 @@ from helpers.guessing_method import guess_run, record
 from helpers.worlds import InMemory, room
 
 from dynaviz.engine.loop import Listener, execute
-from dynaviz.errors import UsageError
+from dynaviz.errors import DynavizError, UsageError
 from dynaviz.viz import viewer
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
@@ -65,3 +65,19 @@ def test_without_a_screen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         view([record(room(2, 200), tmp_path / "run.rrd")])
     with pytest.raises(UsageError, match="no screen"):
         Recorder(tmp_path / "run.rrd", live=True)
+
+
+def test_a_busy_viewer_is_asked_again() -> None:
+    answers = iter([TimeoutError(), TimeoutError(), 7])
+
+    def request() -> int:
+        if isinstance(answer := next(answers), int):
+            return answer
+        raise answer
+
+    def never() -> int:
+        raise TimeoutError
+
+    assert viewer.patient(request) == 7
+    with pytest.raises(DynavizError, match="the viewer does not answer in time"):
+        viewer.patient(never)
