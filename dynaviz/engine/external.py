@@ -131,6 +131,9 @@ class PrecomputedLabels:
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.params = path, NoParams()
         with open_npy(path, "labels.npz of a run", "Give that file, or a cleaned map") as z:
+            for key, kinds in (("points", "iu"), ("frames", "iu"), ("dynamic", "u"), ("reasons", "u")):
+                if z[key].ndim != 1 or z[key].dtype.kind not in kinds or (kinds == "u" and z[key].dtype != np.uint8):
+                    raise ValueError(f"{key} is an array {z[key].shape} of {z[key].dtype}")
             points, frames = z["points"].astype(np.int64), z["frames"].tolist()
             self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
             legend = [str(reason) for reason in z["reason_names"]]
@@ -138,7 +141,12 @@ class PrecomputedLabels:
             rows = zip(frames, points.tolist(), ends.tolist(), strict=True)
             self._rows = {index: (end - n, end) for index, n, end in rows}
         total = int(points.sum())
-        if len(self._reasons) != total or len(self._dynamic) != -(-total // 8) or len(self._rows) != len(points):
+        if (
+            (points < 0).any()
+            or len(self._reasons) != total
+            or len(self._dynamic) != -(-total // 8)
+            or len(self._rows) != len(points)
+        ):
             raise DataError(path, "is inconsistent: its arrays have different lengths", hint="Write or copy it again")
         reasons = tuple(Reason(reason, "from the labels file") for reason in legend)
         self.info = MethodInfo(name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons)
@@ -147,7 +155,13 @@ class PrecomputedLabels:
         """Nothing to prepare."""
 
     def label(self, scan: Scan) -> Labels:
-        """The labels in the file, by the scan's index."""
+        """The labels in the file, by the scan's index.
+
+        Raises:
+            DataError: if the file has none for it.
+        """
+        if scan.index not in self._rows:
+            raise DataError(self.path, f"has no labels for frame {scan.index}", hint="Write or copy it again")
         first, end = self._rows[scan.index]
         bits = np.unpackbits(self._dynamic[first // 8 : -(-end // 8)])
         return Labels(bits[first % 8 : first % 8 + end - first].astype(np.bool_), self._reasons[first:end])

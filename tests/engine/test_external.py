@@ -229,3 +229,23 @@ def test_a_score_does_not_overwrite_its_map(little_room: InMemory, tmp_path: Pat
         with pytest.raises(UsageError, match="would overwrite"):
             dv.score(tmp_path / name, little_room, out=tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("dynamic", np.zeros(8), r"dynamic is an array \(8,\) of float64"),
+        ("reasons", np.zeros((2, 3), np.uint8), r"reasons is an array \(2, 3\) of uint8"),
+        ("points", np.full(3, np.nan), r"points is an array \(3,\) of float64"),
+        ("points", np.array([-5, 65, 0]), "its arrays have different lengths"),
+        ("frames", np.array([0, 1, 99]), "has no labels for frame"),
+    ],
+)
+def test_labels_with_damaged_arrays(tmp_path: Path, name: str, value: np.ndarray, problem: str) -> None:
+    sequence = room(3, 20)
+    dv.run("octomap", sequence, out=tmp_path, record="none")
+    with np.load(tmp_path / "labels.npz") as z:
+        arrays = {key: z[key] for key in z.files}
+    np.savez(tmp_path / "labels.npz", **{**arrays, name: value})
+    with pytest.raises(DataError, match=rf"labels\.npz: .*{problem}"):
+        dv.score(tmp_path / "labels.npz", sequence)
