@@ -121,10 +121,10 @@ def extent(case: Mapping[str, Any]) -> str:
 
 def sentence(case: Mapping[str, Any]) -> str:
     """Describe a failure case in two short sentences: what the object did, and what the method did."""
-    name = " ".join(str(part) for part in (case["what"], case["instance"]) if part is not None)
+    name = " ".join(str(part) for part in (case["what"], case.get("instance")) if part is not None)
     if case["kind"] == "false_negative":
         moved = f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
-        fact = f"Kept: {name}, {when_and_where(case)}" + ("." if case["behaviour"] else f", {moved}.")
+        fact = f"Kept: {name}, {when_and_where(case)}" + ("." if case.get("behaviour") else f", {moved}.")
     else:
         fact = f"Removed: {name}, {extent(case)}, {when_and_where(case)}."
     own = f"The method gives the reason {next(iter(case['reasons']))}."
