@@ -18,7 +18,7 @@ from dynaviz.metric import FrameBoxes
 from dynaviz.scan import Outcome
 from dynaviz.scan import Sequence as Scans
 from dynaviz.viz import classes, drawn, paths, witnesses
-from dynaviz.viz.cases import ShownCase
+from dynaviz.viz.cases import POINTS, ShownCase
 from dynaviz.viz.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
@@ -65,20 +65,18 @@ class CaseTimeline:
             scores: of the run, in percent.
         """
         numbers = [case.number for case in self._cases]
-        for name in ("SA", "DA"):
+        for name in sorted({name for case in self._cases for name in case.lost}):
             lost, score = [case.lost.get(name, np.nan) for case in self._cases], scores.get(name)
-            if np.isnan(lost).all() or score is None:
-                continue
-            colour = colours.SCORES[name]
-            marks = rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4, names=f"% of {name} lost")
-            line = rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed")
-            fixed = score + np.nancumsum(lost)
-            for path, style, values in (
-                (f"{paths.CASE_COST}/{name}", marks, lost),
-                (f"{paths.CASE_SCORE}/{name}", line, fixed.tolist()),
-            ):
-                self._sink.log(path, style, static=True)
-                self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=values))
+            colour = colours.SCORES.get(name, colours.NEUTRAL)
+            path, label = f"{paths.CASE_COST}/{name}", "removed points" if name == POINTS else f"% of {name} lost"
+            self._sink.log(
+                path, rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4, names=label), static=True
+            )
+            self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=lost))
+            if score is not None:
+                path, fixed = f"{paths.CASE_SCORE}/{name}", score + np.nancumsum(lost)
+                self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
+                self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
     def draw(self, scans: Scans, sensor: F64, boxes: FrameBoxes) -> str | None:
         """Draw the cases, on both timelines.

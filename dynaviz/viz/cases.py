@@ -16,6 +16,7 @@ from dynaviz.scan import Outcome
 LISTED = 20  # cases in the list and in the map, at most ...
 WORTH = 0.01  # ... that cost at least this share of the first one
 FAILURES, CLUSTERS = "failures", "clusters"  # figures with the boxes of cases
+POINTS = "points"
 DID = {"false_positive": "removed", "false_negative": "kept"}
 REASONS = 3  # named in the text of a case
 WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)  # outcomes of the points of cases
@@ -31,7 +32,7 @@ class ShownCase:
         outcome: of its points.
         frame: position in the run of its worst frame.
         low, high: (3,) float64, metres, world frame: its box in that frame.
-        lost: percentage points of SA and of DA that it costs.
+        lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
         text: Markdown, without evidence.
     """
 

@@ -19,6 +19,7 @@ from dynaviz.viz import paths
 from dynaviz.viz.cases import listed, suspicious
 
 WORST = 5  # frames named in the report and marked on the curve
+TRUE = [Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]
 SMALLEST = 0.005  # percentage points: smaller costs would print as 0.00
 
 
@@ -81,7 +82,7 @@ def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -
         _sentences(result),
         _counts(result),
         _reasons(info, counts),
-        _how_to_read(mode),
+        _how_to_read(mode, bool(counts.points[TRUE].any())),
         _states(info) if mode != "scores" else "",
         _run(info, result),
         _parameters(result.parameters),
@@ -209,7 +210,9 @@ def _title(info: MethodInfo, sequence: str) -> str:
 
 
 def _scores(result: Result) -> str:
-    return table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())]) if result.metrics else ""
+    if all(value is None for value in result.metrics.values()):
+        return ""
+    return table([tuple(result.metrics), tuple(_percent(v) for v in result.metrics.values())])
 
 
 def _counts(result: Result) -> str:
@@ -224,7 +227,7 @@ def _percent(value: float | None) -> str:
 def _worst(counts: OutcomeCounts) -> str:
     rows = [(f, i, f"{missed:,}", f"{removed:,}") for f, i, missed, removed in counts.worst()]
     if not rows:
-        return "No frame has wrong points." if counts.frames else ""
+        return "No frame has wrong points." if counts.points[TRUE].any() else ""
     return "### Worst frames\n\n" + table([("frame", "scan", "false negatives", "false positives"), *rows])
 
 
@@ -238,7 +241,7 @@ def _reasons(info: MethodInfo, counts: OutcomeCounts) -> str:
     return "### Points by reason\n\n" + table([head, *rows]) if rows else ""
 
 
-def _how_to_read(mode: str) -> str:
+def _how_to_read(mode: str, truth: bool = True) -> str:
     if mode == "scores":
         return "### How to read this recording\n\nIt contains only numbers (`--record scores`); no points are drawn."
     shown = {
@@ -247,11 +250,15 @@ def _how_to_read(mode: str) -> str:
     }[mode]
     rows = [(word, paths.NAMES[outcome]) for outcome, word in colours.WORDS.items()]
     views = (
-        "- **map**: the whole run; wrong points of all frames are highlighted.\n"
-        "- **frame**: the points of the frame at the time cursor, and the sensor. Drag the cursor to replay.\n"
-        "- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
-        "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
+        "- **case**: a case in its worst frame, with rays that touched it. The arrow keys step through the cases.\n"
+        "- **map**: the whole run, with a numbered box around each case.\n"
+        "- **frame**: the points of the frame, and the sensor. Choose the timeline `frame` to replay the run."
     )
+    if truth:
+        views += (
+            "\n- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
+            "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
+        )
     legend = table([("colour", "point"), *rows])
     return f"### How to read this recording\n\n{legend}\n\n{views}\n\nIn this recording, {shown} (`--record {mode}`)."
 

@@ -18,7 +18,7 @@ NAMES = {
     GRAZED: "grazed the surface: weak evidence for moved",
 }
 REACH = 50.0  # metres between the sensor and a place; scans from farther away are not searched
-SCANS = 80  # scans that are searched at most, evenly spread over those within reach
+SCANS = 40  # scans that are searched at most, evenly spread over those within reach
 STRIPS = 60  # rays drawn per place
 ABOUT = 1.0  # metres: a place reaches this far from the middle of its points along each axis
 MARGIN = 0.1  # metres around the points of a place, about half a voxel
