@@ -123,8 +123,9 @@ class ClearSpace(BlockGrid):
     def insert(self, scan: Scan, occupied: Occupied, number: int) -> U8:
         """Insert a scan into the map; returns the level of each point by its own scan, (N,) uint8."""
         while self._used + len(occupied.cells) > len(self._owners):
-            grown = (np.append(a, np.zeros_like(a), 0) for a in (self._owners, self._marks, self._levels))
-            self._owners, self._marks, self._levels = grown
+            self._owners = np.append(self._owners, np.zeros_like(self._owners))
+            self._marks = np.append(self._marks, np.zeros_like(self._marks))
+            self._levels = np.append(self._levels, np.zeros_like(self._levels), 0)
             self._scans = np.append(self._scans, np.full_like(self._scans, -1), 0)
         self._of_scan[occupied.cells] = occupied.levels
         table = self._rows, self._owners, self._used, self._scans, self._levels
