@@ -77,9 +77,6 @@ def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] |
         if not recording.complete:
             hint = "Run it again" + (f" with: {p['command']}" if p.get("command") else "")
             raise DataError(recording.path, "contains an unfinished run", hint=hint)
-        if not p["has_labels"]:
-            hint = "Run on a sequence with ground truth"
-            raise DataError(recording.path, "has no ground truth, so errors cannot be computed", hint=hint)
         if p["digest"] != first["digest"]:
             problem = f"is from a different sequence than {opened[0].path}: {_data(p)} instead of {_data(first)}"
             raise DataError(recording.path, problem, hint="Run both on the same sequence and --frames")
@@ -106,8 +103,6 @@ def _count(opened: Sequence[RunRecording], progress: Progress) -> list[Agreement
             problem = f"does not contain the same points as {opened[0].path} ({error})"
             raise DataError(other.path, problem, hint="Run both methods again") from error
         progress("answers", done, len(opened) - 1)
-    if not counts[0].points.sum():
-        raise DataError(opened[0].path, "has no labelled point to compare", hint="Run on a sequence with ground truth")
     return counts
 
 

@@ -118,8 +118,6 @@ def test_without_dynamic_points(tmp_path: Path) -> None:
 def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path) -> None:
     a, b = pair(runs, "errors")
     other = record(room(4, 300), tmp_path / "other.rrd")
-    blind = record(room(4, 300, labelled=False), tmp_path / "blind.rrd")
-    void = changed(tmp_path / "void.rrd", lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8)))
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(a.read_bytes()[:-900])
 
@@ -147,8 +145,6 @@ def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path
         ((a, torn), DataError, r"torn.*contains an unfinished run\. Run it again with: dynaviz run guess room"),
         ((torn, a), DataError, r"torn.*contains an unfinished run"),
         ((cut, a), DataError, r"cut\.rrd: is incomplete.*dynaviz repair"),
-        ((blind, blind), DataError, r"blind\.rrd: has no ground truth"),
-        ((void, void), DataError, r"void\.rrd: has no labelled point"),
         ((a, merged["two"]), DataError, r"two\.rrd: contains a comparison, not a run"),
         ((a, tmp_path / "absent.rrd"), DataError, r"absent\.rrd: No such file"),
     ]
@@ -163,6 +159,21 @@ def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path
         dv.compare(a, b, out=tmp_path / "file/compare.rrd")
     assert not (tmp_path / "compare.rrd").exists()
     assert not list(tmp_path.glob(".compare*"))
+
+
+def test_runs_without_ground_truth_are_compared_by_what_they_removed(tmp_path: Path) -> None:
+    blind = record(room(4, 300, labelled=False), tmp_path / "blind.rrd")
+    void = changed(tmp_path / "void.rrd", lambda scan: replace(scan, labels=np.full(len(scan), 255, np.uint8)))
+    for recording in (blind, void):
+        comparison = dv.compare(recording, recording, out=tmp_path / "compare.rrd")
+        assert (tmp_path / "compare.rrd").is_file()
+        assert comparison.verdicts()[0].startswith("There is no ground truth")
+        removed = comparison.pairs[0].removed
+        assert removed is not None
+        assert removed.points.both > 0
+        assert removed.points.only_first == removed.points.only_second == 0
+        with pytest.raises(UsageError, match="AA is undefined"):
+            comparison.drops_below(0.0)
 
 
 def test_an_interrupted_comparison_leaves_no_file(
