@@ -22,6 +22,7 @@ SHADES = 24  # of grey, by height
 MARGIN = 2.0  # metres around the map
 SCALE_BAR = 10  # metres
 GAP = 0.25  # metres between neighbouring points of a recorded map, which has one point per voxel of 0.2 m
+FRAME_GAP = 4  # pixels between a case and its frame
 LOSSLESS = 101  # WebP quality; half the size of PNG for such pictures
 BACKGROUND, UNKNOWN, GHOST, HOLE, RIGHT, TAKEN, FRAME, GREY = range(8)  # palette; shades of grey start at the last
 _COLOURS = (
@@ -226,8 +227,9 @@ class View:
         height, width = indices.shape
         if self.box is not None:
             low, high = ((corner - self.low[:2]) / self.pixel for corner in self.box)
-            corners = [(int(low[0]), int(height - high[1])), (int(high[0]), int(height - low[1]))]
-            cv2.rectangle(indices, *corners, FRAME, 2)
+            low, high = low - FRAME_GAP, high + FRAME_GAP  # so that it covers no point of the case
+            top_left, bottom_right = (int(low[0]), int(height - high[1])), (int(high[0]), int(height - low[1]))
+            cv2.rectangle(indices, top_left, bottom_right, FRAME, 2)
         picture = np.ascontiguousarray(_PALETTE[indices][:, :, ::-1])  # OpenCV's order is BGR
         bar = min(round(self.bar / self.pixel), width - 20)
         if bar > 0 and height > 40:

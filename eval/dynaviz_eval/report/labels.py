@@ -75,9 +75,11 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> Non
 
 def _settle(axes: Axes) -> None:
     """Fix position and limits of the axes, so that data coordinates can be converted."""
+    from matplotlib.figure import Figure
+
     figure = axes.get_figure()
-    assert figure is not None
-    figure.draw_without_rendering()  # type: ignore[union-attr]
+    assert isinstance(figure, Figure)
+    figure.draw_without_rendering()
     figure.set_layout_engine("none")
     axes.autoscale(False)
 
