@@ -80,7 +80,7 @@ def _safe_for_threads(module: ModuleType) -> ModuleType:
     import numba
 
     numba.get_num_threads()  # loads the threading layer
-    if numba.threading_layer() != "workqueue":
+    if numba.threading_layer() != "workqueue":  # type: ignore[attr-defined]  # not in its __all__
         return module
     copy = ModuleType(module.__name__, module.__doc__)
     vars(copy).update(vars(module), **{name: _locked(kernel) for name, kernel in kernels.items()})
