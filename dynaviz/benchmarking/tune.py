@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -212,7 +213,7 @@ def _write_implants(
     for name in missing:
         scene = planned(base.name, replace(movers, seed=int(name.removeprefix("seed"))), lidar, survey)
         implanted = ImplantedSequence(blind, scene, lidar, name, movers.panel, agreed.static)
-        write(implanted, out / "implants" / name, lambda done, total, name=name: progress(f"write {name}", done, total))
+        write(implanted, out / "implants" / name, partial(progress, f"write {name}"))
 
 
 def _check_facts(file: Path, movers: ImplantOptions, source: Mapping[str, Any]) -> None:

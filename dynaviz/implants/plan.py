@@ -212,7 +212,7 @@ class _Planner:
             score -= float(clear[-1]) / 4 if parks else 0.0
             if kind.radius < 0.4 and self._pace > DRIVING and self._road:  # persons do not walk on the road
                 apart, _ = self._lane.query(path.xy)
-                score -= float((apart < ROADWAY).mean())
+                score -= float(np.mean(apart < ROADWAY))
             second = vehicle and keeps_lane != (number >= crossing)
             scored.append((second, -score, number, path))
         tried: Counter[bool] = Counter()
