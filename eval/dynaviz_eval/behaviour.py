@@ -68,9 +68,10 @@ class Objects:
             here = known[known["frame"] == row["frame"]]
             here = here[(here["low"] <= row["low"]).all(1) & (here["high"] >= row["high"]).all(1)]
             if not len(here):
-                return here
+                return known[:0]
             known = known[known["case"] == here["case"][np.argmin((here["high"] - here["low"]).prod(1))]]
-        return pooled(known, ("frame",))[0]
+        track, _ = pooled(known, ("frame",))
+        return track
 
 
 def groups_of(scan: Scan, chosen: NDArray[np.intp], objects: bool) -> I64:
