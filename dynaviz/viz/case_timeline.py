@@ -167,9 +167,11 @@ class CaseTimeline:
             colors=[colours.BRIGHT[case.outcome] for case in cases],
         )  # fmt: skip
         aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
-        self._sink.columns(paths.CASE_BOX, frames, [None], box)
-        self._sink.columns(paths.CASE_AROUND, frames, [None], rr.LineStrips3D.columns(strips=_circles(low, high)))
-        self._sink.columns(paths.CASE_AIM, frames, [None], aims.partition([AIM_LINES] * len(frames)))
+        self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
+        self._sink.columns(
+            paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=_circles(low, high))
+        )
+        self._sink.columns(paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames)))
         last = None
         for frame, case in zip(frames.tolist(), cases, strict=True):
             if case is not last:

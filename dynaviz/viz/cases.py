@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -78,8 +79,8 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         texts = [
             (_cluster_title(case), {}, _cluster_text(case, i, len(clusters))) for i, case in enumerate(clusters, 1)
         ]
-    cases = []
-    for i, (case, (title, lost, text)) in enumerate(zip([*failures, *clusters], texts, strict=False)):
+    cases, found = [], cast("list[FailureCase | RemovedCluster]", [*failures, *clusters])
+    for i, (case, (title, lost, text)) in enumerate(zip(found, texts, strict=False)):
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)

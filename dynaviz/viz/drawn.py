@@ -42,7 +42,8 @@ def values(row: Row, name: str) -> np.ndarray:
     array = row[name][1].flatten()
     width = array.type.list_size if pa.types.is_fixed_size_list(array.type) else None
     flat = (array.flatten() if width else array).to_numpy(zero_copy_only=False)
-    return flat.reshape(-1, width) if width else flat
+    shaped: np.ndarray = flat.reshape(-1, width) if width else flat
+    return shaped
 
 
 def positions(row: Row) -> F64 | None:
@@ -50,7 +51,8 @@ def positions(row: Row) -> F64 | None:
     if POINTS in row:
         return values(row, POINTS).astype(np.float64)
     if VOXELS in row:
-        return (values(row, VOXELS) + 0.5) * values(row, VOXEL_SIZE)[0].astype(np.float64)
+        centres: F64 = (values(row, VOXELS) + 0.5) * values(row, VOXEL_SIZE)[0].astype(np.float64)
+        return centres
     return None
 
 

@@ -168,10 +168,10 @@ def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
     if (section := result.sections.removals) and section.range:
         parts.append(table([("range [m]", "removed", "of", "%"), *map(_range_row, section.range)]))
     if section and (most := sorted(section.frame, key=lambda frame: -frame.removed)[:WORST]):
-        rows = [
+        worst = [
             (frame.frame, f"{frame.removed:,}", f"{100 * frame.removed / max(frame.points, 1):.2f}") for frame in most
         ]
-        parts.append(table([("frames with the most", "removed", "%"), *rows]))
+        parts.append(table([("frames with the most", "removed", "%"), *worst]))
     return "\n\n".join(parts)
 
 
