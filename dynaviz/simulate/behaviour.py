@@ -62,12 +62,14 @@ class Stage:
         scene: the scene; movers are added to it.
         rng: random numbers.
         turn: number of the mover among those of its kind.
+        taken: (2,) places where vehicles park, metres.
     """
 
     def __init__(self, scene: SimulatedScene, rng: np.random.Generator):
         import open3d as o3d
 
         self.scene, self.rng, self.turn = scene, rng, 0
+        self.taken: list[F64] = []
         self._tensor = o3d.core.Tensor.from_numpy
         self._static = o3d.t.geometry.RaycastingScene(nthreads=1)
         for part in scene.parts:
@@ -299,15 +301,16 @@ def _park(stage: Stage, time: float) -> None:
     here = stage.sensor(0.5 * duration)
     order = sorted(bays, key=lambda bay: float(abs(np.hypot(*(np.array(bay[0].at(bay[1])[:2]) - here)) - 8.0)))
     indoors = not any(part.kind == ObjectClass.ROAD for part in stage.scene.parts)
-    for path, stop in order[2 * stage.turn : 2 * stage.turn + TRIES]:
-        coming, leaving = arrive(stop, 5.0, come), depart(stop, 5.0, go)
-        slow = 0.3 if indoors else 1.0
-        schedule = _parked(coming, leaving, stop, go, slow)
-        if stage.free(path, stop - 9 * slow, stop + 9 * slow, 0.5 if indoors else DRIVING) and stage.apart(
-            path, schedule, 2.0
-        ):
+    slow, room = (0.3, 0.5) if indoors else (1.0, DRIVING)
+    for path, stop in order:
+        place = np.array(path.at(stop)[:2])
+        if any(np.hypot(*(place - other)) < 7.0 for other in stage.taken):
+            continue
+        schedule = _parked(arrive(stop, 5.0, come), depart(stop, 5.0, go), stop, go, slow)
+        if stage.free(path, stop - 9 * slow, stop + 9 * slow, room) and stage.apart(path, schedule, 2.0):
             body = objects.forklift(stage.rng) if indoors else objects.car(stage.rng)
             kind = ObjectClass.MOVING_OTHER_VEHICLE if indoors else ObjectClass.MOVING_CAR
+            stage.taken.append(place)
             return stage.add(kind, Motion(path, schedule), body)
     return None
 

@@ -48,7 +48,7 @@ def _places(scene: SimulatedScene) -> None:
     bay = -HALF - 7.9
     for x in np.arange(-45, 46, 1.5):
         way = Route(
-            [(88, LANES[1]), (x + 14, LANES[1]), (x + 7, bay), (x - 7, bay), (x - 14, LANES[1]), (-88, LANES[1])], 4
+            [(88, LANES[1]), (x + 10, LANES[1]), (x + 4, bay), (x - 4, bay), (x - 10, LANES[1]), (-88, LANES[1])], 4
         )
         scene.places.bays.append((way, float(way.distance[np.argmin(np.hypot(*(way.xy - (x, bay)).T))])))
 

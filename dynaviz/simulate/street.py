@@ -86,9 +86,8 @@ def _places(scene: SimulatedScene, road: Street, reserved: tuple[float, float]) 
     scene.places.lanes += [road.lane(LANE), road.lane(-LANE)]
     stations = np.arange(0, road.length, 0.5)
     for station in np.arange(20.0, road.length - 20, PLACE / 2):
-        if reserved[0] - 15 < station < reserved[1] + 15:
-            continue
-        for side in (-1, 1):
+        free = not reserved[0] - 15 < station < reserved[1] + 15  # those stations are for the right side only
+        for side in (-1, 1) if free else (1,):
             swing = np.interp(np.abs(stations - station), [2.5, 11], [BAY, LANE])
             path = road.middle.shifted(side * _eased(swing))
             path = path if side < 0 else path.reversed()
