@@ -63,7 +63,7 @@ class Objects:
     def _track(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The object in all frames, one row each."""
         row = rows[np.argmax(rows["points"])]
-        known = self._cases.rows[self._cases.rows["group"] == row["group"]]
+        known: NDArray[np.void] = self._cases.rows[self._cases.rows["group"] == row["group"]]
         if not row["group"] & 0xFFFFFFFF:  # no number: the smallest object whose box contains that of the case
             here = known[known["frame"] == row["frame"]]
             here = here[(here["low"] <= row["low"]).all(1) & (here["high"] >= row["high"]).all(1)]
