@@ -83,7 +83,19 @@ def test_only_viz_imports_rerun() -> None:
 
 
 METHODS_MAY = ("arrays", "scan", "method", "probe", "spatial", "kernels", "sensors", "errors")
-EVAL_MAY = ("arrays", "colours", "scan", "metric", "method", "results", "reporting", "spatial", "kernels", "errors", "io")
+EVAL_MAY = (
+    "arrays",
+    "colours",
+    "scan",
+    "metric",
+    "method",
+    "results",
+    "reporting",
+    "spatial",
+    "kernels",
+    "errors",
+    "io",
+)
 
 
 @pytest.mark.parametrize(("package", "allowed"), [("dynaviz_methods", METHODS_MAY), ("dynaviz_eval", EVAL_MAY)])

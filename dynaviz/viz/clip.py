@@ -122,7 +122,7 @@ def encoded(pictures: Iterator[bytes], count: int) -> bytes:
             assert picture is not None
             height, width = (edge - edge % 2 for edge in picture.shape[:2])  # the codec needs even edges
             if writer is None:
-                writer = cv2.VideoWriter(str(file), cv2.VideoWriter_fourcc(*CODEC), speed, (width, height))
+                writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*CODEC), speed, (width, height))
             writer.write(picture[:height, :width])
         if writer is not None:
             writer.release()

@@ -114,7 +114,7 @@ def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
 def _text(row: U8, words: str, left: int, base: int, scale: float = FONT_SCALE) -> None:
     import cv2
 
-    cv2.putText(row, words, (left, base), cv2.FONT_HERSHEY_SIMPLEX, scale, TEXT, 1, cv2.LINE_AA)  # type: ignore[call-overload]
+    cv2.putText(row, words, (left, base), cv2.FONT_HERSHEY_SIMPLEX, scale, TEXT, 1, cv2.LINE_AA)
 
 
 def _width(words: str) -> int:
