@@ -117,7 +117,8 @@ def write_atomic(path: str | os.PathLike[str], content: bytes) -> None:
 
 def write_error(path: Path, error: OSError, alternative: str) -> DataError:
     """The error for a file or folder that cannot be written."""
-    file = next((parent for parent in path.parents if parent.is_file()), None)
+    places = (path, *path.parents) if isinstance(error, FileExistsError) else path.parents
+    file = next((place for place in places if place.is_file()), None)
     hint = f"{file} is a file: choose {alternative}" if file else f"Free disk space or choose {alternative}"
     return DataError(path, f"cannot be written ({error.strerror})", hint=hint)
 

@@ -203,7 +203,7 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     first = plain["pairs"][0]
     assert list(first) == [
         "first", "second", "scores", "right", "by_range", "by_reason", "frames", "places", "places_note", "differ",
-        "runtime",
+        "runtime", "removed",
     ]  # fmt: skip
     assert list(first["scores"]) == ["SA", "DA", "AA", "HA", "FP", "FN"]
     assert list(first["scores"]["FP"]) == ["first", "second", "delta", "interval"]
