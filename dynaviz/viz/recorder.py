@@ -32,7 +32,7 @@ from dynaviz.viz.layout import Findings, layout
 from dynaviz.viz.report import OutcomeCounts, before, failure_list, removed, report
 from dynaviz.viz.scene import MapDrawing
 
-STATE_POINTS = 24_000  # per frame in ``errors`` mode, shared by all states with coordinates
+STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states with coordinates
 
 
 class Recorder(Listener):

@@ -18,6 +18,8 @@ from dynaviz.viz.sink import RecordingFile
 
 VOXEL = 0.2  # metres: edge of the voxels used to downsample the map and the false positives of a frame
 FINE = 0.1  # metres: the same for dynamic points, which are few
+MOST = 10_000  # points of an outcome in a frame, about; more are downsampled, with larger voxels if need be
+MARGIN = 1.1  # factor on these, because surfaces are rough
 GROWTH = 1.25  # factor on the voxel's edge while a map has more points than its cap
 
 MAPS = {  # entities of the points of the whole run, by outcome
@@ -27,6 +29,12 @@ MAPS = {  # entities of the points of the whole run, by outcome
     paths.REMOVED_WRONG: (Outcome.FALSE_POSITIVE,),
 }
 DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
+DRAWN = {  # outcomes drawn by frame in ``errors`` mode, and the voxel's edge in metres if they are downsampled
+    Outcome.DYNAMIC_REMOVED: FINE,
+    Outcome.FALSE_NEGATIVE: FINE,
+    Outcome.FALSE_POSITIVE: VOXEL,
+    Outcome.UNLABELLED_REMOVED: VOXEL,
+}
 CAPS = {  # points in the map of the whole run: at most about 550 000, which a software renderer can draw
     Outcome.STATIC_KEPT: 300_000,
     Outcome.UNLABELLED_KEPT: 100_000,
@@ -194,13 +202,21 @@ def _by_outcome(outcome: U8, finite: Bool) -> list[Intp]:
     return [order[first:end] for first, end in itertools.pairwise(bounds)]
 
 
-def _chosen(labelled: Labelled, local: F32, rows: list[Intp]) -> tuple[np.ndarray, np.ndarray]:
-    """Points to draw, and how many each stands for: all dynamic points, and one per voxel of those wrongly removed."""
-    dynamic = np.isin(labelled.outcome, DYNAMIC)
-    chosen, stands_for = [np.flatnonzero(dynamic)], [np.ones(int(dynamic.sum()), np.intp)]
-    for outcome in (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED):
-        points = rows[outcome]
-        first, counts = voxel_downsample(local[points], VOXEL)
-        chosen.append(points[first])
-        stands_for.append(counts)
-    return np.concatenate(chosen), np.concatenate(stands_for)
+def _chosen(labelled: Labelled, local: F32, rows: list[Intp]) -> tuple[Intp, Intp]:
+    """Rows of points to draw, and how many each stands for: dynamic and removed points, one per voxel if many."""
+    parts = []
+    for outcome, size in DRAWN.items():
+        every = np.flatnonzero(labelled.outcome == outcome)  # those that are not finite, too
+        if outcome in DYNAMIC and len(every) <= MOST:
+            parts.append((every, np.ones(len(every), np.intp)))
+        else:
+            parts.append(_thinned(rows[outcome], local, size))
+    return np.concatenate([chosen for chosen, _ in parts]), np.concatenate([counts for _, counts in parts])
+
+
+def _thinned(rows: Intp, local: F32, size: float) -> tuple[Intp, Intp]:
+    """One of these rows per voxel of this edge, or of a larger one if these are more than ``MOST``."""
+    first, counts = voxel_downsample(local[rows], size)
+    if len(first) > MOST:  # the number of voxels of surfaces falls with the square of their edge
+        first, counts = voxel_downsample(local[rows], MARGIN * size * float(np.sqrt(len(first) / MOST)))
+    return rows[first], counts
