@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 UNIX_ONLY = ("fcntl", "termios", "resource", "pwd", "grp", "pty", "tty", "posix")
 WITHOUT = f"""
 import builtins, sys
@@ -28,28 +26,34 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", WITHOUT + code], capture_output=True, text=True, check=False)
 
 
-def dynaviz(*words: object) -> subprocess.CompletedProcess[str]:
-    arguments = ["dynaviz", *map(str, words)]
-    return python(f"sys.argv = {arguments!r}\nfrom dynaviz.cli import main\nmain()")
+def commands(*lines: tuple[object, ...]) -> subprocess.CompletedProcess[str]:
+    """Run commands one after another, until one fails."""
+    typed = [["dynaviz", *map(str, words)] for words in lines]
+    return python(f"""
+from dynaviz.cli import main
+for sys.argv in {typed!r}:
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            raise
+""")
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scene") / "square"
-    done = dynaviz("simulate", "square_mid360", folder, "--frames", 3)
+def test_a_run_is_scored_recorded_and_read_again(tmp_path: Path) -> None:
+    scene, out = tmp_path / "square", tmp_path / "out"
+    recording = out / "run.rrd"
+    done = commands(
+        ("simulate", "square_mid360", scene, "--frames", 3),
+        ("run", "octomap", scene, "-o", out),
+        ("info", recording),
+        ("failures", recording),
+        ("compare", recording, recording),
+    )
     assert done.returncode == 0, done.stderr
-    return folder
-
-
-def test_a_run_is_scored_recorded_and_read_again(scene: Path, tmp_path: Path) -> None:
-    done = dynaviz("run", "octomap", scene, "-o", tmp_path)
-    assert done.returncode == 0, done.stderr
-    result = json.loads((tmp_path / "result.json").read_text())
+    result = json.loads((out / "result.json").read_text())
     assert result["runtime"]["peak_rss_mb"] is None
     assert result["metrics"]["SA"] > 50
-    for words in (("info",), ("failures",), ("compare", tmp_path / "run.rrd")):
-        done = dynaviz(words[0], tmp_path / "run.rrd", *words[1:])
-        assert done.returncode == 0, done.stderr
 
 
 def test_every_module_imports() -> None:

@@ -162,7 +162,7 @@ def distances(board: ScoreBoard, name: str) -> ReportFigure | None:
         "Right: number of wrong points."
     )
     caption += BEST * (len(drawn) < len(board.rows))
-    return _figure(name, caption, len(titles), 0.42 * len(drawn) + 1.1, draw) if drawn else None
+    return _figure(name, caption, len(titles), 0.42 * len(drawn) + 1.5, draw) if drawn else None
 
 
 def _ridge(axes: Axes, base: float, row: ScoreRow, kind: str) -> None:
