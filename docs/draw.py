@@ -112,7 +112,7 @@ def of_demo(folder: Path) -> None:
     save(picture(octomap, folder, 41, None, WINDOW), "pictures/window.jpg")
     save(picture(octomap, folder, 41, "frame", (1100, 640)), "pictures/frame.jpg")
     save(picture(octomap, folder, 41, "failures", (520, 740))[:LIST], "pictures/failures.jpg")
-    save(picture(octomap, folder, 41, "wrong points per frame", (900, 400)), "pictures/wrong.jpg")
+    save(picture(octomap, folder, 41, "wrong points per frame; by case: % lost", (900, 400)), "pictures/wrong.jpg")
     save(picture(octomap, folder, 41, "FN: distance [m]", (900, 400)), "pictures/distance.jpg")
     save(picture(octomap, folder, 41, "hit", (1100, 640)), "pictures/hit.jpg")
     two = folder / "compare.rrd"
@@ -149,7 +149,7 @@ def save(image: U8, name: str) -> None:
         colours = Image.fromarray(np.ascontiguousarray(image[..., ::-1]))
         colours.quantize(PALETTE, kmeans=2, dither=Image.Dither.NONE).save(DOCS / name, optimize=True)
     else:
-        cv2.imwrite(str(DOCS / name), image, [cv2.IMWRITE_JPEG_QUALITY, 82, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+        cv2.imwrite(str(DOCS / name), image, [cv2.IMWRITE_JPEG_QUALITY, 74, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
 
 if __name__ == "__main__":
