@@ -8,7 +8,6 @@ import os
 import shlex
 import socket
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_error
 
 NAME = ".dynaviz.lock"
+_KILLED = 10.0  # seconds after which a process that clears an old lock must have been killed
 _PATIENCE = 1.0  # seconds that a process may take from creating its lock to writing who it is
 
 
@@ -120,19 +120,38 @@ def _clear(path: Path) -> None:
     Raises:
         DataError: if the process is alive.
     """
-    deadline = time.monotonic() + _PATIENCE
-    while (owner := Owner.of(path)) is None and path.exists() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    if owner is not None and not owner.ended():
-        raise _in_use(path.parent, owner)
-    # Renamed first: of several processes that find the same old lock, one removes it, and none a new one.
-    old = path.with_name(f"{NAME}.{os.getpid()}-{threading.get_ident()}")
-    with contextlib.suppress(FileNotFoundError):
-        path.rename(old)
-        if Owner.of(old) != owner:
-            with contextlib.suppress(OSError):
-                os.link(old, path)
-        old.unlink()
+    guard = path.with_name(f"{NAME}.clearing")  # only one process at a time may remove a lock that is not its own
+    try:
+        guard.mkdir()
+    except FileExistsError:
+        _wait_for(guard)
+        return
+    try:
+        owner = Owner.of(path)
+        if owner is not None and not owner.ended():
+            raise _in_use(path.parent, owner)
+        if owner is not None or _age(path) > _PATIENCE:
+            path.unlink(missing_ok=True)
+    finally:
+        guard.rmdir()
+    if owner is None:
+        time.sleep(0.01)  # its process is about to write who it is
+
+
+def _age(path: Path) -> float:
+    """Seconds since a file or folder was last written; 0 if it is gone."""
+    try:
+        return time.time() - path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _wait_for(guard: Path) -> None:
+    """Wait a moment for another process to remove an old lock; one that was killed at it has no effect later."""
+    time.sleep(0.01)
+    if _age(guard) > _KILLED:
+        with contextlib.suppress(OSError):
+            guard.rmdir()
 
 
 def _in_use(folder: Path, owner: Owner) -> DataError:
