@@ -142,7 +142,11 @@ def _label_with_path(study: Study, run: StudyRun) -> str:
     return f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]"
 
 
-_LABEL_FORMS: tuple[_LabelForm, ...] = (_plain_label, _label_with_source, _label_with_path)
+def _label_with_folder(study: Study, run: StudyRun) -> str:
+    return f"{run.label} [{run.folder.name}]"
+
+
+_LABEL_FORMS: tuple[_LabelForm, ...] = (_plain_label, _label_with_source, _label_with_folder, _label_with_path)
 
 
 def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, str]:

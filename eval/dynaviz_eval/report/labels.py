@@ -14,6 +14,7 @@ from dynaviz_eval.report.drawing import INK
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LONGEST = 30  # characters of a name at the end of a line
 SIZE = 8.0  # points: height of a letter's box
 ADVANCE = 0.6  # width of a letter, in sizes
 LINE = 1.3  # distance between lines of text, in sizes
@@ -57,8 +58,8 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> Non
         ends: x, y (data coordinates), name and colour of each line.
     """
     notes = [
-        axes.annotate(name, (1, 0.5), (20, 0), xycoords="axes fraction", textcoords="offset points", fontsize=SIZE,
-                      color=INK, va="center", annotation_clip=False)
+        axes.annotate(_short(name), (1, 0.5), (20, 0), xycoords="axes fraction", textcoords="offset points",
+                      fontsize=SIZE, color=INK, va="center", annotation_clip=False)
         for _, _, name, _ in ends
     ]  # fmt: skip
     _settle(axes)
@@ -71,6 +72,11 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> Non
             [start[0], 1 + 17 / axes.bbox.width], [start[1], fraction], transform=axes.transAxes, color=colour,
             linewidth=1.0, clip_on=False,
         )  # fmt: skip
+
+
+def _short(name: str) -> str:
+    """The name without its middle if it would leave no room for the lines; a path differs at its end."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}…{name[-LONGEST // 2 + 1 :]}"
 
 
 def _settle(axes: Axes) -> None:
