@@ -15,8 +15,9 @@ three seconds to compile. Give counters that are passed to other functions a typ
 from __future__ import annotations
 
 import functools
-import importlib
+import importlib.util
 import os
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -29,13 +30,33 @@ from numpy.typing import DTypeLike, NDArray
 COMPILING = "compiling kernels, first run only ..."
 _listening = False
 _one_at_a_time = threading.RLock()
+_loading = threading.RLock()
 
 
 def __getattr__(name: str) -> ModuleType:
     if name.startswith("_"):
         raise AttributeError(name)
     _announce_compilation()
-    module = globals()[name] = _safe_for_threads(importlib.import_module(f"dynaviz.kernels.{name}"))
+    with _loading:
+        if name not in globals():
+            globals()[name] = _safe_for_threads(_load(f"{__name__}.{name}"))
+    module: ModuleType = globals()[name]
+    return module
+
+
+def _load(name: str) -> ModuleType:
+    """Import a module, without making it an attribute of this package, where another thread would find it at once."""
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.find_spec(name)
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module
 
 

@@ -345,3 +345,6 @@ class Sections(Struct, frozen=True, omit_defaults=True):
         """Plain JSON values, the inverse of ``of``."""
         plain: dict[str, Any] = msgspec.to_builtins(self)
         return {**{key: value for key, value in plain.items() if key != "other"}, **self.other}
+
+
+msgspec.convert({}, Sections)  # the first conversion describes the type, which is not safe in several threads at once
