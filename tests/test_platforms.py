@@ -13,10 +13,10 @@ import builtins, sys
 
 real_import = builtins.__import__
 
-def without_unix(name, globals=None, *rest):  # other packages have their own builds for other systems
+def without_unix(name, globals=None, *rest, **named):  # other packages have their own builds for other systems
     if name in {UNIX_ONLY!r} and (globals or {{}}).get("__name__", "").startswith("dynaviz"):
         raise ImportError(f"{{name}} does not exist on this system")
-    return real_import(name, globals, *rest)
+    return real_import(name, globals, *rest, **named)
 
 builtins.__import__ = without_unix
 """
