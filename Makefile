@@ -22,7 +22,7 @@ types: .venv/.dev
 
 CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck
 boundscheck: .venv/.dev  # test the kernels with bounds checking
-	$(CHECKED) $(BIN)/python -m dynaviz.precompile
+	$(CHECKED) $(BIN)/python -m dynaviz.precompile --all
 	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) -m boundscheck
 
 # Coverage cannot see the lines of compiled kernels, so their tests on small worlds run again as plain Python. Plain Python warns
@@ -53,7 +53,7 @@ check: lint types test boundscheck docs
 .venv/.dev: .venv/.venv pyproject.toml
 	@echo "installing dynaviz and its test dependencies into .venv, about 2 GB ..."
 	@$(PIP) --no-compile --editable '.[dev]'
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
+	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile --all
 	@touch .venv/.user $@
 
 clean:

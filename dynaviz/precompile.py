@@ -1,4 +1,4 @@
-"""Compile the kernels of all methods before their first use: ``python -m dynaviz.precompile``."""
+"""Compile kernels before their first use: ``python -m dynaviz.precompile``, with ``--all`` those of all methods."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ import io
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-LATE = (
-    "freedom",
-    "hmm_mos",
-)  # methods that the demo leaves out, to stay short; their kernels are compiled on first use
+LATE = ("freedom", "hmm_mos")  # methods that the demo leaves out, to stay short; compiled on first use
 
 
 @contextlib.contextmanager
-def compiling() -> Iterator[None]:
-    """Compile the kernels on all cores in the background if none are compiled yet; one core would take minutes."""
+def compiling(late: Collection[str] = LATE) -> Iterator[None]:
+    """Compile the kernels on all cores in the background if none are compiled yet; one core would take minutes.
+
+    Args:
+        late: names of methods to leave out.
+    """
     from dynaviz import kernels, registry
 
     if kernels.compiled():
@@ -28,7 +29,7 @@ def compiling() -> Iterator[None]:
     print(kernels.COMPILING, file=sys.stderr, flush=True)
     families: dict[str, list[str]] = {}  # methods of one file share kernels; two cores would compile these twice
     for handle in registry.handles("methods"):
-        if handle.name in LATE:
+        if handle.name in late:
             continue
         families.setdefault(handle.target.partition(":")[0], []).append(handle.name)
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as cores:
@@ -66,5 +67,5 @@ def _score() -> None:
 
 
 if __name__ == "__main__":
-    with compiling():
+    with compiling(() if "--all" in sys.argv else LATE):
         pass
