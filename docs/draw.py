@@ -26,6 +26,7 @@ import dynaviz as dv
 from dynaviz import registry
 from dynaviz.arrays import U8
 from dynaviz.simulate import simulate
+from dynaviz.viz.layout import WRONG
 from dynaviz.viz.shot import shot
 
 DOCS = Path(__file__).resolve().parent
@@ -112,7 +113,7 @@ def of_demo(folder: Path) -> None:
     save(picture(octomap, folder, 41, None, WINDOW), "pictures/window.jpg")
     save(picture(octomap, folder, 41, "frame", (1100, 640)), "pictures/frame.jpg")
     save(picture(octomap, folder, 41, "failures", (520, 740))[:LIST], "pictures/failures.jpg")
-    save(picture(octomap, folder, 41, "wrong points per frame; by case: % lost", (900, 400)), "pictures/wrong.jpg")
+    save(picture(octomap, folder, 41, WRONG, (900, 400)), "pictures/wrong.jpg")
     save(picture(octomap, folder, 41, "FN: distance [m]", (900, 400)), "pictures/distance.jpg")
     save(picture(octomap, folder, 41, "hit", (1100, 640)), "pictures/hit.jpg")
     two = folder / "compare.rrd"

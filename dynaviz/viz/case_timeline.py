@@ -19,6 +19,7 @@ from dynaviz.scan import Outcome
 from dynaviz.scan import Sequence as Scans
 from dynaviz.viz import classes, drawn, paths, witnesses
 from dynaviz.viz.cases import POINTS, ShownCase
+from dynaviz.viz.scene import WIRES
 from dynaviz.viz.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
@@ -29,7 +30,6 @@ BACK = 11.0  # metres: the same for the frame around the line from the sensor to
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 EDGES = rr.Radius.ui_points(1.6)
 THIN = rr.Radius.ui_points(0.5)
-WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 49)
 CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 RAY_COLOURS: dict[int, colours.Colour] = {
@@ -92,26 +92,26 @@ class CaseTimeline:
         Raises:
             DataError: for a scan that cannot be read.
         """
-        contents = [paths.SCAN, paths.SENSOR, *(f"{paths.WORLD}/{part}/**" for part in (self._info.name,))]
-        contents += [paths.FAILURES, paths.CLUSTERS, f"{self._info.name}/**"]
+        states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
+        contents = [paths.SCAN, paths.SENSOR, paths.FAILURES, paths.CLUSTERS, *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         places = [_place(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
         self._styles()
-        states = []
+        deciding = []
         for case, place, evidence in zip(self._cases, places, witnesses.find(scans, sensor, places), strict=True):
             self._sink.at_case(case.number)
             here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
-            states.append(self._deciding(here, place))
+            deciding.append(self._deciding(here, place))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(evidence)
-            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{self._see(states[-1])}\n{HOW}")
+            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{self._see(deciding[-1])}\n{HOW}")
             self._sink.chunks(
                 drawn.at_case(path, case.number, _near(path, row, (case.low + case.high) / 2))
                 for path, row in here.items()
                 if case.number <= PICTURES or path.startswith(paths.WORLD)
             )
         self._by_frame(sensor, boxes)
-        return states[0]
+        return deciding[0]
 
     def _deciding(self, here: dict[str, drawn.Row], place: witnesses.Place) -> str | None:
         """The state with the largest share of its points or voxels at a place; None if none has any."""
