@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F64, U8, Bool
+from dynaviz.arrays import F32, F64, U8, Bool
 from dynaviz.scan import Scan
 
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
@@ -50,20 +50,18 @@ class DepthImage:
             depth: (rows, columns) uint8, least depth of the pixel's points in units of farthest / 255; 255 without.
             hole: (rows, columns) uint8, 255 for pixels without points, else 0.
         """
-        points = (scan.points[np.isfinite(scan.points).all(1)] - scan.position) @ scan.T_world_sensor[:3, :3]
-        x, y, z = points.astype(np.float32).T
+        x, y, z = _local(scan)
         ranges = np.sqrt(x * x + y * y + z * z)
         upper, width = self.top + self.pixel / 2, 2 * math.pi / self.columns
         row = np.floor((upper - np.arctan2(z, np.hypot(x, y))) / self.pixel).astype(np.int64)
         column = np.floor((math.pi - np.arctan2(y, x)) / width).astype(np.int64)
         inside = (row >= 0) & (row < self.rows) & (column >= 0) & (column < self.columns) & (ranges >= NEAREST)
-        row, column, ranges = row[inside], column[inside], ranges[inside]
-        depth = np.full((self.rows, self.columns), 255, np.uint8)
+        pixel = row[inside] * self.columns + column[inside]
+        depth = np.full(self.rows * self.columns, 255, np.uint8)
         hole = depth.copy()
-        order = np.argsort(-ranges, kind="stable")  # the nearest point of a pixel is written last
-        depth[row[order], column[order]] = np.minimum(255, np.floor(ranges[order] / (self.farthest / 255)))
-        hole[row, column] = 0
-        return depth, hole
+        np.minimum.at(depth, pixel, np.minimum(255, ranges[inside] / (self.farthest / 255)).astype(np.uint8))
+        hole[pixel] = 0
+        return depth.reshape(self.rows, -1), hole.reshape(self.rows, -1)
 
     def sky(self, depth: U8, hole: U8) -> tuple[F64, Bool]:
         """Fill the holes of a depth image, and select those that reach its upper border but not the lower one.
@@ -94,3 +92,16 @@ class DepthImage:
         local = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), depth * np.sin(elevation)], 1)
         ends: F64 = local @ scan.T_world_sensor[:3, :3].T + scan.position
         return ends
+
+
+def _local(scan: Scan) -> tuple[F32, F32, F32]:
+    """Coordinates of the finite points of a scan, each (N,) float32, metres, sensor frame.
+
+    Column by column: numpy and BLAS are ten times slower along rows of three.
+    """
+    columns = scan.points.T
+    finite = np.isfinite(columns[0]) & np.isfinite(columns[1]) & np.isfinite(columns[2])
+    x, y, z = (column[finite] - offset for column, offset in zip(columns, scan.position, strict=True))
+    R = scan.T_world_sensor[:3, :3]
+    a, b, c = ((x * R[0, axis] + y * R[1, axis] + z * R[2, axis]).astype(np.float32) for axis in range(3))
+    return a, b, c
