@@ -12,9 +12,10 @@ from typing import Literal, cast, get_args
 from dynaviz import params, registry
 from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
-from dynaviz.engine.external import RADIUS, SourceCheck, read_external, source_check
+from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
+from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.probe import SILENT, Probe
@@ -131,23 +132,27 @@ def score(
     *,
     radius: float = RADIUS,
     name: str | None = None,
+    key: str | None = None,
     out: str | os.PathLike[str] | None = None,
     record: Record | str | os.PathLike[str] = "errors",
     threads: int | None = None,
     command: str = "",
     progress: Progress = silent,
 ) -> Result:
-    """Score a cleaned map that another program wrote.
+    """Score what another program wrote: a cleaned map, or labels of each scan.
 
-    A point of the sequence counts as removed if the nearest point of the map is farther than the radius. Anything
-    unusual about the map raises a warning, and is listed in the section ``source`` under ``remarks``.
+    A point of the sequence counts as removed if the nearest point of the map is farther than the radius, or if its
+    label says so. Anything unusual raises a warning, and is listed in the section ``source`` under ``remarks``.
 
     Args:
-        map: the cleaned map (PCD, PLY, LAS, LAZ, NPY), in metres, in the world frame of the sequence; or the
-            ``labels.npz`` of a run, whose labels are looked up by index instead.
+        map: the cleaned map (PCD, PLY, LAS, LAZ, NPY), in metres, in the world frame of the sequence; or a folder with
+            labels of each scan (``000000.label``, ``.npy`` or ``.npz``, ``dynaviz.io.scan_labels``), directly, in
+            ``predictions`` or in ``sequences/NN/predictions``; or a run's folder or ``labels.npz``. Scans without a
+            label file are not scored.
         sequence: an open sequence with ground truth, or a path.
-        radius: metres.
-        name: for tables and recordings; by default the map's file name without its suffix.
+        radius: metres; for a map.
+        name: for tables and recordings; by default the name of the file or folder, without suffix.
+        key: name of the array with the labels, for ``.npz`` files of scans that contain several.
         out: folder for the files of the run; None writes none.
         record: as for ``run``.
         threads: for kernels; None for all cores.
@@ -158,22 +163,22 @@ def score(
         The result, with ``scoring`` ``nn`` (``mask`` for labels), without runtime, and with a section ``source``.
 
     Raises:
-        UsageError: for a sequence without ground truth, an invalid radius or name, or an ``out`` whose files would
-            overwrite the map.
-        DataError: for data that cannot be read, a map without points, labels of another sequence, or files that cannot
-            be written.
+        UsageError: for a sequence without ground truth, an invalid radius, name or key, or an ``out`` whose files would
+            overwrite the map or labels.
+        DataError: for data that cannot be read, a map without points, labels of another sequence or for another number
+            of points, or files that cannot be written.
     """
     if not isinstance(sequence, Sequence):
         sequence = open(sequence)
     if not sequence.has_labels:
         raise UsageError(
-            f"{sequence.name} has no ground truth, so no map can be scored on it. "
+            f"{sequence.name} has no ground truth, so nothing can be scored on it. "
             "Give a sequence with labels: gt_cloud.pcd, labels/*.label or label_02/*.txt (see 'dynaviz info SEQ')"
         )
     folder = None if out is None else Path(out)
     recording, mode = _recording(record, folder)
-    external = read_external(map, radius, name)
-    if folder is not None and external.path.name in FILES and external.path.resolve().parent == folder.resolve():
+    external = read_external(map, sequence, radius=radius, name=name, key=key)
+    if folder is not None and folder.resolve() in _overwritten(external.path):
         raise UsageError(f"the files of the run would overwrite {external.path}: give another folder than {folder}")
     spec = RunSpec(
         labeller=external,
@@ -212,6 +217,11 @@ def compare(
     from dynaviz.viz.compare import compare as compare_recordings
 
     return compare_recordings(recordings, out, progress)
+
+
+def _overwritten(path: Path) -> list[Path]:
+    """Folders in which the files of a run would overwrite, or mix with, this file or folder."""
+    return [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
 
 
 def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode]:

@@ -89,10 +89,13 @@ class Labels:
     Attributes:
         dynamic: (N,) bool: True for points that are dynamic and to be removed.
         reasons: (N,) uint8: for each point the code of the reason for its label, an index into ``info.reasons``.
+        answered: False if another program has no answer for this scan: none of its points is scored. Methods answer
+            every scan.
     """
 
     dynamic: Bool
     reasons: U8
+    answered: bool = True
 
     def __len__(self) -> int:
         return len(self.dynamic)

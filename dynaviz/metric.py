@@ -21,6 +21,7 @@ class Labelled:
         dynamic: (N,) bool, as in ``Labels``.
         reasons: (N,) uint8, the reason codes.
         outcome: (N,) uint8, an ``Outcome`` per point.
+        answered: as in ``Labels``; if False, the scan has no ground truth here.
     """
 
     frame: int
@@ -28,11 +29,13 @@ class Labelled:
     dynamic: Bool
     reasons: U8
     outcome: U8
+    answered: bool = True
 
     @classmethod
-    def of(cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8) -> Labelled:
-        """Compare a scan's labels with its ground truth."""
-        return cls(frame, scan, dynamic, reasons, outcomes(scan.labels, dynamic))
+    def of(cls, frame: int, scan: Scan, dynamic: Bool, reasons: U8, answered: bool = True) -> Labelled:
+        """Compare a scan's labels with its ground truth, unless there is no answer to compare."""
+        scan = scan if answered else scan.unscored()
+        return cls(frame, scan, dynamic, reasons, outcomes(scan.labels, dynamic), answered)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -119,6 +119,11 @@ class Scan:
         """The scan without labels, classes and instances, as methods receive it."""
         return dataclasses.replace(self, labels=None, classes=None, instances=None, class_names={})
 
+    def unscored(self) -> Scan:
+        """The scan with all points unlabelled, as if its sequence had ground truth for other scans only."""
+        labels = None if self.labels is None else np.full(len(self), Label.UNLABELLED, np.uint8)
+        return dataclasses.replace(self, labels=labels, classes=None, instances=None)
+
 
 def outcomes(labels: U8 | None, dynamic: Bool) -> U8:
     """Combine ground truth with a method's labels.

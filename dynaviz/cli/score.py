@@ -22,7 +22,9 @@ def score(
     map: Annotated[
         Path,
         typer.Argument(
-            metavar="MAP", help="Cleaned map in the sequence's world frame (pcd, ply, las, laz, npy), or labels.npz."
+            metavar="MAP",
+            help="Cleaned map in the sequence's world frame (pcd, ply, las, laz, npy), folder with a .label, .npy or "
+            ".npz file per scan, or labels.npz.",
         ),
     ],
     sequence: Annotated[
@@ -35,7 +37,10 @@ def score(
     radius: Annotated[
         float, typer.Option(help="A point counts as kept if the map has a point within this radius, in metres.")
     ] = 0.05,
-    name: Annotated[str | None, typer.Option(help="Name in tables. [default: the map's file name]")] = None,
+    name: Annotated[str | None, typer.Option(help="Name in tables. [default: the name of the file or folder]")] = None,
+    key: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Array with the labels, for .npz files of scans with several.")
+    ] = None,
     frames: Frames = None,
     stride: Stride = 1,
     poses: Poses = None,
@@ -43,19 +48,24 @@ def score(
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
 ) -> None:
-    """Score a cleaned map from another program.
+    """Score a cleaned map, or labels of each scan, from another program.
 
     Writes labels, maps, scores and a recording.
 
     \b
     dynaviz score erasor_output.pcd path/to/sequence
     dynaviz score cleaned.laz path/to/sequence --radius 0.1 -o out/cleaned
+    dynaviz score mapmos/sequences/08/predictions kitti/sequences/08 --name mapmos
     dynaviz score recordings/demo/octomap/labels.npz path/to/demo --name again
+
+    Label files are named by frame number (000000.label). They contain 0 and 1, or classes of SemanticKITTI, of which
+    251 and above are moving. Scans without a file are not scored.
     """
     from dynaviz import api
+    from dynaviz.engine.external import default_name
 
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
-    label = map.stem if name is None else name
+    label = default_name(map) if name is None else name
     folder = out or Path("recordings") / opened.name / label
     with progress(f"{label} on {opened.name}") as report:
         result = api.score(
@@ -63,6 +73,7 @@ def score(
             opened,
             radius=radius,
             name=name,
+            key=key,
             out=folder,
             record=record.value,
             threads=threads,

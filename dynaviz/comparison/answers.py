@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import zlib
 from dataclasses import dataclass
 
@@ -44,6 +45,10 @@ class Answers:
     def outcome(self) -> U8:
         """(N,) uint8, an ``Outcome`` per point."""
         return outcomes(self.truth, self.dynamic)
+
+    def unscored(self) -> Answers:
+        """The same answers without ground truth."""
+        return dataclasses.replace(self, truth=np.full(len(self), Label.UNLABELLED, np.uint8))
 
     @classmethod
     def of(cls, labelled: Labelled) -> Answers:

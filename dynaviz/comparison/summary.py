@@ -33,11 +33,13 @@ class Comparison:
         sequence: the sequence of all runs.
         runs: all runs, in the order given.
         pairs: the first run against each other run.
+        unscored_frames: positions of frames that a run has no labels for; no run is scored on them.
     """
 
     sequence: SequenceInfo
     runs: tuple[ComparedRun, ...]
     pairs: tuple[PairComparison, ...]
+    unscored_frames: tuple[int, ...] = ()
 
     @property
     def title(self) -> str:
@@ -62,6 +64,7 @@ class Comparison:
             "kind": "comparison",
             "sequence": msgspec.to_builtins(self.sequence),
             "interval": interval,
+            "unscored_frames": list(self.unscored_frames) or None,
             "verdicts": self.verdicts(),
             "runs": msgspec.to_builtins(self.runs),
             "pairs": msgspec.to_builtins(self.pairs),
@@ -96,9 +99,14 @@ class Comparison:
         """Which run is better, one line for each run except the first."""
         return [_verdict(self.runs[0], run, pair) for run, pair in self.against_first()]
 
+    def _notes(self) -> Iterator[str]:
+        """What a reader should know about the points that were compared."""
+        if n := len(self.unscored_frames):
+            yield f"{n:,} of {self.sequence.frames:,} frames are left out, because a run has no labels for them."
+
     def markdown(self, legend: str = "") -> str:
         """The report in the comparison's recording; ``legend`` explains its colours."""
-        parts = [f"## {self.title}", *(f"**{line}**" for line in self.verdicts()), legend]
+        parts = [f"## {self.title}", *(f"**{line}**" for line in self.verdicts()), *self._notes(), legend]
         parts += [tables.markdown(section) for section in tables.sections(self.runs, self.pairs)]
         return "\n\n".join(part for part in parts if part)
 
@@ -106,7 +114,7 @@ class Comparison:
         from rich.markup import escape
 
         yield f"[bold]{escape(self.title)}[/]\n"
-        yield from map(escape, self.verdicts())
+        yield from map(escape, [*self.verdicts(), *self._notes()])
         for section in tables.sections(self.runs, self.pairs):
             yield ""
             yield tables.renderable(section)

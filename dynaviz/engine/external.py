@@ -1,32 +1,27 @@
-"""Labels from other programs: a cleaned map, or the labels of an earlier run, scored and recorded like any method.
+"""Labels from other programs: a cleaned map, labels of each scan, or the labels of an earlier run.
 
-A cleaned map contains points, not labels: a point of the sequence counts as removed if the nearest point of the map is
-farther than a radius (scoring ``nn``, the rule of the public benchmark). Labels of a run are looked up by index
-(scoring ``mask``).
+They are scored and recorded like any method. A cleaned map contains points, not labels: a point of the sequence counts
+as removed if the nearest point of the map is farther than a radius (scoring ``nn``, the rule of the public benchmark).
+Labels are looked up by index (scoring ``mask``).
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, Bool
-from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.arrays import F32, Bool
+from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import open_file
 from dynaviz.io.npy import open_npy
 from dynaviz.io.points import read_points
 from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.metric import Labelled
-from dynaviz.results.sections import Source
-from dynaviz.scan import Label, Scan
+from dynaviz.scan import Scan, Sequence
 from dynaviz.spatial.nearest import Nearest
 
 RADIUS = 0.05  # metres: that of the public benchmark, half of its 0.1 m voxel
@@ -38,8 +33,7 @@ _REASONS = (
     Reason("not_finite", "kept: no finite coordinates, so no map can contain it"),
 )
 _NEARBY = 1.0  # metres
-_OTHER_FRAME = 1.0  # percent of static points near the map, below which map and sequence are in different frames
-_SAMPLE = 50  # use every N-th static point for that check
+_GENERIC = ("predictions", "labels", "sequences", "bin")  # folder names that do not name a program
 
 
 @runtime_checkable
@@ -62,11 +56,6 @@ class MapParams:
     radius: float = RADIUS
 
 
-@dataclass(frozen=True)
-class NoParams:
-    """Labels by index have no parameters."""
-
-
 class ExternalMap:
     """A map cleaned by another program, as a labeller.
 
@@ -86,8 +75,8 @@ class ExternalMap:
         if not 0 <= radius < np.inf:
             raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}")
         points = read_points(path)
-        finite = _finite(points)
-        self.path, self.points, self.params = path, np.compress(finite, points, 0), MapParams(radius)
+        chosen = finite(points)
+        self.path, self.points, self.params = path, np.compress(chosen, points, 0), MapParams(radius)
         self.total, self.not_finite = len(points), len(points) - len(self.points)
         if not len(self.points):
             problem = "contains no points" if not len(points) else "contains no point with finite coordinates"
@@ -108,10 +97,10 @@ class ExternalMap:
 
     def label(self, scan: Scan) -> Labels:
         """Dynamic where no point of the map lies within the radius."""
-        finite = _finite(scan.points)
-        near = self._tree.within(np.compress(finite, scan.points, 0), self.params.radius)
+        chosen = finite(scan.points)
+        near = self._tree.within(np.compress(chosen, scan.points, 0), self.params.radius)
         reasons = np.full(len(scan), _NOT_FINITE, np.uint8)
-        reasons[finite] = np.where(near, _NEAR, _FAR)
+        reasons[chosen] = np.where(near, _NEAR, _FAR)
         return Labels(reasons == _FAR, reasons)
 
     def nearby(self, points: F32) -> Bool:
@@ -137,6 +126,7 @@ class PrecomputedLabels:
             points, frames = z["points"].astype(np.int64), z["frames"].tolist()
             self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
             legend = [str(reason) for reason in z["reason_names"]]
+            self._unanswered = legend.index(UNANSWERED) if UNANSWERED in legend else None
             ends = np.cumsum(points)
             rows = zip(frames, points.tolist(), ends.tolist(), strict=True)
             self._rows = {index: (end - n, end) for index, n, end in rows}
@@ -163,8 +153,9 @@ class PrecomputedLabels:
         if scan.index not in self._rows:
             raise DataError(self.path, f"has no labels for frame {scan.index}", hint="Write or copy it again")
         first, end = self._rows[scan.index]
-        bits = np.unpackbits(self._dynamic[first // 8 : -(-end // 8)])
-        return Labels(bits[first % 8 : first % 8 + end - first].astype(np.bool_), self._reasons[first:end])
+        bits, reasons = np.unpackbits(self._dynamic[first // 8 : -(-end // 8)]), self._reasons[first:end]
+        answered = self._unanswered is None or end == first or bool(reasons[0] != self._unanswered)
+        return Labels(bits[first % 8 : first % 8 + end - first].astype(np.bool_), reasons, answered)
 
     def check(self, sequence: str, summary: SequenceSummary) -> None:
         """Raise DataError if the labels are from a different sequence than the one with this name and summary."""
@@ -178,111 +169,56 @@ class PrecomputedLabels:
             )
 
 
-External = ExternalMap | PrecomputedLabels
+External = ExternalMap | PrecomputedLabels | LabelFolder
 
 
-def read_external(path: str | os.PathLike[str], radius: float = RADIUS, name: str | None = None) -> External:
-    """Read the output of another program: ``labels.npz``, or else a map.
+def default_name(path: str | os.PathLike[str]) -> str:
+    """Name for tables: of a file, its name without the suffix; of a folder, its name or that of a folder above.
 
-    Args:
-        path: the file.
-        radius: metres; for a map.
-        name: for tables; by default the file's name without its suffix.
-
-    Raises:
-        UsageError: for an invalid radius or name.
-        DataError: as ``ExternalMap`` and ``PrecomputedLabels``.
+    Names that say nothing about the program are skipped: ``predictions``, ``sequences``, ``08``.
     """
     path = Path(path)
-    name = path.stem if name is None else name
+    if not path.is_dir():
+        return path.stem
+    names = [folder.name for folder in (path.resolve(), *path.resolve().parents)]
+    return next((name for name in names if name and name not in _GENERIC and not name.isdigit()), "labels")
+
+
+def read_external(
+    path: str | os.PathLike[str],
+    sequence: Sequence,
+    *,
+    radius: float = RADIUS,
+    name: str | None = None,
+    key: str | None = None,
+) -> External:
+    """Read the output of another program: ``labels.npz`` or the folder of a run, label files of scans, or a map.
+
+    Args:
+        path: the file or folder.
+        sequence: what it belongs to.
+        radius: metres; for a map.
+        name: for tables; by default that of ``default_name``.
+        key: name of the array in ``.npz`` files of scans.
+
+    Raises:
+        UsageError: for an invalid radius or name, or a key for anything else.
+        DataError: as ``ExternalMap``, ``PrecomputedLabels`` and ``LabelFolder``.
+    """
+    path = Path(path)
+    name = default_name(path) if name is None else name
     if not name.isprintable() or not name.strip(".") or Path(name).name != name:
         raise UsageError(f"name = {name!r}: give a name that is valid for a folder")
-    return PrecomputedLabels(path, name) if path.suffix.lower() == ".npz" else ExternalMap(path, name, radius)
+    labels = path / "labels.npz" if path.is_dir() else path
+    if path.is_dir() and not labels.is_file():
+        return LabelFolder(path, name, sequence, key)
+    if key is not None:
+        raise UsageError(f"key = {key}: give it only for a folder of .npz files, one per scan")
+    return PrecomputedLabels(labels, name) if labels.suffix.lower() == ".npz" else ExternalMap(path, name, radius)
 
 
-class SourceCheck(Listener):
-    """Checks that a file fits the sequence before anything is written, and reports on it in the section ``source``."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with open_file(path, "Give a file") as file:
-            self._sha256 = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-
-    def section(self) -> Source:
-        """File and digest."""
-        return Source(self._path.name, self._sha256)
-
-
-class LabelsCheck(SourceCheck):
-    """Checks that labels are from the sequence of the run."""
-
-    def __init__(self, labels: PrecomputedLabels) -> None:
-        super().__init__(labels.path)
-        self._labels = labels
-
-    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Compare digests."""
-        self._labels.check(run.sequence.name, summary)
-
-
-class MapCheck(SourceCheck):
-    """Shows a map to the metrics that ask for it, and searches static points of the sequence in it.
-
-    If hardly any has a point of the map nearby, the map is in another frame.
-    """
-
-    def __init__(self, map_: ExternalMap) -> None:
-        super().__init__(map_.path)
-        self._map = map_
-        self._static = self._nearby = 0  # points
-
-    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Show the map to the metrics."""
-        self._extent = summary.extent
-        for metric in run.metrics:
-            if isinstance(metric, TakesMap):
-                metric.cleaned_map(self._map.points)
-
-    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Search some static points of the scan in the map."""
-        if labelled.scan.labels is None:
-            return
-        static = labelled.scan.points[np.flatnonzero(labelled.scan.labels == Label.STATIC)[::_SAMPLE]]
-        static = static[_finite(static)]
-        self._static += len(static)
-        self._nearby += int(self._map.nearby(static).sum())
-
-    def section(self) -> Source:
-        """File, digest, numbers of points, and remarks on anything unusual about the map."""
-        share = 100 * self._nearby / self._static if self._static else None
-        remarks = tuple(self._remarks(share))
-        return Source(self._path.name, self._sha256, self._map.total, self._map.not_finite, share, remarks)
-
-    def _remarks(self, share: float | None) -> Iterator[str]:
-        """What a user should know before trusting the scores."""
-        name, total = self._path.name, self._map.total
-        if dropped := self._map.not_finite:
-            yield f"{name}: {dropped:,} of {total:,} points are not finite and are ignored"
-        if share is not None and share < _OTHER_FRAME:
-            map_, sequence = _bounds(self._map.low, self._map.high), _bounds(self._extent.low, self._extent.high)
-            yield (
-                f"{name}: only {share:.2g} % of the static points have a point of the map within 1 m, so it is "
-                f"probably in another frame. The map spans {map_}; the sequence {sequence}. "
-                "Write the map in metres, in the world frame of the sequence"
-            )
-
-
-def source_check(external: External) -> SourceCheck:
-    """The check of a map or of labels."""
-    return LabelsCheck(external) if isinstance(external, PrecomputedLabels) else MapCheck(external)
-
-
-def _finite(points: F32) -> Bool:
+def finite(points: F32) -> Bool:
     """(N,) bool: which of (N, 3) points are finite."""
     x, y, z = np.isfinite(points).T
-    finite: Bool = x & y & z
-    return finite
-
-
-def _bounds(low: F64, high: F64) -> str:
-    return " x ".join(f"{a:.4g}..{b:.4g}" for a, b in zip(low.tolist(), high.tolist(), strict=True)) + " m"
+    found: Bool = x & y & z
+    return found

@@ -160,7 +160,7 @@ def execute(
         labels = clock.timed(frame, labeller.label, scan.without_truth())
         _check(labeller.info.name, labels, len(scan))
         answer.append(labels.dynamic)
-        labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons)
+        labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
             listener.labelled(labelled, curves)

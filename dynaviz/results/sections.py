@@ -51,11 +51,13 @@ class Environment(Struct, frozen=True):
 
 
 class Source(Struct, frozen=True):
-    """The file of another program that was scored; the numbers are None for labels.
+    """The file or folder of another program that was scored; the numbers of a map are None for labels.
 
     Attributes:
         static_within_1_m: percent of the static points with a point of the map within 1 m.
         remarks: what a user should know before trusting the scores, one line each.
+        unanswered_frames: positions in the run of frames without labels.
+        unanswered_points: points of these frames, which are not scored.
     """
 
     file: str = ""
@@ -64,6 +66,8 @@ class Source(Struct, frozen=True):
     not_finite: int | None = None
     static_within_1_m: float | None = None
     remarks: tuple[str, ...] = ()
+    unanswered_frames: tuple[int, ...] = ()
+    unanswered_points: int = 0
 
 
 class _Row(Struct, frozen=True, kw_only=True):

@@ -47,6 +47,7 @@ def compare(
     """
     opened = _open(recordings, out)
     results = [_result(recording) for recording in opened]
+    unscored = _leave_out_unanswered(opened, results)
     counts = _count(opened, progress)
     total = counts[0].points.sum(1)
     places = _cells(opened, progress)
@@ -56,7 +57,7 @@ def compare(
         pairs.append(_pair(i, opened, results, counts[i - 1], gains))
     labels = names(results, [recording.path for recording in opened])
     runs = [_run(i, name, opened[i], results[i], _scores(counts, i)) for i, name in enumerate(labels)]
-    comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs))
+    comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs), unscored)
     if out is not None:
         from dynaviz.viz import merge
 
@@ -91,6 +92,14 @@ def _result(recording: RunRecording) -> Result:
     if recording.result is None:  # unfinished runs were refused before
         raise DataError(recording.path, "contains no result", hint="Run it again")
     return recording.result
+
+
+def _leave_out_unanswered(opened: Sequence[RunRecording], results: Sequence[Result]) -> tuple[int, ...]:
+    """Leave out the frames that a run has no answer for, so that all runs are scored on the same points."""
+    unanswered = {frame for result in results if (s := result.sections.source) for frame in s.unanswered_frames}
+    for recording in opened:
+        recording.leave_out(unanswered)
+    return tuple(sorted(unanswered))
 
 
 def _count(opened: Sequence[RunRecording], progress: Progress) -> list[AgreementCounts]:

@@ -7,7 +7,7 @@ import json
 import os
 import warnings
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,6 +22,7 @@ from dynaviz.comparison.answers import ARCHETYPE, Answers
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.method import Cause, Reason
 from dynaviz.results.result import Result
+from dynaviz.scan import Outcome
 from dynaviz.viz import chunks, classes, paths
 from dynaviz.viz.sink import of_part, part_of
 
@@ -173,6 +174,11 @@ class RunRecording(AnyRecording):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
             raise DataError(self.path, "contains a comparison, not a run", hint="Give the run.rrd of a run")
+        self._unscored: frozenset[int] = frozenset()
+
+    def leave_out(self, frames: Iterable[int]) -> None:
+        """Read the points of these frames as points without ground truth from now on."""
+        self._unscored = frozenset(frames)
 
     @property
     def complete(self) -> bool:
@@ -226,11 +232,12 @@ class RunRecording(AnyRecording):
         for frame, components in self.rows(paths.ANSWERS):
             values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
             try:
-                yield Answers.unpacked(frame, values)
+                answers = Answers.unpacked(frame, values)
             except Exception as error:
                 raise DataError(
                     self.path, f"contains damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"
                 ) from error
+            yield answers.unscored() if frame in self._unscored else answers
 
     def drawn(self) -> Iterator[DrawnPoints]:
         """The drawn points, frame by frame; none in ``scores`` mode."""
@@ -240,10 +247,13 @@ class RunRecording(AnyRecording):
             xyz = components["Points3D:positions"]
             every = np.arange(len(xyz))
             with self.decoding():
+                outcome = classes.outcomes(components["Points3D:class_ids"])
+                if frame in self._unscored:
+                    outcome = np.full(len(xyz), Outcome.UNLABELLED_KEPT, np.uint8)
                 points = DrawnPoints(
                     frame,
                     xyz,
-                    classes.outcomes(components["Points3D:class_ids"]),
+                    outcome,
                     components.get("dynaviz.Scan:point", every).astype(np.int64),
                     components.get("dynaviz.Scan:stands_for", np.ones(len(xyz))).astype(np.int64),
                 )
