@@ -89,6 +89,7 @@ EVAL_MAY = (
     "scan",
     "metric",
     "method",
+    "protocol",
     "results",
     "reporting",
     "spatial",

@@ -29,21 +29,22 @@ class Voxelwise:
     papers; the radius of nearest-neighbour scoring is not used.
     """
 
-    def __init__(self, info: MethodInfo) -> None:
+    def __init__(self, info: MethodInfo, edge: float = EDGE) -> None:
+        self._edge = edge  # metres
         self._static, self._dynamic, self._kept = KeySet(), KeySet(), KeySet()
         self._has_map = False
 
     def cleaned_map(self, points: F32) -> None:
         """Use the voxels of a cleaned map, (M, 3) float32, metres, world frame, as the kept ones."""
-        self._kept.add(pack(points, EDGE))
+        self._kept.add(pack(points, self._edge))
         self._has_map = True
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the voxels of one scan."""
         if labelled.scan.labels is not None:
-            finite = in_key_range(labelled.scan.points, EDGE)
+            finite = in_key_range(labelled.scan.points, self._edge)
             keys = np.zeros(len(labelled.scan), np.int64)
-            keys[finite] = pack(labelled.scan.points[finite], EDGE)
+            keys[finite] = pack(labelled.scan.points[finite], self._edge)
             kept = np.isin(labelled.outcome, (Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE))
             self._static.add(keys[finite & (labelled.scan.labels == Label.STATIC)])
             self._dynamic.add(keys[finite & (labelled.scan.labels == Label.DYNAMIC)])
@@ -65,7 +66,7 @@ class Voxelwise:
             "dynamic": len(dynamic),
             "dynamic_kept": dynamic_kept,
         }
-        return {"voxelwise": {"edge_m": EDGE, "PR": PR, "RR": RR, "F1": F1, **counts}}
+        return {"voxelwise": {"edge_m": self._edge, "PR": PR, "RR": RR, "F1": F1, **counts}}
 
     def figures(self) -> Mapping[str, Figure]:
         """None."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from dynaviz.cli import main
 from dynaviz.datasets import open_sequence
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.errors import DynavizError
+from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.io.boxes import read_boxes
 from dynaviz.io.calib import read_calib
 from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
@@ -28,11 +30,11 @@ from dynaviz.registry import load
 from dynaviz.results.regression import read_baseline, write_baseline
 from dynaviz.results.result import Result
 from dynaviz.scan import Scan
-from dynaviz.simulate.recording import simulate
 from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
 from helpers.guessing_method import guess_run, record
 from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_sweep, write_tracking
+from helpers.mos_files import write_doals, write_helimos
 from helpers.nuscenes_files import write_nuscenes
 from helpers.scan_folders import POSES, STAMPS, write_kitti_poses, write_scans, write_tum_poses
 from helpers.worlds import room
@@ -53,13 +55,13 @@ class Subject:
     target: str = "*"
 
 
-def every_scan(name: str) -> Callable[[Path], None]:
-    """Open a sequence in a given format and read all its scans."""
+def every_scan(name: str, step: int = 1) -> Callable[[Path], None]:
+    """Open a sequence in a given format and read all its scans, or every n-th."""
 
     def read(path: Path) -> None:
         sequence = open_sequence(f"{name}:{path}")
         assert len(sequence) > 0
-        for position in range(len(sequence)):
+        for position in range(0, len(sequence), step):
             scan = sequence[position]
             assert isinstance(scan, Scan)
             R = scan.T_world_sensor[:3, :3]
@@ -148,16 +150,17 @@ def paper_frames(folder: Path) -> Path:
     return root
 
 
-def tiny_demo(folder: Path) -> Path:
-    sequence = simulate("demo", folder / "demo", 2)
-    for path in sorted((sequence / "pcd").iterdir()):
-        cloud = read_pcd(path)
-        write_pcd(path, {axis: cloud[axis][::300] for axis in (*"xyz", "intensity")}, cloud.T_world_sensor)
-    clouds = [read_pcd(path) for path in sorted((sequence / "pcd").iterdir())]
-    rows = {axis: np.concatenate([cloud[axis] for cloud in clouds]) for axis in (*"xyz", "intensity")}
-    labels = {"intensity": np.zeros(len(rows["x"]), np.float32), "class": np.zeros(len(rows["x"]), np.uint16)}
-    write_pcd(sequence / "gt_cloud.pcd", {**rows, **labels, "instance": np.zeros(len(rows["x"]), np.int32)})
-    return sequence
+def tiny_benchmark(folder: Path) -> Path:
+    """Two scans in the layout of the public benchmark."""
+    with BenchmarkWriter(folder / "demo") as writer:
+        for scan in room(2, 30).scans:
+            assert scan.labels is not None
+            points, classes = scan.points.astype(np.float32), scan.labels.astype(np.uint16)
+            writer.append(scan.index, points, scan.T_world_sensor)
+            writer.append_truth(points, scan.labels, classes, classes.astype(np.int32))
+        facts = {"name": "demo", "sensor": "hdl64e", "rate": 10.0}
+        writer.describe(facts, {0: "static", 1: "dynamic"})
+    return folder / "demo"
 
 
 def finished(folder: Path) -> Path:
@@ -270,14 +273,24 @@ def two_runs(folder: Path) -> Path:
     return folder
 
 
+def keyframes(folder: Path) -> Path:
+    """A nuScenes scene without the files of its camera, which are not read."""
+    root = write_nuscenes(folder)
+    for channel in root.glob("*/CAM_FRONT"):
+        shutil.rmtree(channel)
+    return root
+
+
 DATASETS: dict[str, Callable[[Path], Path]] = {
     "argoverse2": write_log,
-    "benchmark": tiny_demo,
+    "benchmark": tiny_benchmark,
+    "doals": write_doals,
     "files": scans_with_poses(".bin", "poses.txt").make,
+    **dict.fromkeys(("helimos", "helimos_test", "helimos_train", "helimos_val"), write_helimos),
     "kitti_odometry": write_odometry,
     "kitti_raw": write_raw_drive,
     "kitti_tracking": write_tracking,
-    "nuscenes": write_nuscenes,
+    "nuscenes": keyframes,
     "rosbag": bag("ros1").make,
     "semantickitti": write_semantickitti,
     "semantickitti_50m": write_semantickitti,
@@ -287,6 +300,8 @@ DATASETS: dict[str, Callable[[Path], Path]] = {
 
 SUBJECTS: dict[str, Subject] = {
     **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
+    # Every tenth of its 91 frames is read, so only these and the other files are damaged.
+    "semantickitti_paper": Subject(paper_frames, every_scan("semantickitti_paper", 10), "**/*[0sb].*"),
     **{f"files{suffix}": scans_with_poses(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
     "files-csv": scans_with_poses(".bin", "poses.csv"),
     **{f"rosbag-{kind}": bag(kind) for kind in ("sqlite3", "mcap")},

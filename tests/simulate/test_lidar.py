@@ -30,7 +30,7 @@ def test_rays_stay_in_the_field_of_view_and_fill_it(name):
         low, high = sensor.elevation
         assert low - 1e-6 <= elevation.min() < low + 0.6
         assert high - 0.6 < elevation.max() <= high + 1e-6
-        assert np.histogram(azimuth, 36, (-180, 180))[0].min() > 0.02 * own.sum()
+        assert np.histogram(azimuth, 36, sensor.azimuth)[0].min() > 0.02 * own.sum()
         np.testing.assert_array_equal(rays.origins[own], np.broadcast_to(T[:3, 3], (own.sum(), 3)))
         if sensor.rings:
             assert len(np.unique(elevation.round(3))) == sensor.rings

@@ -1,0 +1,157 @@
+"""Intersection over union of the moving points, as in moving object segmentation: SemanticKITTI, HeLiMOS, DOALS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from dynaviz.arrays import Bool
+from dynaviz.metric import Labelled
+from dynaviz.protocol import ProtocolInfo, ProtocolScores
+from dynaviz.results.scores import percent
+from dynaviz.scan import Label, Scan
+from dynaviz_eval.protocols import defined, summed
+
+IGNORED = ("unlabelled", "outlier")  # names of the classes 0 and 1 of SemanticKITTI
+SCORES = ("IoU", "precision", "recall")
+
+
+def scored_points(scan: Scan) -> Bool:
+    """(N,) bool: labelled points, without those of the classes 0 and 1 of SemanticKITTI.
+
+    In the public benchmark, and hence in ``Scan.labels``, points of these classes are static, or dynamic near the car.
+    """
+    if scan.labels is None:
+        return np.zeros(len(scan), np.bool_)
+    scored: Bool = scan.labels != Label.UNLABELLED
+    ignored = [number for number, name in scan.class_names.items() if name in IGNORED]
+    if scan.classes is not None and ignored:
+        scored &= ~np.isin(scan.classes, ignored)
+    return scored
+
+
+class SemanticKittiMos:
+    """IoU of the moving points as in the SemanticKITTI-MOS benchmark (Chen et al., RA-L 2021)."""
+
+    info: ClassVar = ProtocolInfo(
+        name="semantickitti_mos",
+        title="SemanticKITTI-MOS",
+        source="Chen et al., RA-L 2021",
+        counts="moving points of all frames: IoU = TP / (TP + FP + FN)",
+        ignores="classes 0 (unlabelled) and 1 (outlier)",
+        combines="counts added over the sequences of a split",
+        scores=SCORES,
+        splits={
+            "train": ("00", "01", "02", "03", "04", "05", "06", "07", "09", "10"),
+            "val": ("08",),
+            "test": ("11", "12", "13", "14", "15", "16", "17", "18", "19", "20", "21"),
+        },
+    )
+
+    def __init__(self, scoring: str) -> None:
+        self._tp = self._fp = self._fn = 0
+
+    def update(self, labelled: Labelled) -> None:
+        """Add one scan."""
+        scored = scored_points(labelled.scan)
+        moving = labelled.scan.labels == Label.DYNAMIC
+        self._tp += int((scored & moving & labelled.dynamic).sum())
+        self._fp += int((scored & ~moving & labelled.dynamic).sum())
+        self._fn += int((scored & moving & ~labelled.dynamic).sum())
+
+    def finish(self) -> ProtocolScores:
+        """The scores."""
+        return _of_counts({"TP": self._tp, "FP": self._fp, "FN": self._fn})
+
+    @staticmethod
+    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
+        """Add counts."""
+        return _of_counts(summed(parts))
+
+
+class Helimos(SemanticKittiMos):
+    """IoU of the moving points for each lidar of HeLiMOS, and the mean over the lidars (Lim et al., IROS 2024)."""
+
+    info: ClassVar = ProtocolInfo(
+        name="helimos",
+        title="HeLiMOS",
+        source="Lim et al., IROS 2024",
+        counts="moving points of the labelled frames of one lidar: IoU = TP / (TP + FP + FN)",
+        ignores="unlabelled points; frames outside the split (train.txt, val.txt, test.txt)",
+        combines="mean of the scores of the lidars",
+        scores=SCORES,
+    )
+
+    @staticmethod
+    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
+        """Mean over the lidars; None if undefined for one of them."""
+        return ProtocolScores({name: _mean([part.scores[name] for part in parts]) for name in SCORES})
+
+
+class Doals:
+    """IoU of the moving points in each labelled scan of DOALS, within 0.5 to 20 m, and its mean over the scans.
+
+    As in the evaluation of Dynablox (Schmid et al., RA-L 2023). A scan without moving points in which none is
+    predicted has an IoU of 100 %.
+    """
+
+    info: ClassVar = ProtocolInfo(
+        name="doals",
+        title="DOALS",
+        source="Pfreundschuh et al., ICRA 2021; Schmid et al., RA-L 2023",
+        counts="moving points within 0.5 to 20 m, scan by scan",
+        ignores="scans without labels; points out of range",
+        combines="mean over the labelled scans (ten per sequence)",
+        scores=SCORES,
+    )
+    range_limits: ClassVar = (0.5, 20.0)  # metres
+
+    def __init__(self, scoring: str) -> None:
+        self._scans = 0
+        self._sums = dict.fromkeys(SCORES, 0.0)
+
+    def update(self, labelled: Labelled) -> None:
+        """Add one scan."""
+        scan = labelled.scan
+        scored = scored_points(scan)
+        if not scored.any():
+            return
+        low, high = (np.float32(limit**2) for limit in self.range_limits)
+        squared = scan.squared_ranges()
+        scored &= (squared >= low) & (squared <= high)
+        moving = scored & (scan.labels == Label.DYNAMIC)
+        tp, fp, fn = (
+            int(each.sum())
+            for each in (moving & labelled.dynamic, scored & ~moving & labelled.dynamic, moving & ~labelled.dynamic)
+        )
+        wholes = {"IoU": tp + fp + fn, "precision": tp + fp, "recall": tp + fn}
+        for name, whole in wholes.items():
+            self._sums[name] += 100.0 * tp / whole if whole else 100.0
+        self._scans += 1
+
+    def finish(self) -> ProtocolScores:
+        """The scores."""
+        return self._of_sums({"scans": self._scans, **self._sums})
+
+    @classmethod
+    def combine(cls, parts: Sequence[ProtocolScores]) -> ProtocolScores:
+        """Mean over the scans of all sequences."""
+        return cls._of_sums(summed(parts))
+
+    @staticmethod
+    def _of_sums(sums: Mapping[str, float]) -> ProtocolScores:
+        scans = sums.get("scans", 0)
+        return ProtocolScores({name: sums[name] / scans if scans else None for name in SCORES}, sums)
+
+
+def _of_counts(counts: Mapping[str, float]) -> ProtocolScores:
+    tp, fp, fn = (counts.get(name, 0) for name in ("TP", "FP", "FN"))
+    wholes = {"IoU": tp + fp + fn, "precision": tp + fp, "recall": tp + fn}
+    return ProtocolScores(defined({name: float(percent(tp, whole)) for name, whole in wholes.items()}), counts)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known and len(known) == len(values) else None
