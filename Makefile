@@ -20,7 +20,7 @@ lint: .venv/.dev
 types: .venv/.dev
 	$(BIN)/mypy
 
-CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=.venv/boundscheck
+CHECKED := NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 NUMBA_CACHE_DIR=.venv/boundscheck
 boundscheck: .venv/.dev  # test the kernels with bounds checking
 	$(CHECKED) $(BIN)/python -m dynaviz.precompile --all
 	$(CHECKED) $(BIN)/pytest -q $(ALL_CORES) -m boundscheck
