@@ -3,6 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
+# pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test lint types boundscheck coverage mutants docs check clean
 .DELETE_ON_ERROR:
@@ -44,16 +46,16 @@ check: lint types test boundscheck docs
 	@$(PYTHON) -m venv .venv
 	@touch $@
 
-.venv/.user: .venv/.venv pyproject.toml  # --no-compile halves the time; bytecode is written on first use
+.venv/.user: .venv/.venv pyproject.toml
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
 	@$(PIP) --no-compile --editable .
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile
+	@$(BIN)/python -m dynaviz.precompile
 	@touch $@
 
 .venv/.dev: .venv/.venv pyproject.toml
 	@echo "installing dynaviz and its test dependencies into .venv, about 2 GB ..."
 	@$(PIP) --no-compile --editable '.[dev]'
-	@PYTHONDONTWRITEBYTECODE= $(BIN)/python -m dynaviz.precompile --all
+	@$(BIN)/python -m dynaviz.precompile --all
 	@touch .venv/.user $@
 
 clean:
