@@ -28,8 +28,10 @@ AROUND = (7.0, 10.0)  # metres: radius of the circle around a case; the eye trac
 AIM_LINES = 3
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
-EDGES = rr.Radius.ui_points(1.6)
+LIFT = 0.22  # of this radius: height of the label above the box, so that it hides nothing
+EDGES = rr.Radius.ui_points(1.2)
 THIN = rr.Radius.ui_points(0.5)
+RAYS = rr.Radius.ui_points(0.35)
 TURN = np.linspace(0.0, 2 * np.pi, 49)
 CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 RAY_COLOURS: dict[int, colours.Colour] = {
@@ -126,7 +128,9 @@ class CaseTimeline:
 
     def _see(self, state: str | None) -> str:
         meaning = {known.name: known.meaning for known in self._info.emits}
-        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n" if state else ""
+        if state is None:
+            return "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
+        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
         middle, size = (low + high) / 2, high - low
@@ -134,18 +138,25 @@ class CaseTimeline:
             centers=[middle], half_sizes=[size / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
         )
         self._sink.log(paths.CASE_BOX, box)
+        self._sink.log(
+            paths.CASE_NAME,
+            rr.Points3D.from_fields(
+                positions=_above(low[None], high[None]), labels=[label], colors=[colours.BRIGHT[outcome]]
+            ),
+        )
         self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=_circles(low[None], high[None])))
         self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
 
     def _styles(self) -> None:
         """What is the same for all cases."""
         log, lines = self._sink.log, rr.LineStrips3D.from_fields
-        box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=True)
+        box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False)
         log(paths.CASE_BOX, box, static=True)
+        log(paths.CASE_NAME, rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), show_labels=True), static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
         legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
-        log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=THIN, show_labels=False), static=True)
+        log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=RAYS, show_labels=False), static=True)
 
     def _rays(self, evidence: witnesses.Witnesses) -> None:
         kinds = evidence.kinds.astype(np.uint16)
@@ -166,8 +177,13 @@ class CaseTimeline:
             centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
             colors=[colours.BRIGHT[case.outcome] for case in cases],
         )  # fmt: skip
+        names = rr.Points3D.columns(
+            positions=_above(low, high), labels=[case.label for case in cases],
+            colors=[colours.BRIGHT[case.outcome] for case in cases],
+        )  # fmt: skip
         aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
         self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
+        self._sink.columns(paths.CASE_NAME, frames.tolist(), [None], names)
         self._sink.columns(
             paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=_circles(low, high))
         )
@@ -182,11 +198,22 @@ class CaseTimeline:
 
 def _circles(low: F64, high: F64) -> F32:
     """(N, 49, 3): a circle on the ground around each box."""
-    reach = np.linalg.norm((high - low)[:, :2], axis=1)
     centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
-    radius = np.clip(0.8 * reach, *AROUND)
-    circles: F32 = (centre[:, None] + radius[:, None, None] * CIRCLE).astype(np.float32)
+    circles: F32 = (centre[:, None] + _radius(low, high)[:, None, None] * CIRCLE).astype(np.float32)
     return circles
+
+
+def _above(low: F64, high: F64) -> F32:
+    """(N, 3): the place of the label of each box."""
+    places = np.concatenate([(low + high)[:, :2] / 2, high[:, 2:]], 1)
+    places[:, 2] += LIFT * _radius(low, high)
+    return places.astype(np.float32)
+
+
+def _radius(low: F64, high: F64) -> F64:
+    """(N,) metres, of the circle around each box."""
+    radius: F64 = np.clip(0.8 * np.linalg.norm((high - low)[:, :2], axis=1), *AROUND)
+    return radius
 
 
 def _aims(sensor: F64, middle: F64) -> F32:

@@ -73,12 +73,11 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
     """The cases to show, in the order of their boxes."""
     failures, clusters = listed(result), suspicious(result)
     if failures:
-        texts = [(_failure_title(case), _lost(case), _failure_text(case, i, len(failures)))
+        texts = [(_failure_title(case), {case.metric: case.cost}, _failure_text(case, i, len(failures)))
                  for i, case in enumerate(failures, 1)]  # fmt: skip
     else:
-        texts = [
-            (_cluster_title(case), {}, _cluster_text(case, i, len(clusters))) for i, case in enumerate(clusters, 1)
-        ]
+        texts = [(_cluster_title(case), {POINTS: float(case.points)}, _cluster_text(case, i, len(clusters)))
+                 for i, case in enumerate(clusters, 1)]  # fmt: skip
     cases, found = [], cast("list[FailureCase | RemovedCluster]", [*failures, *clusters])
     for i, (case, (title, lost, text)) in enumerate(zip(found, texts, strict=False)):
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
@@ -86,10 +85,6 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
         cases.append(ShownCase(i + 1, title, Outcome(boxes.outcomes[i]), case.worst_frame, *corners, lost, text))
     return cases
-
-
-def _lost(case: FailureCase) -> dict[str, float]:
-    return {case.metric: case.cost}
 
 
 def _failure_title(case: FailureCase) -> str:
@@ -101,20 +96,17 @@ def _cluster_title(case: RemovedCluster) -> str:
 
 
 def _failure_text(case: FailureCase, number: int, count: int) -> str:
-    lines = [
-        ("What it did", case.behaviour or ""),
-        ("Cause", case.cause or "unknown"),
-        ("Worst frame", _frame(case)),
-        ("Reasons", shares(case.reasons)),
-    ]
-    title = f"## {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
+    title = f"#### {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
+    given = shares(case.reasons)
+    lines = [("Cause", f"{case.cause}: {given}" if case.cause else given), ("Worst frame", _frame(case))]
     return f"{title}\n\n{case.sentence}\n\n{_bullets(lines)}"
 
 
 def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
-    lines = [("Suspicious", "; ".join(case.why)), ("Worst frame", _frame(case)), ("Reasons", shares(case.reasons))]
-    title = f"## {number} of {count}: {_cluster_title(case)}, {case.points:,} points"
-    return f"{title}\n\n{case.sentence} There is no ground truth: judge for yourself.\n\n{_bullets(lines)}"
+    """Its sentence already states what is suspicious."""
+    title = f"#### {number} of {count}: {_cluster_title(case)}, {case.points:,} points"
+    lines = [("Reasons", shares(case.reasons)), ("Worst frame", _frame(case))]
+    return f"{title}\n\n{case.sentence} No ground truth: judge for yourself.\n\n{_bullets(lines)}"
 
 
 def _frame(case: FailureCase | RemovedCluster) -> str:

@@ -18,13 +18,13 @@ from dynaviz.scan import Scan
 from dynaviz.viz import paths
 
 STACK = 2  # range images in one tab
-WIDTH, ROW = 520, 44  # pixels of a strip, and of each of its rows
-BAR = 16  # pixels: height of a colour bar or swatch
+WIDTH, ROW = 380, 36  # pixels of a strip, and of each of its rows; small, so that its text is large in a small view
+BAR = 11  # pixels: height of a colour bar or swatch
 STEPS = 44  # of a colour bar; a smooth one would be a larger file
-MARGIN = 12
+MARGIN = 8
 TEXT: colours.Colour = (225, 225, 230)
 FONT_SCALE = 0.62
-NAME_WIDTH = 140  # pixels for the name, where a strip has several rows
+NAME_WIDTH = 120  # pixels for the name, where a strip has several rows
 PART = (0.25, 0.8)  # of viridis: without its near-black, and without its yellow, which is the colour of holes
 GREYS = (0.22, 1.0)  # part of the greys in use in pictures: black is for empty pixels
 CIRCLE = np.linspace(0.0, 2 * np.pi, 73)
@@ -94,12 +94,12 @@ def _bar(row: U8, left: int, state: State) -> None:
     right, value_range = WIDTH - MARGIN, state.value_range
     shares = (np.arange(right - left) * STEPS // (right - left) / (STEPS - 1)).astype(np.float32)
     grey = (255 * (GREYS[0] + (GREYS[1] - GREYS[0]) * shares)).astype(np.uint8)[:, None]
-    row[4 : 4 + BAR, left:right] = grey if issubclass(state.kind, paths.FLAT) else coloured(shares)
+    row[3 : 3 + BAR, left:right] = grey if issubclass(state.kind, paths.FLAT) else coloured(shares)
     low, high = value_range or (0.0, 1.0)
     for share in (0.0, 0.5, 1.0):
         words = f"{low + share * (high - low):.3g}" if value_range else {0.0: "lowest", 1.0: "highest"}.get(share, "")
         at = left + share * (right - left - _width(words))
-        _text(row, words, int(at), ROW - 9)
+        _text(row, words, int(at), ROW - 6)
 
 
 def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
@@ -107,8 +107,8 @@ def _swatches(row: U8, entries: Sequence[tuple[str, colours.Colour]]) -> None:
     scale = FONT_SCALE * min(1.0, (wide - 10) / max((_width(name) for name, _ in entries), default=1))
     for k, (name, colour) in enumerate(entries):
         left = MARGIN + k * wide
-        row[4 : 4 + BAR, left : left + wide - 8] = colour
-        _text(row, name, left, ROW - 9, scale)
+        row[3 : 3 + BAR, left : left + wide - 8] = colour
+        _text(row, name, left, ROW - 6, scale)
 
 
 def _text(row: U8, words: str, left: int, base: int, scale: float = FONT_SCALE) -> None:

@@ -22,9 +22,9 @@ SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
 IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 
 # A plot shows only curves of the current timeline, so each has some for frames and some for cases: it is never empty.
-SCORE_CURVES = "scores [%]; by case: if fixed"
-WRONG = "wrong points per frame; by case: % lost"
-REMOVED = "removed points per frame; by case: points"
+SCORE_CURVES = "scores [%]"
+WRONG = "wrong points, or % lost"
+REMOVED = "removed points"
 _KINDS = ("false_negative", "false_positive")
 
 
@@ -81,7 +81,7 @@ def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     boxes = [paths.CASES, paths.CLUSTER_CASES]
     above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
     if found.cases:
-        case = [paths.CASE_BOX, paths.CASE_AROUND, paths.CASE_RAYS]
+        case = [paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND, paths.CASE_RAYS]
         above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], follow(paths.CASE_AROUND)), above)
     here = [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, paths.CLUSTERS, paths.CASE_AIM]
     frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
@@ -192,7 +192,7 @@ def _state(method: str, state: State, found: Findings) -> Any:
     path = paths.state(method, state)
     if issubclass(state.kind, paths.FLAT):
         return rrb.Spatial2DView(name=state.name, origin=path, background=[*colours.BACKGROUND, 255])
-    errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_AROUND]
+    errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
     context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
     return solid(
         state.name, [path, *errors, *context], follow(paths.CASE_AROUND if found.cases else paths.RINGS),

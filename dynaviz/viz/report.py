@@ -97,15 +97,15 @@ def failure_list(result: Result) -> str:
         return "\n\n".join(part for kind in kinds for part in _by_cause(result, kind))
     if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
         head = "Removed points that may be static, most suspicious first. There is no ground truth to check them."
-        return f"{head}\n\n" + table([("#", "frame", "what", "why", "points"), *rows])
+        return f"{head}\n\n" + table([("#", "points", "what and why", "frame"), *rows])
     if result.counts.get("static_kept") or result.counts.get("dynamic_removed"):
         return "No failure case: all labelled points are right."
     return "There is no ground truth, so failures cannot be computed. **removed** sums up what was removed."
 
 
 KINDS = {  # kind: heading
-    "false_positive": "Holes (yellow): static points removed",
-    "false_negative": "Ghosts (orange): dynamic points kept",
+    "false_positive": "Holes (yellow)",
+    "false_negative": "Ghosts (orange)",
 }
 
 
@@ -117,17 +117,17 @@ def _by_cause(result: Result, kind: str) -> Iterator[str]:
         return
     metric = "SA" if kind == "false_positive" else "DA"
     score = result.metrics.get(metric)
-    yield f"### {KINDS[kind]}" + (f", {100 - score:.2f} % of {metric}" if score is not None else "")
+    yield f"**{KINDS[kind]}" + (f": {100 - score:.2f} % of {metric} lost**" if score is not None else "**")
     by: dict[str, list[tuple[int, FailureCase]]] = {cause: [] for cause in costs}
     for number, case in cases:
         by.setdefault(case.cause or "unknown", []).append((number, case))
     rows: list[tuple[Any, ...]] = []
     for cause, members in by.items():
-        rows.append(("", f"**{cause}**", "", f"**{costs.get(cause, 0.0):.2f}**"))
+        rows.append(("", f"**{costs.get(cause, 0.0):.2f}**", f"**{cause}**", ""))
         rows += [
-            (_link(number, paths.CASES), _named(case), case.worst_frame, f"{case.cost:.2f}") for number, case in members
+            (_link(number, paths.CASES), f"{case.cost:.2f}", _named(case), case.worst_frame) for number, case in members
         ]
-    yield table([("#", "cause, cases", "frame", "% lost"), *rows])
+    yield table([("#", "% lost", "cause, cases", "frame"), *rows])
 
 
 def _costs(result: Result, kind: str) -> dict[str, float]:
@@ -150,7 +150,9 @@ def _link(number: int, boxes: str) -> str:
 
 
 def _suspicious(case: RemovedCluster, number: int) -> tuple[Any, ...]:
-    return _link(number, paths.CLUSTER_CASES), case.worst_frame, case.what, ", ".join(case.why[:2]), f"{case.points:,}"
+    why = next((reason for reason in case.why if reason != case.what), "")
+    named = f"{case.what}: {why}" if case.what and why else case.what or why
+    return _link(number, paths.CLUSTER_CASES), f"{case.points:,}", named, case.worst_frame
 
 
 def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
@@ -158,7 +160,8 @@ def removed(info: MethodInfo, result: Result, counts: OutcomeCounts) -> str:
     points = counts.points[[Outcome.UNLABELLED_REMOVED, Outcome.UNLABELLED_KEPT]].sum(1)
     total = int(points.sum())
     gone = counts.points[Outcome.UNLABELLED_REMOVED]
-    parts = [f"## {int(points[0]):,} of {total:,} points removed ({100 * points[0] / max(total, 1):.2f} %)"]
+    share = f"{100 * points[0] / max(total, 1):.2f} %"
+    parts = [f"**{share} of the points removed** ({int(points[0]):,} of {total:,})"]
     parts.append("No ground truth: whether this is right is unknown.")
     rows = [
         (info.reasons[c].name, f"{gone[c]:,}") for c in np.argsort(-gone)[: len(info.reasons)] if c < len(info.reasons)
@@ -206,7 +209,7 @@ def _most(reasons: Mapping[str, int]) -> str:
 
 
 def _title(info: MethodInfo, sequence: str) -> str:
-    return f"## {info.title} on {sequence}"
+    return f"### {info.title} on {sequence}"
 
 
 def _scores(result: Result) -> str:
@@ -216,7 +219,9 @@ def _scores(result: Result) -> str:
 
 
 def _counts(result: Result) -> str:
-    rows = [(name.replace("_", " "), f"{count:,}") for name, count in result.counts.items()]
+    """The counts; without ground truth, those of unlabelled points."""
+    shown = {name: n for name, n in result.counts.items() if n or result.has_truth}
+    rows = [(name.replace("_", " "), f"{count:,}") for name, count in shown.items()]
     return table([("points", "count"), *rows]) if rows else ""
 
 
@@ -256,7 +261,7 @@ def _how_to_read(mode: str, truth: bool = True) -> str:
     )
     if truth:
         views += (
-            "\n- **wrong points per frame**: diamonds mark the worst frames; right-click on one to go there.\n"
+            "\n- **wrong points**: by frame; diamonds mark the worst frames, right-click on one to go there.\n"
             "- **FN, FP: distance**: from each wrong point to the nearest correct one; a tenth are left of the line."
         )
     legend = table([("colour", "point"), *rows])

@@ -44,6 +44,7 @@ CAPS = {  # points in the map of the whole run: at most about 550 000, which a s
     Outcome.FALSE_POSITIVE: 40_000,
 }
 LABELS = 3  # cases of a frame with a label, the costliest ones: more would hide each other
+APART = 9.0  # metres between these; about the width of a label, seen from the camera of the frame
 RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
 """By outcome, in points on the screen; wrong points are larger so that few of them remain visible from afar."""
 SMALLEST = 1.2
@@ -51,6 +52,7 @@ FEW = 500  # points; larger classes are drawn smaller, or many scattered errors 
 RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
 NUMBERED = 5  # cases with a number in the map; more would hide each other
 EDGES = rr.Radius.ui_points(1.2)  # of boxes
+HAIRLINE = rr.Radius.ui_points(0.4)  # of the boxes of a frame without a label
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
@@ -138,7 +140,7 @@ class MapDrawing:
             outcome = np.repeat(np.array(kinds, np.uint8), [len(p) for p in points])
             cloud = self._cloud(np.concatenate(points) + self._middle, outcome, np.concatenate(reasons))
             self._sink.log(path, cloud, static=True)
-        line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(1.5))
+        line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(0.8))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
 
     def boxes(self, name: str, cases: FrameBoxes, count: int) -> None:
@@ -150,14 +152,17 @@ class MapDrawing:
         low, size = cases.low[few], (cases.high - cases.low)[few]
         whole = rr.Boxes3D(mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES)
         self._sink.log(f"{path}/cases", whole, static=True)
-        self._sink.log(path, rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=True), static=True)
+        self._sink.log(path, rr.Boxes3D.from_fields(fill_mode=WIRES, show_labels=True), static=True)
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
-        labels = np.where(_rank(cases.frames[order], case) < LABELS, labels[case], "")
+        middle = (low + high) / 2
+        labelled = _labelled(cases.frames[order], case, middle)
         columns = rr.Boxes3D.columns(
-            centers=(low + high) / 2, half_sizes=(high - low) / 2, colors=shades[case], labels=labels[case].tolist()
-        )
+            centers=middle, half_sizes=(high - low) / 2, colors=shades[case],
+            labels=np.where(labelled, labels[case], "").tolist(),
+            radii=[EDGES if firm else HAIRLINE for firm in labelled],
+        )  # fmt: skip
         lengths = np.bincount(cases.frames[order], minlength=len(self._trajectory))
         self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
 
@@ -178,12 +183,16 @@ class MapDrawing:
         return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
 
 
-def _rank(frames: I64, cases: I64) -> I64:
-    """(N,) position of each row among those of its frame, by ascending case; equal frames are next to each other."""
-    order = np.lexsort((cases, frames))
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order)) - np.searchsorted(frames, frames)[order]
-    return rank
+def _labelled(frames: I64, cases: I64, middle: F32) -> Bool:
+    """(N,) whether a box gets a label: the costliest of each frame that are apart; cases ascend by their number."""
+    labelled = np.zeros(len(frames), np.bool_)
+    for rows in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames)) + 1):
+        mine: list[int] = []
+        for row in rows[np.argsort(cases[rows], kind="stable")].tolist():
+            if len(mine) < LABELS and (np.linalg.norm(middle[mine] - middle[row], axis=1) >= APART).all():
+                mine.append(row)
+        labelled[mine] = True
+    return labelled
 
 
 def _radii(outcome: U8) -> F32:

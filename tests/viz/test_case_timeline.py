@@ -68,7 +68,7 @@ def test_the_text_says_what_happened_and_what_the_rays_say(recorded: RunRecordin
     for number, case in enumerate(cases, 1):
         said = text(texts[number])
         title = f"{DID[case.kind]} {case.what}, {case.cost:.2f} % of {case.metric}"
-        assert said.startswith(f"## {number} of {len(cases)}: {title}")
+        assert said.startswith(f"#### {number} of {len(cases)}: {title}")
         assert case.sentence in said
         assert "**Evidence**" in said
         assert "**State**: the tab" in said

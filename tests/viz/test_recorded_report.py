@@ -40,7 +40,7 @@ def test_the_report_of_a_run() -> None:
     )
     text = report.report(Guess.info, result, outcome_counts(), "errors")
     for line in (
-        "## Guess on room",
+        "### Guess on room",
         "| 99.50 % | n/a |",
         "| static kept | 1,234 |",
         "| 2 | 102 | 9 | 0 |",
