@@ -75,6 +75,15 @@ def test_a_long_road_does_not_fill_the_list(study):
     assert shown.count("road") == ALIKE
 
 
+def test_the_gallery_varies_what_the_objects_did(study):
+    """Not only the causes, which differ by method."""
+    parked = [case(GHOST, 9.0 - k, *box(20 * k), behaviour="parked until the end") for k in range(MOST)]
+    passed = [case(GHOST, 0.5, *box(-20 * k - 20), behaviour="passed by") for k in range(2)]
+    shown = shared(study, failing("a", *parked, *passed))
+    assert [c.worst.behaviour for c in shown].count("passed by") == 2
+    assert shown[0].title == "Ghost: car, parked until the end"
+
+
 def spot(kind: str, low: tuple[float, ...], high: tuple[float, ...]) -> Spot:
     return Spot("a", kind, "car", "", "", 1.0, "1.00", "DA lost", low, high, (None, None))
 

@@ -14,7 +14,7 @@ from dynaviz_eval.report.errors import TINY
 from dynaviz_eval.report.table import ABSENT, Column, Table, Value
 
 MOST = 8  # spots of a sequence
-ALIKE = 2  # spots of one kind, class and cause, or one long road would fill the list
+ALIKE = 2  # spots of one kind and class that did the same, or one long road would fill the list
 OVERLAP = 0.5  # share of the smaller box, above which two boxes are at one place
 PAD = 0.25  # metres around a box, so that flat ones have a volume
 HEADINGS = {"false_negative": "Ghost", "false_positive": "Hole", "removed": "Removed"}
@@ -32,6 +32,7 @@ class Spot:
         size: percentage points or removed points, as text; unit: the unit of ``size``.
         low, high: corners, (3,) metres, world frame.
         thing: class and instance of the ground truth, or None.
+        behaviour: what the object or place did, the same for all methods; empty if unknown.
     """
 
     label: str
@@ -45,6 +46,7 @@ class Spot:
     low: tuple[float, ...]
     high: tuple[float, ...]
     thing: tuple[int | None, int | None]
+    behaviour: str = ""
 
     @classmethod
     def of_case(cls, label: str, case: FailureCase) -> Spot:
@@ -53,7 +55,8 @@ class Spot:
         thing = case.class_, case.instance
         cause = case.cause or next(iter(case.reasons), "")
         return cls(
-            label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low, case.high, thing
+            label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low, case.high, thing,
+            case.behaviour or "",
         )  # fmt: skip
 
     @classmethod
@@ -97,6 +100,11 @@ class SharedCase:
         what = f"{self.worst.what} {self.worst.thing[1]}" if self.worst.thing[1] else self.worst.what
         return f"{HEADINGS[self.worst.kind]}: {what}" if what else HEADINGS[self.worst.kind]
 
+    @property
+    def title(self) -> str:
+        """The heading, and what the object did: the part of a diagnosis that no method can change."""
+        return ", ".join(part for part in (self.heading, self.worst.behaviour) if part)
+
     def spot(self, label: str) -> Spot | None:
         """The largest of a method's spots there; None if it has none."""
         return max(self.by.get(label, ()), key=lambda spot: spot.weight, default=None)
@@ -131,11 +139,11 @@ def _spots(rows: Iterable[ScoreRow]) -> list[Spot]:
 
 
 def _chosen(groups: Sequence[list[Spot]], most: int) -> list[list[Spot]]:
-    """Half ghosts and half holes, at most ``ALIKE`` of one kind, class and cause; then whatever costs most."""
+    """Half ghosts and half holes, at most ``ALIKE`` of a kind and class that did the same; then whatever costs most."""
     alike: Counter[tuple[str, str, str]] = Counter()
     varied: list[list[Spot]] = []
     for group in groups:
-        key = group[0].kind, group[0].what, group[0].cause
+        key = group[0].kind, group[0].what, group[0].behaviour or group[0].cause
         alike[key] += 1
         if alike[key] <= ALIKE:
             varied.append(group)

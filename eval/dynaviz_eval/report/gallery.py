@@ -61,7 +61,7 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
     rows = []
     for case in cases:
         view, seen_from = crop(case.worst, found.get(case.worst.label, reference))
-        alt = f"{case.heading}, seen {seen_from}"
+        alt = f"{case.title}, seen {seen_from}"
         pictures = [view.picture(raw(reference), "before", "raw map", f"{alt}: raw map")]
         if has_truth(reference):
             pictures.append(view.picture(corrected(reference), "truth", "dynamic in blue", f"{alt}: ground truth"))
