@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -19,14 +19,16 @@ PACKAGES = {
 }
 
 
-def imports(path: Path) -> Iterator[str]:
+@cache
+def imports(path: Path) -> tuple[str, ...]:
     """Modules and names that a file imports, also inside functions."""
+    found: list[str] = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            found += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(found)
 
 
 def files(package: str) -> list[Path]:
@@ -82,7 +84,7 @@ def test_only_viz_imports_rerun() -> None:
     assert all(path.is_relative_to(ROOT / "dynaviz/viz") for path in guilty)
 
 
-METHODS_MAY = ("arrays", "scan", "method", "probe", "spatial", "kernels", "sensors", "errors")
+METHODS_MAY = ("arrays", "scan", "method", "evidence", "probe", "spatial", "kernels", "sensors", "errors")
 EVAL_MAY = (
     "arrays",
     "colours",
