@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from dynaviz.arrays import F32, U8
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
+from dynaviz.protocol import EvaluationProtocol, ProtocolScores
 from dynaviz.results.collect import HINT, StudyRun, collect
 
 SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to the names of formats
@@ -40,11 +41,17 @@ class Study:
         runs: in the order of their folders.
         home: the folder of the report; links are relative to it.
         progress: called with a phase, the number of finished steps, and the total number of steps.
+        protocols: by name; only for a board.
+        scores: of each run by the name of the protocol, by the run's file; only for a board.
+        remarks: why a run has no such scores, by the run's file.
     """
 
     runs: Sequence[StudyRun]
     home: Path = Path()
     progress: Progress = silent
+    protocols: Mapping[str, type[EvaluationProtocol]] = field(default_factory=dict)
+    scores: Mapping[Path, Mapping[str, ProtocolScores]] = field(default_factory=dict)
+    remarks: Mapping[Path, str] = field(default_factory=dict)
 
     def link(self, path: Path) -> str:
         """A path relative to the report, with forward slashes."""

@@ -17,6 +17,7 @@ from typer.core import TyperGroup
 
 from dynaviz.cli import (
     bench,
+    board,
     check,
     compare,
     config,
@@ -72,8 +73,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, run, score, failures, compare, bench, report, check, info, doctor, list, config, simulate, implant, tune,
-    download, convert, export_labels, view, shot, repair
+    demo, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate, implant,
+    tune, download, convert, export_labels, view, shot, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

@@ -20,6 +20,7 @@ class Listing(StrEnum):
     methods = "methods"
     datasets = "datasets"
     metrics = "metrics"
+    protocols = "protocols"
     reports = "reports"
     sensors = "sensors"
     presets = "presets"
@@ -36,7 +37,7 @@ def list_(
 ) -> None:
     """List methods, datasets, sensors, presets and scenes.
 
-    Also lists the installed metrics and report formats.
+    Also lists the installed metrics, protocols and report formats.
 
     \b
     dynaviz list

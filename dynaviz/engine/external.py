@@ -8,6 +8,7 @@ Labels are looked up by index (scoring ``mask``).
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -140,6 +141,11 @@ class PrecomputedLabels:
             raise DataError(path, "is inconsistent: its arrays have different lengths", hint="Write or copy it again")
         reasons = tuple(Reason(reason, "from the labels file") for reason in legend)
         self.info = MethodInfo(name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons)
+
+    @property
+    def frames(self) -> Collection[int]:
+        """Numbers of the frames that have labels."""
+        return self._rows.keys()
 
     def begin(self, context: Context) -> None:
         """Nothing to prepare."""

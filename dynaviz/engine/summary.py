@@ -6,8 +6,24 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dynaviz.scan import Sequence, stream
+from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial.extent import Extent, GrowingExtent
+
+
+class ScanDigest:
+    """Digest of scans added one by one: points, poses, ray origins and labels."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+
+    def add(self, scan: Scan) -> None:
+        """Add a scan."""
+        for array in (scan.points, scan.T_world_sensor, scan.origins, scan.labels):
+            self._digest.update(b"-" if array is None else array.tobytes())
+
+    def hexdigest(self) -> str:
+        """The SHA-256 digest of all scans so far."""
+        return self._digest.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -34,11 +50,10 @@ def summarize(sequence: Sequence, progress: Callable[[int], None] = lambda done:
     Raises:
         DynavizError: for points or ray origins farther than ``dynaviz.spatial.extent.FAR`` from the world's origin.
     """
-    growing, digest, points = GrowingExtent(), hashlib.sha256(), 0
+    growing, digest, points = GrowingExtent(), ScanDigest(), 0
     for done, scan in enumerate(stream(sequence), 1):
         growing.add(scan)
-        for array in (scan.points, scan.T_world_sensor, scan.origins, scan.labels):
-            digest.update(b"-" if array is None else array.tobytes())
+        digest.add(scan)
         points += len(scan)
         progress(done)
     return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest())

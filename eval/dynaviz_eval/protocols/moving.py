@@ -55,8 +55,9 @@ class SemanticKittiMos:
 
     def update(self, labelled: Labelled) -> None:
         """Add one scan."""
-        scored = scored_points(labelled.scan)
-        moving = labelled.scan.labels == Label.DYNAMIC
+        if labelled.scan.labels is None:
+            return
+        scored, moving = scored_points(labelled.scan), labelled.scan.labels == Label.DYNAMIC
         self._tp += int((scored & moving & labelled.dynamic).sum())
         self._fp += int((scored & ~moving & labelled.dynamic).sum())
         self._fn += int((scored & moving & ~labelled.dynamic).sum())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from importlib import resources
+from typing import Any
 
 from dynaviz.reporting import Study
 from dynaviz_eval.report import birdseye, figures
@@ -17,8 +18,6 @@ from dynaviz_eval.report.tables import BoardTables, tables
 
 def html_report(study: Study) -> str:
     """A self-contained HTML page: sortable tables, figures, maps, and a gallery of failure cases."""
-    from jinja2 import Environment, StrictUndefined
-
     content = tables(study)
     steps = len(content.boards) + 1
     study.progress("drawing", 1, steps)
@@ -26,13 +25,20 @@ def html_report(study: Study) -> str:
     for number, (board, of_board) in enumerate(zip(content.boards, content.by_board, strict=True)):
         parts.append(_part(study, board, of_board, number))
         study.progress("drawing", number + 2, steps)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"groupwise": groupwise, "starts": starts}
-    template = environment.from_string(resources.files(__package__).joinpath("page.html.jinja").read_text("utf-8"))
-    page = template.render(
-        content=content, scores=figures.scores(content.boards), speed=figures.speed(content.boards), parts=parts
+    scores, speed = figures.scores(content.boards), figures.speed(content.boards)
+    return rendered("page.html.jinja", content=content, scores=scores, speed=speed, parts=parts)
+
+
+def rendered(template: str, **values: Any) -> str:
+    """A page from a template in this folder; templates may extend each other."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined
+
+    loader = FunctionLoader(lambda name: resources.files(__package__).joinpath(name).read_text("utf-8"))
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    return page + "\n"
+    environment.filters |= {"groupwise": groupwise, "starts": starts}
+    return environment.get_template(template).render(**values) + "\n"
 
 
 def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -> dict[str, object]:

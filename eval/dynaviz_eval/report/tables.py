@@ -106,7 +106,7 @@ def tables(study: Study) -> Tables:
         _runtime(single, combined),
         cause_table(single, _order(single, combined)),
         [_of_board(board, number) for number, board in enumerate(single, 1)],
-        _failed(study),
+        failed_table(study),
         _runs(study, single),
     )
 
@@ -312,7 +312,8 @@ def _public(board: ScoreBoard, number: int) -> Table | None:
     return Table(f"published-{number}", f"Published scores of {known.name}, and {board.title}", columns, rows, notes)
 
 
-def _failed(study: Study) -> Table:
+def failed_table(study: Study) -> Table:
+    """The failed runs with their errors."""
     rows = [
         [named(run.label), Value(run.sequence, run.sequence), Value(run.error or "", run.error)]
         for run in study.runs

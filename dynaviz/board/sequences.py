@@ -1,0 +1,61 @@
+"""Find the sequence of a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from dynaviz.datasets import is_sequence, open_sequence
+from dynaviz.errors import DynavizError
+from dynaviz.results.collect import StudyRun
+from dynaviz.results.result import Result
+from dynaviz.scan import Sequence
+
+OpenedBy = Callable[[Result], Sequence | None]
+"""Opens the sequence of a result again in another way; None if it cannot."""
+
+
+def by_nothing(result: Result) -> Sequence | None:
+    """No other way."""
+    return None
+
+
+class SequenceFinder:
+    """Finds the sequence of a run: given by the user, by its command, or a folder of its name near the run.
+
+    A sequence is chosen by its name. Whether it is the same is decided by its digest, which needs a pass over it.
+
+    Args:
+        given: sequences of the user; opened at once.
+        opened_by: another way, such as by the command of the run.
+
+    Raises:
+        DynavizError: if a given sequence cannot be opened.
+    """
+
+    def __init__(self, given: Iterable[str | os.PathLike[str]] = (), opened_by: OpenedBy = by_nothing) -> None:
+        self._given = [open_sequence(os.fspath(path)) for path in given]
+        self._opened_by = opened_by
+
+    def find(self, run: StudyRun, result: Result) -> Sequence | None:
+        """The sequence of a run; None if it is not found."""
+        name = result.sequence.name
+        for sequence in self._given:
+            if sequence.name == name:
+                return sequence
+        opened = self._opened_by(result)
+        if opened is not None and opened.name == name:
+            return opened
+        return next(filter(None, (_opened(folder / name, name) for folder in run.folder.resolve().parents[:3])), None)
+
+
+def _opened(path: Path, name: str) -> Sequence | None:
+    """The sequence at a path, if there is one of this name."""
+    try:
+        if not path.is_dir() or not is_sequence(str(path)):
+            return None
+        sequence = open_sequence(str(path))
+    except DynavizError:
+        return None
+    return sequence if sequence.name == name else None
