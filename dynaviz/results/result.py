@@ -92,6 +92,12 @@ class Result:
         return self.sections.counts
 
     @property
+    def unanswered(self) -> str:
+        """How many frames another program has no labels for, in words; empty if it answers all."""
+        n = len(self.sections.source.unanswered_frames) if self.sections.source else 0
+        return f"{n:,} of {self.sequence.frames:,} frames have no labels and are not scored" if n else ""
+
+    @property
     def has_truth(self) -> bool:
         """Whether the sequence has ground truth, so that points are known to be right or wrong."""
         return self.metrics.get("SA") is not None or self.metrics.get("DA") is not None
@@ -264,6 +270,7 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         "HA = 2 · SA · DA / (SA + DA)",
         "FP: static points removed, FN: dynamic points kept",
         *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
+        *(f"{result.method}: {note}" for result in results if (note := result.unanswered)),
         *(["* runtime includes recording of states"] if any(result.instrumented for result in results) else []),
     ]
     return "\n".join(lines)

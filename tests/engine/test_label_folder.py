@@ -69,7 +69,9 @@ def test_labels_of_a_run_are_scored_as_the_run(
     assert scored.sections.source.unanswered_frames == ()
 
 
-def test_frames_without_a_file_are_not_scored(run: tuple[Path, Result], sequence: InMemory, tmp_path: Path) -> None:
+def test_frames_without_a_file_are_not_scored(
+    run: tuple[Path, Result], sequence: InMemory, run_command: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
     folder = rewritten(run[0], tmp_path / "mos", ".npy")
     (folder / "000010.npy").unlink()
     (folder / "000013.npy").unlink()
@@ -80,6 +82,7 @@ def test_frames_without_a_file_are_not_scored(run: tuple[Path, Result], sequence
         np.concatenate([part(scan) for scan in answered])
         for part in (lambda scan: removed(run, scan), lambda scan: scan.labels > 0)
     )
+    assert "mos: 2 of 5 frames have no labels and are not scored" in str(result)
     assert result.counts == {
         "static_kept": int((~moving & ~truth).sum()),
         "static_removed": int((moving & ~truth).sum()),
@@ -91,6 +94,8 @@ def test_frames_without_a_file_are_not_scored(run: tuple[Path, Result], sequence
     assert (source.unanswered_frames, source.unanswered_points) == ((0, 3), 2006)
     digests = [hashlib.sha256((folder / f"{scan.index:06d}.npy").read_bytes()).hexdigest() for scan in answered]
     assert source.sha256 == hashlib.sha256("".join(digests).encode()).hexdigest()
+    assert run_command("report", tmp_path / "out", "-o", tmp_path / "report.md")[0] == 0
+    assert "mos on room: 2 of 5 frames have no labels" in (tmp_path / "report.md").read_text()
     with pytest.warns(UserWarning, match="2 of 5 frames"):  # the files of that run remember what was not answered
         again = dv.score(tmp_path / "out", sequence)
     assert again.counts == result.counts

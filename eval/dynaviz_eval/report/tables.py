@@ -228,6 +228,11 @@ def _accuracy(every: Sequence[ScoreBoard], notes: Sequence[str]) -> Table:
             for board in every
             if board.n_sequences > 1
         ),
+        *(
+            f"{row.label} on {board.title}: {row.result.unanswered}."
+            for board, row in _pairs(every)
+            if row.result.unanswered
+        ),
         *notes,
     ]
     return Table("accuracy", "Accuracy", columns, rows, notes)
