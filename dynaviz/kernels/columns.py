@@ -343,6 +343,20 @@ def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sig
 
 
 @njit(cache=True, nogil=True)
+def places(points, corner, side, directory, base, height, step, bits, rows, cuts):
+    """Column, slice and fine bin of each point, and the bins to remove there: (N, 5) int64; -1, if it has no slice."""
+    found = np.full((len(points), 5), np.int64(-1))
+    for p in range(len(points)):
+        c = _column(points[p], corner, side, directory)
+        k = -1 if c < 0 or math.isnan(base[c]) else _slice(points[p, 2], base[c], height)
+        if k >= 0:
+            cut = cuts[rows[c] + _below(bits[c], k)]
+            found[p, 0], found[p, 1], found[p, 2] = c, k, _fine(points[p, 2], base[c], height, k, step)
+            found[p, 3], found[p, 4] = cut[0], cut[1]
+    return found
+
+
+@njit(cache=True, nogil=True)
 def reasons(points, corner, side, directory, base, height, step, bits, rows, steps, splits, cuts):
     """Reason code of each point, (N,) uint8.
 

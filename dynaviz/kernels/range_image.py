@@ -150,6 +150,19 @@ def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
     return ranges[0], indices[0]
 
 
+@njit(cache=True, nogil=True)
+def pixels_of(xyz, position, axes, views, clamp):
+    """The pixel of each point in each image (K, M) int32, -1 if none; ranges (M,) float32, metres."""
+    n = xyz.shape[1]
+    found, ranges = np.empty((len(views), n), np.int32), np.empty(n, np.float32)
+    pixels, near, polar = _buffers(len(views))
+    for first in range(0, n, CHUNK):
+        last = min(first + CHUNK, n)
+        _project(xyz, first, last, position, axes, views, clamp, pixels, near, polar)
+        found[:, first:last], ranges[first:last] = pixels[:, : last - first], near[: last - first]
+    return found, ranges
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def judge(xyz, chunks, reach, position, axes, views, clamp, limits, spread, past, met):
     """Compare the map points with one scan, and set flags for each point.

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, U8, Bool
+from dynaviz.arrays import F64, I64, U8, Bool
 from dynaviz.engine.loop import RunSpec, execute
+from dynaviz.evidence import Asked, Explains, Verdict
 from dynaviz.method import Context, Method
 from dynaviz.params import resolve, to_toml
 from dynaviz.probe import SILENT, MemoryProbe, Probe
@@ -25,6 +26,8 @@ MOVES = (  # transforms of the world, and the percentage points by which SA and 
     (turn(90.0, 16.0, -8.0, 4.0), 1.0),  # maps voxels of most sizes onto voxels, so hardly any label may change
     (turn(30.0, 13.37, -7.1, 0.45), 4.0),  # points fall into other voxels, and DA depends on few objects
 )
+
+SAMPLE = 97  # the evidence on every N-th point is compared with its label
 
 
 def check_method(method: type[Method], params: Any = None) -> None:
@@ -97,15 +100,50 @@ def _bare() -> list[Scan]:
     return [scan.without_truth() for scan in _crossing()]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """Labels of a run; of a watched run also its states, and the verdicts of its evidence on some points.
+
+    ``verdicts`` has for each scan the rows of the points (K,) and the verdicts (K,), None if no rules were stated; it
+    is empty for a method without evidence.
+    """
+
+    labels: RunLabels
+    probe: MemoryProbe
+    verdicts: list[tuple[I64, Bool | None]]
+
+
 @lru_cache(maxsize=2)
-def _remembered(method: type[Method], params: Any, watched: bool) -> tuple[RunLabels, MemoryProbe]:
+def _remembered(method: type[Method], params: Any, watched: bool) -> _Run:
     kernels.set_threads(None)
-    probe = MemoryProbe()
-    return ask(method, params, _bare(), probe if watched else SILENT), probe
+    if not watched:
+        return _Run(ask(method, params, _bare()), MemoryProbe(), [])
+    running, scans, probe = method(params), _bare(), MemoryProbe()
+    _begin(running, scans, probe)
+    firsts = np.cumsum([0, *map(len, scans)])
+    asked = [Asked(s, np.arange(k, len(s), SAMPLE), int(firsts[k])) for k, s in enumerate(scans)]
+    verdicts = [Verdict() for _ in scans] if isinstance(running, Explains) else []
+    for scan in scans:
+        running.observe(scan)
+        _question(running, asked, verdicts)
+    labels = []
+    for k, scan in enumerate(scans):
+        labels.append(_answers(running, [scan]))
+        _question(running, asked[k : k + 1], verdicts[k : k + 1])
+    answers = RunLabels([a.dynamic[0] for a in labels], [a.reasons[0] for a in labels])
+    decided = [(points.rows, verdict.dynamic()) for points, verdict in zip(asked, verdicts, strict=False)]
+    return _Run(answers, probe, decided)
 
 
-def _run(method: type[Method], params: Any, watched: bool) -> tuple[RunLabels, MemoryProbe]:
-    """Labels, and states if watched, of a run; remembered for the last method and parameters."""
+def _question(running: Method, asked: list[Asked], verdicts: list[Verdict]) -> None:
+    """Add the evidence on points to their verdicts; nothing if there are no verdicts."""
+    for points, verdict in zip(asked, verdicts, strict=False):
+        assert isinstance(running, Explains)
+        verdict.add(running.evidence(points))
+
+
+def _run(method: type[Method], params: Any, watched: bool) -> _Run:
+    """A run, remembered for the last method and parameters."""
     try:
         hash(params)
     except TypeError:
@@ -115,7 +153,7 @@ def _run(method: type[Method], params: Any, watched: bool) -> tuple[RunLabels, M
 
 def _expected(method: type[Method], params: Any) -> RunLabels:
     """Labels of a plain run, which other runs must repeat."""
-    return _run(method, params, watched=False)[0]
+    return _run(method, params, watched=False).labels
 
 
 def _replaced(scan: Scan, points: Any) -> Scan:
@@ -191,8 +229,21 @@ def knows_no_truth(method: type[Method], params: Any) -> None:
 
 
 def answers_alike_when_watched(method: type[Method], params: Any) -> None:
-    """Labels do not change with a probe that receives every state."""
-    assert _run(method, params, watched=True)[0] == _expected(method, params), "labels change with a probe"
+    """Labels do not change with a probe that receives every state, nor with questions about the evidence."""
+    same = _run(method, params, watched=True).labels == _expected(method, params)
+    assert same, "labels change with a probe or with questions about the evidence"
+
+
+def decides_by_its_evidence(method: type[Method], params: Any) -> None:
+    """The rules of a method with evidence give the labels, for points of every scan; other methods pass."""
+    labels = _expected(method, params).dynamic
+    for frame, (rows, verdict) in enumerate(_run(method, params, watched=True).verdicts):
+        assert verdict is not None, f"evidence() states no rule for the points of frame {frame}"
+        different = np.flatnonzero(verdict != labels[frame][rows])
+        assert not len(different), (
+            f"the evidence contradicts the labels of {len(different)} of {len(rows)} points of frame {frame}, "
+            f"the first in row {rows[different[0]]}"
+        )
 
 
 def answers_alike_on_any_threads(method: type[Method], params: Any) -> None:
@@ -300,7 +351,7 @@ def scores_alike_in_a_moved_world(method: type[Method], params: Any) -> None:
 
 def shows_what_it_declares(method: type[Method], params: Any) -> None:
     """The method emits every state in ``info.emits``, with a value of its kind, and no other state."""
-    probe, kinds = _run(method, params, watched=True)[1], {state.name: state.kind for state in method.info.emits}
+    probe, kinds = _run(method, params, watched=True).probe, {state.name: state.kind for state in method.info.emits}
     undeclared, missing = set(probe.values) - set(kinds), set(kinds) - set(probe.values)
     assert not undeclared, f"emitted but not declared in info.emits: {undeclared}"
     assert not missing, f"declared in info.emits but never emitted: {missing}"
@@ -320,6 +371,7 @@ CHECKS: dict[str, Callable[[type[Method], Any], None]] = {
         leaves_its_input_alone,
         knows_no_truth,
         answers_alike_when_watched,
+        decides_by_its_evidence,
         answers_alike_on_any_threads,
         answers_alike_for_any_memory,
         forgets_an_earlier_sequence,

@@ -32,6 +32,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I32, I64
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
 from dynaviz.scan import Scan
@@ -122,6 +123,8 @@ STEPS = (
     "ray_blocked",
     "removed",
 )
+OUTCOMES = ("in scan", *STEPS[1:])  # of a slice of the map that is in a scan's window
+REMOVED = len(OUTCOMES) - 1
 HEIGHT = (0.0, 6.0)
 STATES = (
     State(
@@ -204,10 +207,12 @@ class BeautyMap:
         self._cuts = k.ground(fine, GROUND_PART, GAP)
         self._steps = np.zeros((len(self._base), len(STEPS)), np.int32)  # bits of all scans so far
         self._splits = np.zeros(len(self._base), np.int32)
+        self._last: tuple[_Window, I32, I32] | None = None  # window, slices and outcome of the last scan
 
     def observe(self, scan: Scan) -> None:
         """Compare the scan's slices with the map's; split the slices below the removed ones."""
         p, sensor = self.params, scan.position
+        self._last = None
         if not np.isfinite(sensor).all():
             return
         window = self._window(sensor)
@@ -223,6 +228,7 @@ class BeautyMap:
             *(float(sensor[2] - base) / p.h_res + 0.5, base, slope * p.xy_resolution / p.h_res),
             *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
         )
+        self._last = window, seen, outcome
         self._show(scan, window, seen, outcome, slope)
 
     def label(self, scan: Scan) -> Labels:
@@ -235,6 +241,41 @@ class BeautyMap:
             *(self._bits, self._rows, self._steps, self._splits, self._cuts),
         )
         return Labels((reasons == SLICE_GONE) | (reasons == ABOVE_GROUND), reasons)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """Whether the last scan saw the points' slices, and which step of the algorithm kept those that it missed."""
+        p, points = self.params, asked.points
+        place = (points, *self._grid, self._base, float(p.h_res), self._fine_step)
+        column, k, fine, first, end = kernels.columns.places(*place, self._bits, self._rows, self._cuts).T
+        saw, split = np.full(len(points), np.nan), self._splits[column] >> k & 1
+        if self._last is not None:
+            window, seen, outcome = self._last
+            inside = np.isin(column, window.columns[window.columns >= 0]) & (column >= 0)
+            at = np.argmax(window.columns.ravel() == column[inside, None], axis=1)
+            of_scan = np.concatenate([seen.reshape(-1, 1), outcome.reshape(-1, len(STEPS))[:, 1:]], 1)
+            bits = of_scan[at] >> k[inside, None] & 1
+            saw[inside] = np.argmax(bits, axis=1)
+        seen_at, kept = (np.where(np.isnan(saw), np.nan, yes) for yes in (saw == 0, (saw > 0) & (saw < REMOVED)))
+        missed = Term("in the scan", seen_at, "<", 1), Term("kept by a step", kept, "<", 1)
+        above = Term("removed slice above it", np.where(k < 0, 0, split), ">=", 1)
+        height = Term("fine bin", fine, ">=", first), Term("fine bin", fine, "<", end)
+        rules = Rule("slice missed", missed, lasting=True), Rule("above the ground", (above, *height))
+        quantities = (Quantity("outcome", saw, legend=OUTCOMES), Quantity("split", split.astype(float), total=True))
+        return Evidence(self._boxes(column, k), quantities, rules)
+
+    def _boxes(self, column: I64, k: I64) -> F64:
+        """(K, 2, 3) float64, metres: lowest and highest corner of slices; NaN where k is -1."""
+        p, tiles = self.params, self._grid[2]
+        tile = np.full(max(int(tiles.max(initial=0)) + 1, 1), -1)
+        tile[tiles[tiles >= 0]] = np.flatnonzero(tiles.ravel() >= 0)
+        i, j = np.divmod(tile[column // 4096], tiles.shape[1])
+        i, j = i * 64 + column % 4096 // 64, j * 64 + column % 64
+        sides = np.array([p.xy_resolution, p.xy_resolution, p.h_res])
+        low = np.stack([i, j, k], 1) * sides
+        low[:, :2] += self._corner
+        low[:, 2] += self._base[column]
+        low[k < 0] = np.nan
+        return np.stack([low, low + sides], 1)
 
     def _window(self, sensor: F64) -> _Window:
         """The columns around the sensor: half of them before the sensor's column, half from it on, along each axis."""

@@ -13,6 +13,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz_methods.belief_map import neighbours_of
+from dynaviz_methods.lookups import around, known
 from dynaviz_methods.voids import widened
 
 SUB_VOXELS = 4  # along the edge of a voxel
@@ -134,6 +135,14 @@ class ClearSpace(BlockGrid):
         self._of_scan[occupied.cells] = 0
         self._hit[occupied.blocks] = 0
         return own
+
+    def passes(self, voxels: I64) -> tuple[F64, F64]:
+        """Scans in a row that passed through each voxel (K,), and clear voxels among the 27 around it; NaN if none."""
+        voxels = np.maximum(voxels, -1)
+        cubes = around(self, voxels)
+        counts = np.where(cubes < 0, 0, self._free_count.ravel()[cubes])
+        clear = (counts >= self._params.counts_to_free).sum(1)
+        return known(self._free_count.ravel()[voxels], voxels), known(clear, voxels)
 
     def levels(self, scan: Scan, voxels: I64) -> U8:
         """(N,) uint8: the level of each point's sub-voxel, plus RAISED if it was raised after its scan."""

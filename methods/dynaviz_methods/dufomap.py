@@ -26,10 +26,12 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import I64, Bool
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, read, voxels_of
+from dynaviz_methods.lookups import around, marked
 from dynaviz_methods.voids import VoidGrid, VoidMarks
 
 
@@ -85,6 +87,7 @@ REASONS = (
         Cause.OUT_OF_RANGE,
     ),
 )
+SAW = ("hit", "near unknown", "void")  # what a scan saw of a voxel that it observed
 STATES = (
     State("hit", Voxels, "Voxels of this scan's points, and those up to hit_margin in front of them"),
     State("observed", Voxels, "Voxels with points of any scan that this scan observed without hitting them"),
@@ -116,7 +119,7 @@ class DufoMap:
         """Find the scan's void voxels and mark them as seen free."""
         voxels = self._grid.locate(scan.points)
         integrated = self._in_range(scan) & (voxels >= 0)
-        seen = self._grid.see(scan, voxels, integrated)
+        self._seen = seen = self._grid.see(scan, voxels, integrated)
         kernels.voids.remember(seen.blocks, seen.hit, seen.observed, seen.void, self._seen_free, self._crossed)
         if self._listened:
             self._show(seen, voxels[voxels >= 0])
@@ -130,6 +133,20 @@ class DufoMap:
         reasons[dynamic] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """Whether the last scan saw the points' voxels void, and how much of the cubes around them it observed."""
+        seen, voxels, margin = self._seen, self._grid.locate(asked.points), self.params.unknown_margin
+        cubes = around(self._grid, voxels, margin)
+        observed = marked(seen.blocks, seen.observed, cubes.ravel()).reshape(cubes.shape).sum(1)
+        own, hit = (marked(seen.blocks, bits, voxels) for bits in (seen.observed, seen.hit))
+        void = ~hit & (observed >= cubes.shape[1])
+        saw = Quantity("saw", np.where(own, np.where(hit, 0.0, 1.0 + void), np.nan), legend=SAW)
+        count = Quantity("observed", np.where(own, observed, np.nan), threshold=cubes.shape[1])
+        free = Quantity("seen free", read(self._seen_free, voxels).astype(float), total=True, threshold=1)
+        around_it = Term("voxels observed in the cube around it", observed, ">=", cubes.shape[1])
+        rule = Rule("void", (Term("hit by the scan", hit, "<", 1), around_it), lasting=True)
+        return Evidence(voxels_around(asked.points, self.params.resolution), (saw, count, free), (rule,))
 
     def _in_range(self, scan: Scan) -> Bool:
         nearest, farthest = float(self.params.min_range), float(self.params.max_range or np.inf)

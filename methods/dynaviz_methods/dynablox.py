@@ -29,14 +29,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import I64, U8, Bool
+from dynaviz.arrays import I64, U8, Bool, Intp
 from dynaviz.errors import UsageError
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
+from dynaviz_methods.lookups import around, known
 
 SHOWN = 25.0  # metres around the sensor: range of the voxels to show
 
@@ -196,6 +198,21 @@ class Dynablox:
         reasons = bits @ np.array([1, 2, 4], np.uint8)
         return Labels(self._removed[reasons], reasons)
 
+    def evidence(self, asked: Asked) -> Evidence:
+        """How far the points' voxels are from a surface, and how many voxels around them are clear."""
+        voxels = self._map.locate(asked.points)
+        cubes = around(self._map.grid, voxels)
+        clear = self._map.clear(cubes.ravel()).reshape(cubes.shape).sum(1)
+        free = read(self._map.free, voxels).astype(float)
+        quantities = (
+            Quantity("distance", self._map.distances(voxels), "m", threshold=self.params.occupied_distance),
+            Quantity("clear", known(clear, voxels), threshold=cubes.shape[1]),
+            Quantity("ever-free", known(free, voxels), total=True, threshold=1),
+        )
+        index, *judged = self._judged
+        rules = (self._rule(asked, *judged),) if index == asked.scan.index else ()
+        return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules, final=bool(rules))
+
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
         """Reason code of each point, (N,) uint8."""
         reasons = np.full(len(scan), NEVER_FREE, np.uint8)
@@ -203,11 +220,9 @@ class Dynablox:
         reasons[voxels < 0] = OUT_OF_REACH
         reasons[~inside] = OUT_OF_RANGE
         free = read(self._map.free, voxels)
+        self._judged = scan.index, voxels, free
         if free.any():
-            clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
-            members = np.flatnonzero(clusters >= 0)
-            merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
-            size = np.bincount(merged)[merged]
+            members, size = self._clusters(scan, voxels, free)
             of_free = free[members]
             reasons[members[of_free]] = FREE
             reasons[members[of_free & (size < self.params.min_cluster)]] = FREE_SMALL
@@ -215,6 +230,25 @@ class Dynablox:
             dynamic = (size >= self.params.min_cluster) & (size <= self.params.max_cluster)
             reasons[members[~of_free & dynamic]] = BESIDE
         return reasons
+
+    def _clusters(self, scan: Scan, voxels: I64, free: Bool) -> tuple[Intp, Intp]:
+        """The points that belong to clusters, and the size of each one's cluster, points."""
+        clusters = kernels.clusters.grow(voxels, free, self._map.neighbours)
+        members = np.flatnonzero(clusters >= 0)
+        merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
+        return members, np.bincount(merged)[merged]
+
+    def _rule(self, asked: Asked, voxels: I64, free: Bool) -> Rule:
+        """What decided the labels of the scan that was observed last; its voxels and whether they were ever-free."""
+        if not self.params.clusters:
+            return Rule("ever-free", (Term("ever-free when it came", free[asked.rows], ">=", 1),))
+        size = np.full(len(free), np.nan)
+        if free.any():
+            members, size_of_members = self._clusters(asked.scan, voxels, free)
+            size[members] = size_of_members
+        points = "points of its cluster", size[asked.rows]
+        limits = Term(*points, ">=", self.params.min_cluster), Term(*points, "<=", self.params.max_cluster)
+        return Rule("dynamic cluster", limits)
 
     def _show(self, reasons: U8, voxels: I64, new: Bits, lost: Bits) -> None:
         wants, emit = self._probe.wants, self._probe.emit

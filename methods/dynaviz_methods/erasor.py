@@ -22,6 +22,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import Scan
@@ -139,6 +140,7 @@ class _Comparison:
         reasons: (K,) uint8: the reason code of each of these points.
         inserted: (I, 3) float32, metres, world frame: the scan's points in flagged bins.
         map_height, scan_height: (rings * sectors,) float64, metres; NaN for an empty bin.
+        scan_points: (rings * sectors,) int64: number of scan points in each bin.
         verdict: (rings * sectors,) uint8: the reason code of each bin.
     """
 
@@ -149,6 +151,7 @@ class _Comparison:
     inserted: F32
     map_height: F64
     scan_height: F64
+    scan_points: I64
     verdict: U8
 
 
@@ -181,6 +184,7 @@ class Erasor:
         self._codes[-1] = UNJUDGED
         self._first: dict[int, int] = {}  # by scan index: its first raw point
         self._observed = self._end = 0
+        self._last: _Comparison | None = None  # of the last scan, if it was compared
         self._tree: Any = None
         # Compile the kernels here, not in the first scan that is compared.
         self._compare(np.zeros((0, 3), np.float32), np.zeros(3))
@@ -190,8 +194,9 @@ class Erasor:
         self._first[scan.index] = self._end
         self._end += len(scan)
         self._observed += 1
+        self._last = None
         if self._observed % self.params.removal_interval == 0:
-            comparison = self._compare(scan.points, scan.position)
+            self._last = comparison = self._compare(scan.points, scan.position)
             self._show(comparison)
             self._remove(comparison)
 
@@ -204,6 +209,41 @@ class Erasor:
         reasons[dynamic & (reasons != REMOVED)] = FAR_FROM_MAP
         reasons[~dynamic & (reasons == REMOVED)] = NEAR_MAP
         return Labels(dynamic, reasons)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """The heights that map and scan span in the points' bins, if the last scan was compared with the map."""
+        p, voxel = self.params, self._voxel[asked.first + asked.rows]
+        map_height, scan_height, scan_points, ground = np.full((4, len(voxel)), np.nan)
+        if (last := self._last) is not None:
+            place = np.full(len(self._map) + 1, -1)  # of each map point among those within range
+            place[last.rows] = np.arange(len(last.rows))
+            near = np.flatnonzero(place[voxel] >= 0)
+            bins, ground[near] = last.bins[place[voxel[near]]], last.reasons[place[voxel[near]]] == GROUND
+            near, bins = near[bins >= 0], bins[bins >= 0]
+            map_height[near], scan_height[near] = last.map_height[bins], last.scan_height[bins]
+            scan_points[near] = last.scan_points[bins]
+        ratio = _ratio(map_height, scan_height)
+        quantities = (
+            Quantity("map", map_height, "m"),
+            Quantity("scan", scan_height, "m"),
+            Quantity("ratio", ratio, threshold=p.scan_ratio),
+        )
+        terms = (
+            Term("scan points in its bin", scan_points, ">=", p.min_points),
+            Term("ratio of heights", ratio, "<", p.scan_ratio),
+            Term("height of the map", map_height, ">=", scan_height, "m"),
+            Term("height of the map", map_height, ">", p.min_difference, "m"),
+            Term("ground of its bin", ground, "<", 1),
+        )
+        rule = self._far_rule(asked) if p.port else Rule("map higher", terms, lasting=True)
+        return Evidence(voxels_around(asked.points, p.map_voxel or NEAR), quantities, (rule,))
+
+    def _far_rule(self, asked: Asked) -> Rule:
+        """The rule of the port: no remaining map point nearby."""
+        judged = self._voxel[asked.first + asked.rows] >= 0
+        distance = np.full(len(judged), np.nan)
+        distance[judged], _ = self._search().query(asked.points[judged])
+        return Rule("far from the map", (Term("nearest point of the map", distance, ">", NEAR, "m"),))
 
     def cleaned_map(self) -> F32:
         """(K, 3) float32, metres, world frame: centroids of the remaining voxels, and points inserted by ``port``."""
@@ -225,7 +265,7 @@ class Erasor:
         ground = self._fit_ground(self._map[rows[flagged]] - foot, bins[flagged])
         reasons[flagged[ground]] = GROUND
         inserted = query[query_rows[of_bin[query_bins] == REMOVED]]
-        return _Comparison(foot, rows, bins, reasons, inserted, map_height, scan_height, verdict)
+        return _Comparison(foot, rows, bins, reasons, inserted, map_height, scan_height, scan_points, verdict)
 
     def _judge(self, map_height: F64, scan_height: F64, scan_points: I64) -> U8:
         """Scan ratio test: reason code of each bin."""
@@ -269,17 +309,21 @@ class Erasor:
 
     def _far_from_map(self, scan: Scan) -> Bool:
         """Points whose nearest map point is farther than ``NEAR``, as the benchmark scores a map of centroids."""
-        from scipy.spatial import cKDTree
-
-        if self._tree is None:
-            self._tree = cKDTree(self.cleaned_map())
         far = np.zeros(len(scan), np.bool_)
         judged = np.flatnonzero(self._reasons(scan) != UNJUDGED)
-        nearest, _ = self._tree.query(
+        nearest, _ = self._search().query(
             scan.points[judged], distance_upper_bound=np.nextafter(NEAR, 1), workers=kernels.threads_in_use()
         )
         far[judged] = np.isinf(nearest)
         return far
+
+    def _search(self) -> Any:
+        """The search tree of the map as it is now."""
+        from scipy.spatial import cKDTree
+
+        if self._tree is None:
+            self._tree = cKDTree(self.cleaned_map())
+        return self._tree
 
     def _show(self, comparison: _Comparison) -> None:
         map_height, scan_height = comparison.map_height, comparison.scan_height

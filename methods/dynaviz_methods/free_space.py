@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, U64, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.probe import Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.spatial.blocks import VOXELS, BlockGrid, read, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import SHIFTS
 
@@ -99,6 +99,17 @@ class FreeSpace:
         voxels = self.grid.locate(points)
         voxels[self._outer[voxels // VOXELS]] = -1
         return voxels
+
+    def distances(self, voxels: I64) -> F64:
+        """(K,) float64, metres: the signed distances of voxels (K,); NaN where no scan observed them."""
+        bits = np.unpackbits(self._needed[voxels >> 9].view(np.uint8), axis=1, bitorder="little")
+        before = np.arange(VOXELS) < (voxels & 511)[:, None]
+        places = np.minimum(self._first[voxels >> 9] + (bits * before).sum(1, dtype=np.int64), len(self._distance) - 1)
+        return np.where(read(self._observed, voxels), self._distance[places], np.nan).astype(np.float64)
+
+    def clear(self, voxels: I64) -> Bool:
+        """(K,) bool: which voxels are clear: observed, far enough from a surface, and not occupied for a while."""
+        return read(self._clear, voxels)
 
     def learn(self, voxels: I64) -> tuple[Bits, Bits]:
         """Update occupancy counts and ever-free voxels by one frame.

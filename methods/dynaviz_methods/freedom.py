@@ -30,6 +30,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64, U8
 from dynaviz.errors import UsageError
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
@@ -192,7 +193,7 @@ class Freedom:
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic if the level of their sub-voxel, or with ``own_scan`` of their voxel, is above 0."""
         voxels, space = self._map.place(scan), self._map
-        own = np.unpackbits(self._own[scan.index], count=2 * len(scan)).reshape(-1, 2) @ np.array([1, 2], np.uint8)
+        own = self._levels(scan)
         level = own if self.params.own_scan else space.levels(scan, voxels)
         reasons = np.full(len(scan), NEVER_CROSSED, np.uint8)
         of_voxel = np.maximum(voxels, -1)
@@ -206,6 +207,25 @@ class Freedom:
         reasons[voxels == -1] = OUT_OF_REACH
         reasons[voxels == -2] = OUT_OF_RANGE
         return Labels(dynamic, reasons)
+
+    def _levels(self, scan: Scan) -> U8:
+        """(N,) uint8: the level of each point in its scan; 0 if the scan was not observed yet."""
+        packed = self._own.get(scan.index, np.zeros(-(-2 * len(scan) // 8), np.uint8))
+        return np.unpackbits(packed, count=2 * len(scan)).reshape(-1, 2) @ np.array([1, 2], np.uint8)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """How many scans in a row passed through the points' voxels, and the levels of their sub-voxels."""
+        space, scan = self._map, asked.scan
+        voxels = space.place(scan)
+        level = (self._levels(scan) if self.params.own_scan else space.levels(scan, voxels) & LEVEL)[asked.rows]
+        passes, clear = space.passes(voxels[asked.rows])
+        quantities = (
+            Quantity("passes", passes, total=True, threshold=self.params.counts_to_free),
+            Quantity("clear", clear, total=True, threshold=27),
+            Quantity("level", level.astype(float), total=True, threshold=1),
+        )
+        rule = Rule("level", (Term("level of its sub-voxel", level, ">=", 1),))
+        return Evidence(voxels_around(asked.points, space.resolution), quantities, (rule,))
 
     def _sky(self, scan: Scan, image: DepthImage) -> F64:
         depth, hole = image.of(scan)

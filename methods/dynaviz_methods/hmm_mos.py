@@ -31,12 +31,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import I32, I64, U8, Bool
+from dynaviz.arrays import F64, I32, I64, U8, Bool
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS
 from dynaviz_methods.belief_map import BeliefMap, Scores
+from dynaviz_methods.lookups import around, known
 
 OCCUPIED = 1  # state of a voxel
 BINS = 100  # of the histogram for the threshold, as published
@@ -186,6 +188,7 @@ class HmmMos:
         scores = self._map.score()
         sums = self._summed(scores)
         threshold = otsu(sums)
+        self._judged = scan.index, np.where(used, voxels, -1), scores.voxels, sums, threshold, self._last
         self._codes[scores.voxels] = self._judge(scores, sums, threshold)
         reasons = np.where(used, self._codes[voxels], OUT_OF_RANGE).astype(np.uint8)
         reasons[voxels < 0] = OUT_OF_REACH
@@ -199,6 +202,41 @@ class HmmMos:
         bits = np.unpackbits(self._reasons[scan.index], count=4 * len(scan)).reshape(-1, 4)
         reasons = bits @ np.array([1, 2, 4, 8], np.uint8)
         return Labels((reasons >= ABOVE) & (reasons <= BESIDE), reasons)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """State and belief of the points' voxels, and the changes around them that are summed over the window."""
+        voxels = self._map.place(asked.points)
+        belief, state = self._map.belief.ravel()[voxels], self._map.state.ravel()[voxels]
+        index, own, occupied, sums, threshold, last = self._judged
+        quantities = (
+            Quantity("state", known(state, voxels), legend=("unknown", "occupied", "free")),
+            Quantity("belief", np.where(state == 0, np.nan, known(belief, voxels)), total=True, threshold=0.5),
+            Quantity("score", _values_at(sums, occupied, voxels), threshold=self.params.min_score),
+        )
+        rules: tuple[Rule, ...] = ()
+        if index == asked.scan.index:
+            rules = self._rules(own[asked.rows], occupied, sums, threshold, last)
+        return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules, final=bool(rules))
+
+    def _rules(self, voxels: I64, occupied: I64, sums: I32, threshold: float, last: I64) -> tuple[Rule, ...]:
+        """What decided the labels of the scan that was observed last."""
+        p = self.params
+        decided = (
+            Term("scans so far", np.full(len(voxels), self._map.number), ">", p.window + 1),
+            Term("threshold of the scan", np.full(len(voxels), threshold), ">", p.min_score),
+        )
+        score = _values_at(sums, occupied, voxels)
+        was = _values_at(_among(last, occupied), occupied, voxels)
+        above = (sums > threshold) | (_among(last, occupied) & (sums > p.min_score))
+        near = np.isin(around(self._map, voxels), occupied[above]).sum(1)
+        return (
+            Rule("above", (*decided, Term("summed score", score, ">", threshold))),
+            Rule(
+                "carried",
+                (*decided, Term("dynamic one scan ago", was, ">=", 1), Term("summed score", score, ">", p.min_score)),
+            ),
+            Rule("beside", (*decided, Term("dynamic voxels around it", known(near, voxels), ">=", 1))),
+        )
 
     def _summed(self, scores: Scores) -> I32:
         """(N,) int32: the medians of the last scans, this one included, summed for the occupied voxels."""
@@ -278,6 +316,13 @@ def otsu(sums: I32) -> float:
     between = below * above * (moment / below - (total - moment) / above) ** 2
     level = splits[np.flatnonzero(between == between.max())[-1]]
     return low + float(level) * (high - low) / BINS
+
+
+def _values_at(values: I32 | Bool, occupied: I64, voxels: I64) -> F64:
+    """(K,) float64: the values (N,) of sorted voxels (N,) at voxels (K,); NaN where absent."""
+    at = np.searchsorted(occupied, voxels)
+    inside = np.append(occupied, -2)[at] == voxels
+    return np.where(inside, np.append(values, 0)[at], np.nan)
 
 
 def _among(some: I64, voxels: I64) -> Bool:

@@ -26,11 +26,13 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
 from dynaviz_methods.ground import ground_plane
+from dynaviz_methods.lookups import known
 from dynaviz_methods.noise import outliers
 
 
@@ -178,6 +180,17 @@ class OctoMap:
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
 
+    def evidence(self, asked: Asked) -> Evidence:
+        """The log-odds of the points' voxels, to which each scan adds its hit and its miss."""
+        voxels = self._grid.locate(asked.points)
+        log_odds = known(self._log_odds.ravel()[voxels], voxels)
+        rule = Rule("free", (Term("log-odds", log_odds, "<", 0.0), *self._exceptions(asked)))
+        total = Quantity("log-odds", log_odds, total=True, threshold=0.0)
+        return Evidence(voxels_around(asked.points, self.params.resolution), (total,), (rule,))
+
+    def _exceptions(self, asked: Asked) -> tuple[Term, ...]:
+        return ()
+
     def _find_noise(self, scan: Scan) -> Bool:
         return np.zeros(len(scan), np.bool_)
 
@@ -217,6 +230,9 @@ class OctoMapG(OctoMap):
         if plane is not None:
             self._probe.emit("ground_plane", plane)
         return ground
+
+    def _exceptions(self, asked: Asked) -> tuple[Term, ...]:
+        return (Term("on the ground plane", _unpack(self._ground, asked.scan)[asked.rows], "<", 1),)
 
     def _casts(self, noise: Bool, ground: Bool) -> Bool:
         return ~noise if self.params.cast_ground_rays else ~(noise | ground)

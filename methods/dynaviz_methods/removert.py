@@ -27,6 +27,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import Scan
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 SHOWN = 3  # number of resolutions with reasons and states of their own
 LARGEST = 200.0  # metres; the port treats a larger difference as a pixel without return
+EDGE = 0.05  # metres: of the box around a point whose rays are evidence, if the map is not downsampled
 FINEST = 50.0  # pixels per degree; an image then takes hundreds of megabytes
 
 
@@ -190,6 +192,7 @@ class Removert:
         self._end += len(scan)
         self._tree = None
         scan_ranges, _ = self._nearest(scan, scan.points.T, *whole(len(scan)))
+        self._last = scan, scan_ranges
         near = self._within_reach(scan, scan_ranges)
         before = self._past[rows := _rows(near[0])] if self._probe.wants("accused") else None
         if self.params.port or self._draws():
@@ -216,6 +219,39 @@ class Removert:
         reasons[dynamic & ~by_map] = LEFT_ALONE
         reasons[by_map & ~dynamic] = SURROUNDED
         return Labels(dynamic, reasons)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """How far the points' map points lie in front of the surface that the last scan saw in their pixels."""
+        p, rows = self.params, self._map_points[asked.first + asked.rows]
+        (scan, scan_ranges), xyz = self._last, np.ascontiguousarray(self._map[:, rows])
+        pixels, ranges = kernels.range_image.pixels_of(xyz, *self._camera(scan))
+        near = np.where(rows < 0, np.nan, ranges)
+        surfaces = np.where(pixels < 0, np.inf, scan_ranges[pixels])
+        surfaces = np.where(np.isfinite(surfaces), surfaces, np.float32(np.nan))  # in float32, as in the kernel
+        limits = (surfaces - np.float32(p.threshold) * surfaces)[: len(p.resolutions)]
+        shown = [f"at {resolution:g}/°" for resolution in p.resolutions]
+        depths = [Quantity(name, surfaces[k] - near, "m") for k, name in enumerate(shown[:SHOWN])]
+        if p.scan_neighbours or p.port or p.revert_resolutions:
+            rules = self._rules_of_all_scans(asked, shown, self._past[rows])
+        else:
+            rules = tuple(
+                Rule(f"nearer {name}", (Term("its range", near, "<", limit, "m"),), lasting=True)
+                for name, limit in zip(shown, limits, strict=True)
+            )
+        return Evidence(voxels_around(asked.points, p.voxel or EDGE), tuple(depths), rules)
+
+    def _rules_of_all_scans(self, asked: Asked, shown: list[str], past: U8) -> tuple[Rule, ...]:
+        """The rules of the port, of the revert step and of the scan-side step: they need what all scans saw."""
+        p, scan = self.params, asked.scan
+        if p.scan_neighbours and scan.index in self._places:
+            difference = self._densities(scan)[asked.rows]
+            return (Rule("left alone", (Term("density difference", difference, ">=", p.scan_difference, "m²"),)),)
+        revert = tuple(
+            Term(f"seen past at {resolution:g}/°", past >> k & 1, ">=", 1)
+            for k, resolution in enumerate(p.revert_resolutions, len(p.resolutions))
+        )
+        seen = [Term(f"seen past {name}", past >> k & 1, ">=", 1) for k, name in enumerate(shown)]
+        return tuple(Rule(f"nearer {name}", (term, *revert)) for name, term in zip(shown, seen, strict=True))
 
     def _within_reach(self, scan: Scan, scan_ranges: F32) -> tuple[I64, np.float32]:
         """Chunks of the map near the scan, and the range, metres, beyond which the scan cannot judge map points."""
@@ -274,17 +310,22 @@ class Removert:
 
     def _scan_side(self, scan: Scan) -> Bool:
         """(N,) bool: points around which the density of the cleaned map differs from that of the scan."""
+        dynamic: Bool = self._densities(scan) >= self.params.scan_difference
+        return dynamic
+
+    def _densities(self, scan: Scan) -> F64:
+        """(N,) float64, square metres: difference between the averages of the scan-side step; NaN if not in the map."""
         from scipy.spatial import cKDTree
 
-        dynamic = np.zeros(len(scan), np.bool_)
+        difference = np.full(len(scan), np.nan)
         placed = np.flatnonzero(self._map_points[self._places[scan.index]] >= 0)
         if len(placed):
             if self._tree is None:
                 self._tree = cKDTree(self._map[:, ~self._dynamic(self._past[:-1])].T)
             points, neighbours = scan.points[placed], min(self.params.scan_neighbours, len(placed))
             own, cleaned = (_mean_square(tree, points, neighbours) for tree in (cKDTree(points), self._tree))
-            dynamic[placed] = np.abs(cleaned - own) >= self.params.scan_difference
-        return dynamic
+            difference[placed] = np.abs(cleaned - own)
+        return difference
 
     def _draws(self) -> bool:
         return any(self._probe.wants(state.name) for state in STATES if state.kind is RangeImage)

@@ -37,13 +37,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, U8, U64
+from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
 from dynaviz.spatial.extent import Extent
 from dynaviz_methods.ground_height import GroundHeight
+from dynaviz_methods.lookups import known
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
@@ -167,6 +169,26 @@ class ClearGrid(BlockGrid):
         return grown
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """What decided the labels of the scan that was judged last.
+
+    Attributes:
+        index: number of the scan.
+        height: (N,) float32, metres above the ground, of each point; infinite if unknown.
+        objects: (N,) int32, the object of each point, -1 for none.
+        weighed: (7, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
+            moved lately, scans in which that one moved, points where the last object moved.
+        under: (N,) bool, low and in or next to a dynamic object.
+    """
+
+    index: int
+    height: F32
+    objects: I32
+    weighed: F64
+    under: Bool
+
+
 class SeeThrough:
     """SeeThrough; in online mode it labels each scan by the scans so far."""
 
@@ -245,6 +267,7 @@ class SeeThrough:
         reasons[moves] = verdict[moves]
         reasons[low] = LOW
         under = low & kernels.objects.in_or_next_to(points, moves, 4 * params.resolution)
+        self._judged = _Judged(scan.index, height, objects, self._weighed, under)
         empty = (passed > PASSED * hits) | ((clear >= hits) & (hits <= SELDOM))
         reasons[under & ((height > STANDS_OUT) | empty)] = FOOT
         reasons[~within] = OUT_OF_REACH
@@ -257,6 +280,7 @@ class SeeThrough:
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
         last = self._dynamic[places]
         left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
+        self._weighed = np.array([size, having, votes, touched, lately, proof, left])
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
         reasons = verdict[:n]
         reasons[(2 * left > size) & (touched > WAITED_FOR * size)] = WAITED
@@ -266,6 +290,65 @@ class SeeThrough:
         proven = (proof + dynamic).astype(np.int32)
         kernels.objects.leave(objects, (reasons > 0) & (reasons != WAITED), proven, places, now, *movers)
         return verdict[objects]
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """How often scans hit, passed and saw clear the points' voxels; and what is known about their objects."""
+        voxels = self._grid.locate(asked.points)
+        hits, passed, clear = (
+            known(kernels.objects.read(voxels, of), voxels) for of in (self._hits, self._passed, self._clear)
+        )
+        counts = {"hit": hits, "passed": passed, "clear": clear}
+        quantities = tuple(Quantity(name, values, total=True) for name, values in counts.items())
+        judged, rules = self._judged, ()
+        if judged.index == asked.scan.index:
+            rules = (*self._object_rules(asked, judged), *self._point_rules(asked, judged, hits, passed, clear))
+        return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
+
+    def _object_rules(self, asked: Asked, judged: _Judged) -> tuple[Rule, ...]:
+        """The rules that remove objects; points without an object have NaN."""
+        of = judged.objects[asked.rows]
+        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((7, 1)), 1)[:, of])
+        size, having, votes, touched, lately, proof, left = weighed
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = votes / (1000 * self.params.votes * having)
+            shares = {name: part / size for name, part in (("now", lately), ("later", left))}
+        moved = "share of its object where one moved "
+        return (
+            Rule(
+                "seen through",
+                (Term("mean vote of its object", mean, ">", self.params.share), Term("votes", having, ">=", FEW)),
+            ),
+            Rule(
+                "followed",
+                (
+                    Term(f"{moved}lately", shares["now"], ">", 0.5),
+                    Term("scans in which that moved", proof, ">=", PROOF),
+                    Term("points of its object seen clear", touched, ">", 0),
+                ),
+            ),
+            Rule(
+                "waited",
+                (
+                    Term(f"{moved}last", shares["later"], ">", 0.5),
+                    Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
+                ),
+            ),
+        )
+
+    def _point_rules(self, asked: Asked, judged: _Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
+        """The rules that remove single points: above the ground, and low under a dynamic object."""
+        height, under = judged.height[asked.rows], judged.under[asked.rows]
+        limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
+        above = Term("height above the ground", height, ">", limits[0], "m")
+        scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
+        low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under), ">=", 1)
+        often, few = Term("passes", passed, ">", PASSED * hits), Term("hits", hits, "<=", SELDOM)
+        return (
+            Rule("alone", (above, scans, Term("scans that saw it clear", clear, ">", most))),
+            Rule("foot", (low, Term("height above the ground", height, ">", limits[1], "m"))),
+            Rule("foot passed often", (low, often)),
+            Rule("foot rarely hit", (low, few, Term("scans that saw it clear", clear, ">=", hits))),
+        )
 
     def _show(self, reasons: U8, blocks: I32, through: U64, near: U64) -> None:
         wants, emit = self._probe.wants, self._probe.emit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from dynaviz import registry
+from dynaviz.evidence import Asked, Evidence, Rule, Term, voxels_around
 from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State
 from dynaviz.scan import Label, Scan
@@ -106,6 +108,25 @@ class ModifiesInput(Farthest):
         scan.points[:] = 0
 
 
+class Contradicts(Farthest):
+    def evidence(self, asked: Asked) -> Evidence:
+        with np.errstate(invalid="ignore"):
+            distance = np.linalg.norm(asked.points - asked.scan.position.astype(np.float32), axis=1)
+        rule = Rule("far", (Term("distance", distance, ">", self.params.limit + 1, "m"),))
+        return Evidence(voxels_around(asked.points, 0.1), (), (rule,))
+
+
+class StatesNoRule(Farthest):
+    def evidence(self, asked: Asked) -> Evidence:
+        return Evidence(voxels_around(asked.points, 0.1), (), ())
+
+
+class DependsOnEvidence(Contradicts):
+    def evidence(self, asked: Asked) -> Evidence:
+        self.params = dataclasses.replace(self.params, limit=self.params.limit + 1)
+        return super().evidence(asked)
+
+
 class DependsOnProbe(Farthest):
     def label(self, scan: Scan) -> Labels:
         return labels(super().label(scan).dynamic ^ (self.probe.wants("far") & np.isfinite(scan.points).all(1)))
@@ -136,6 +157,9 @@ class OneReasonForBoth(Farthest):
         (NeverEmits, "declared in info.emits but never emitted"),
         (ModifiesInput, "read-only"),
         (DependsOnProbe, "answers_alike_when_watched: labels change with a probe|used for both kept and removed"),
+        (Contradicts, r"decides_by_its_evidence: the evidence contradicts the labels of \d+ of 99 points of frame"),
+        (StatesNoRule, "decides_by_its_evidence: evidence\\(\\) states no rule for the points of frame 0"),
+        (DependsOnEvidence, "answers_alike_when_watched: labels change with a probe or with questions"),
         (OneLabelShort, r"answers_for_every_point: label\(\) returned 9599 labels for 9600 points"),
         (RemovesNan, "keeps_points_without_a_place: a point that is not finite is removed"),
         (OneReasonForBoth, "reason 'near' is used for both kept and removed points"),
