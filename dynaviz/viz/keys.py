@@ -123,16 +123,22 @@ def _width(words: str) -> int:
     return int(cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, FONT_SCALE, 1)[0][0])
 
 
-def rings(grid: PolarGrid, picture: int) -> rr.LineStrips2D:
-    """Circles at round distances over a polar grid from above, with their radius; picture: its edge in pixels."""
+def rings(grid: PolarGrid, picture: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
+    """Circles at round distances over a polar grid from above, and their radii at their tops; picture: edge in pixels.
+
+    The circles themselves would have their labels in the middle, on top of each other.
+    """
     half = picture / 2
     step = next(step for step in (1, 2, 5, 10, 20, 50, 100) if step * 5 > grid.max_range or step == 100)
     distances = np.arange(step, grid.max_range + 1e-6, step)
-    circles = [half + d / grid.max_range * half * np.stack([-np.sin(CIRCLE), np.cos(CIRCLE)], 1) for d in distances]
-    return rr.LineStrips2D(
-        circles, labels=[f"{d:g} m" for d in distances], colors=RING_COLOUR, radii=rr.Radius.ui_points(0.5),
-        show_labels=True, draw_order=10.0,
+    lengths = distances / grid.max_range * half
+    circles = [half + length * np.stack([-np.sin(CIRCLE), np.cos(CIRCLE)], 1) for length in lengths]
+    lines = rr.LineStrips2D(circles, colors=RING_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=10.0)
+    names = rr.Points2D(
+        np.stack([np.full(len(lengths), half), half - lengths], 1), labels=[f"{d:g} m" for d in distances],
+        colors=RING_COLOUR, radii=rr.Radius.ui_points(0.0), show_labels=True, draw_order=10.0,
     )  # fmt: skip
+    return lines, names
 
 
 class Heading:

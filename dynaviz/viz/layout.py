@@ -86,7 +86,8 @@ def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     here = [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, paths.CLUSTERS, paths.CASE_AIM]
     frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
     tabs = _tabs(info, found)
-    below = rrb.Horizontal(frame, _open_at(found.state, tabs)) if tabs else frame
+    state = found.state or next((state.name for state in info.emits if state.legend), None)  # verdicts, not quantities
+    below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
     return rrb.Vertical(above, below, row_shares=[3, 2])
 
 

@@ -245,7 +245,7 @@ class Recorder(Listener):
         """Distances and the direction of travel in a polar grid."""
         if path not in self._guided:
             self._guided.add(path)
-            self._open.log(f"{path}/rings", keys.rings(grid, states.PICTURE), static=True)
+            self._open.log(f"{path}/rings", *keys.rings(grid, states.PICTURE), static=True)
         if (ahead := self._heading.of(scan)) is not None:
             self._open.log(f"{path}/travel", keys.arrow(ahead, states.PICTURE))
 
