@@ -22,7 +22,7 @@ _VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cau
 _EXPLANATIONS: dict[str, dict[str, str]] = {  # by kind and cause
     "false_negative": {
         Cause.STANDING: "The method observed its place more often as occupied than as free.",
-        Cause.NOTHING_BEHIND: "The method needs rays through its place, and too few returned from behind it.",
+        Cause.NOTHING_BEHIND: "The method needs rays through its place, and found too few.",
         Cause.SPARSE_RINGS: "The method needs rays through its place, and the sensor's rings are too sparse there.",
         Cause.NOT_YET_FREE: "The method had not observed its place as free for long enough before it arrived.",
         Cause.HEIGHT_LIMIT: "It is outside the height limits of the method.",
