@@ -80,6 +80,8 @@ def _array(path: Path, key: str | None) -> Any:
         names = None if isinstance(content, np.ndarray) else list(content)
         name = names[0] if names and len(names) == 1 and key is None else key
         array = content if names is None else content[name] if name in names else None
+        if isinstance(array, bytes):  # numpy returns members that do not begin like an array as they are
+            raise ValueError(f"{name} is not an array")
     if array is None:
         problem = f"contains the arrays {', '.join(names[:20])}" if names else "contains no array"
         problem += "" if key is None else f", and none named {key}"

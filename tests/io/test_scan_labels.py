@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,13 @@ def test_wrong_lengths_name_the_file_and_both_counts(tmp_path: Path, suffix: str
 def test_values_of_another_meaning_are_refused(tmp_path: Path, values: Any, expected: str) -> None:
     with pytest.raises(DataError, match=rf"a\.npy: .*{expected}"):
         read_moving(written(tmp_path / "a.npy", values), 5)
+
+
+def test_a_member_that_is_no_array_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
+        file.writestr("labels.npy", b"not an array")
+    with pytest.raises(DataError, match=r"a\.npz: not a valid NPZ file \(labels is not an array\)"):
+        read_moving(tmp_path / "a.npz", 5)
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
