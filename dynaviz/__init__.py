@@ -16,10 +16,11 @@ if TYPE_CHECKING:
     from dynaviz.benchmarking.bench import bench
     from dynaviz.benchmarking.tune import tune
     from dynaviz.diagnosis import doctor
+    from dynaviz.explanation import why
     from dynaviz.reporting import report
     from dynaviz.results.result import Result
 
-__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score", "tune"]
+__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score", "tune", "why"]
 
 _HOMES = {
     "bench": "dynaviz.benchmarking.bench",
@@ -30,6 +31,7 @@ _HOMES = {
     "run": "dynaviz.api",
     "score": "dynaviz.api",
     "tune": "dynaviz.benchmarking.tune",
+    "why": "dynaviz.explanation",
     "Result": "dynaviz.results.result",
 }
 

@@ -38,6 +38,7 @@ from dynaviz.cli import (
     simulate,
     tune,
     view,
+    why,
 )
 from dynaviz.errors import DataError, DynavizError, UsageError
 
@@ -74,7 +75,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate, implant,
-    tune, download, convert, export_labels, view, shot, repair
+    tune, download, convert, export_labels, view, shot, why, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

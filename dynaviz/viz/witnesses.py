@@ -10,6 +10,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U8, Intp
 from dynaviz.scan import Scan, Sequence, SequenceSlice, stream
+from dynaviz.spatial.surface import surface_normal
 
 HIT, CROSSED, GRAZED = 1, 2, 3  # classes of rays
 NAMES = {
@@ -23,8 +24,6 @@ STRIPS = 60  # rays drawn per place
 ABOUT = 1.0  # metres: a place reaches this far from the middle of its points along each axis
 MARGIN = 0.1  # metres around the points of a place, about half a voxel
 GRAZING = np.sin(np.radians(10.0))  # a ray that meets the surface at a smaller angle only grazes it
-FLAT = 0.07  # metres: standard deviation across a surface; more is no surface
-WIDE = 0.15  # metres: least standard deviation along it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +45,7 @@ class Place:
         wide = points.astype(np.float64)
         middle = wide[np.argmin(((wide - np.median(wide, axis=0)) ** 2).sum(1))]
         chosen = wide[(np.abs(wide - middle) <= ABOUT).all(1)]
-        return cls(chosen.min(0) - MARGIN, chosen.max(0) + MARGIN, _normal(chosen))
+        return cls(chosen.min(0) - MARGIN, chosen.max(0) + MARGIN, surface_normal(chosen))
 
 
 @dataclass(slots=True, eq=False)
@@ -161,13 +160,3 @@ def _evenly(count: int, most: int) -> Intp:
 def _origins(scan: Scan, rays: Intp) -> F64:
     """(1, 3) or (K, 3): the origins of some rays."""
     return scan.origins if len(scan.origins) == 1 else scan.origins[rays]
-
-
-def _normal(points: F64) -> F64 | None:
-    """The normal of the surface through (N, 3) points; None if they do not lie on one."""
-    if len(points) < 4:
-        return None
-    spread, axes = np.linalg.eigh(np.cov(points.T))
-    across, along = np.sqrt(np.maximum(spread[:2], 0))
-    normal: F64 = axes[:, 0]
-    return normal if across < FLAT and along > WIDE else None

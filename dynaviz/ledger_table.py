@@ -1,0 +1,132 @@
+"""The ledger of a point in the terminal, in 80 columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+
+ROWS = 20  # entries listed at most
+
+
+def ledger_table(ledger: PointLedger, head: Sequence[str]) -> RenderableType:
+    """The heading, the scans that mattered most, in order, and the rules that decided.
+
+    Args:
+        ledger: of one point.
+        head: lines above the table.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    parts: list[RenderableType] = [Text(line) for line in head]
+    if ledger.entries:
+        parts.append(_entries(ledger))
+    if ledger.rules:
+        parts += [Text("Removed if any of these rules holds:"), _rules(ledger)]
+    return Group(*parts)
+
+
+def _entries(ledger: PointLedger) -> Table:
+    from rich import box
+    from rich.table import Table
+
+    shown = _deciding(ledger)
+    rest = len(ledger.entries) - len(shown)
+    caption = f"{rest:,} more scans, which contributed less; --json lists all." if rest else None
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption=caption, caption_justify="left")
+    for name in ("frame", "m", "angle", "hit", "crossed"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for quantity in ledger.quantities:
+        table.add_column(quantity.name, justify="left" if quantity.legend else "right")
+    table.add_column("so far")
+    before: bool | None = None
+    verdicts = {}
+    for entry in ledger.entries:
+        if entry.removed is not None and entry.removed != before:
+            verdicts[entry.frame] = "removed" if entry.removed else "kept"
+            before = entry.removed
+    for entry in shown:
+        own = entry.frame == ledger.frame
+        table.add_row(
+            f"{entry.frame}{'*' if own else ''}",
+            f"{entry.range_m:.1f}",
+            "" if entry.angle_deg is None else f"{entry.angle_deg:.0f}°",
+            f"{entry.hits or ''}",
+            f"{entry.crossed or ''}",
+            *(_cell(entry, quantity) for quantity in ledger.quantities),
+            verdicts.get(entry.frame, ""),
+            style="bold" if own else None,
+        )
+    return table
+
+
+def _deciding(ledger: PointLedger) -> list[LedgerEntry]:
+    """At most ``ROWS`` entries by frame: those that changed the verdict first, then those that contributed most."""
+    flips, before = set(), None
+    for entry in ledger.entries:
+        if entry.removed is not None and entry.removed != before:
+            flips.add(entry.frame)
+            before = entry.removed
+
+    def weight(entry: LedgerEntry) -> tuple[bool, bool, bool, float, int]:
+        change = max((abs(value) for value in entry.changes.values()), default=0.0)
+        own = entry.frame == ledger.frame
+        return own, entry.frame in flips, bool(entry.holds and not entry.changes), change, entry.hits + entry.crossed
+
+    chosen = sorted(ledger.entries, key=weight, reverse=True)[:ROWS]
+    return sorted(chosen, key=lambda entry: entry.frame)
+
+
+def _cell(entry: LedgerEntry, quantity: QuantityInfo) -> str:
+    value, change = entry.values.get(quantity.name), entry.changes.get(quantity.name)
+    if value is None:
+        return ""
+    if quantity.legend:
+        return quantity.legend[int(value)]
+    return _number(value) + (f" ({'+' if change > 0 else ''}{_number(change)})" if change else "")
+
+
+def _rules(ledger: PointLedger) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for rule in ledger.rules:
+        table.add_row(
+            "yes" if rule.holds else "no ", Text(", ".join(_words(rule))), style=None if rule.holds else "dim"
+        )
+    return table
+
+
+def _words(rule: RuleValue) -> Iterator[str]:
+    """The rule's name with its terms."""
+    scan = f" (frame {rule.frame})" if rule.frame is not None else ""
+    if all(term.value is None for term in rule.terms):
+        yield f"{rule.name}: does not apply"
+        return
+    first, *others = (_term(term) for term in rule.terms)
+    yield f"{rule.name}{scan}: {first}"
+    yield from others
+
+
+def _term(term: TermValue) -> str:
+    """The comparison, with enough digits to see which side is larger."""
+    if term.value is None:
+        return f"{term.name} unknown (fails)"
+    digits = next((n for n in (3, 6) if f"{term.value:.{n}f}" != f"{term.threshold:.{n}f}"), 3)
+    unit, failed = f" {term.unit}" if term.unit else "", "" if term.holds else " (fails)"
+    return f"{term.name} {_number(term.value, digits)} {term.test} {_number(term.threshold, digits)}{unit}{failed}"
+
+
+def _number(value: float, digits: int = 3) -> str:
+    """Whole numbers without a point."""
+    return f"{value:,.0f}" if math.isfinite(value) and value == int(value) else f"{value:.{digits}f}"
