@@ -2,7 +2,8 @@
 
 Two shades per meaning: ``BRIGHT`` for points and boxes on the dark background of 3D views and maps, ``FIRM`` for curves
 and bars on a page that may be white or black. Orange always is a ghost (a dynamic point that was kept), yellow a hole
-(a static point that was removed), blue a dynamic point that was removed, grey a static point that was kept.
+(a static point that was removed), blue a dynamic point that was removed, grey a static point that was kept, pink a
+removed point without ground truth.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ BRIGHT: dict[Outcome, Colour] = {
     Outcome.FALSE_POSITIVE: (255, 240, 130),
     Outcome.FALSE_NEGATIVE: (255, 125, 0),
     Outcome.UNLABELLED_KEPT: (92, 92, 100),
-    Outcome.UNLABELLED_REMOVED: (190, 120, 170),
+    Outcome.UNLABELLED_REMOVED: (255, 175, 210),
 }
 FIRM: dict[Outcome, Colour] = {
     Outcome.STATIC_KEPT: NEUTRAL,

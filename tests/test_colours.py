@@ -7,6 +7,7 @@ from helpers.colour_vision import EYES, contrast, smallest_difference
 
 from dynaviz import colours, registry
 from dynaviz.scan import Outcome
+from dynaviz.viz.case_timeline import RAY_COLOURS
 
 WHITE, BLACK = (255, 255, 255), (16, 18, 20)
 SCORED = (Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
@@ -22,6 +23,14 @@ def test_outcomes_differ_and_errors_stand_out(eye: str) -> None:
         contrast(colours.BRIGHT[o], colours.BACKGROUND, eye) > 1.3 * contrast(kept, colours.BACKGROUND, eye)
         for o in WRONG
     )
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_rays_differ_from_each_other_and_from_all_points(eye: str) -> None:
+    points, rays = colours.BRIGHT.values(), RAY_COLOURS.values()
+    assert min(smallest_difference([ray, point], eye) for ray in rays for point in points) > 15
+    assert smallest_difference(rays, eye) > 15
+    assert min(contrast(ray, colours.BACKGROUND, eye) for ray in rays) > 1.8
 
 
 @pytest.mark.parametrize("eye", EYES)

@@ -36,8 +36,8 @@ TURN = np.linspace(0.0, 2 * np.pi, 49)
 CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 RAY_COLOURS: dict[int, colours.Colour] = {
     witnesses.HIT: (60, 205, 140),
-    witnesses.CROSSED: (225, 70, 160),
-    witnesses.GRAZED: (120, 75, 120),
+    witnesses.CROSSED: (180, 80, 255),
+    witnesses.GRAZED: (120, 40, 140),
 }
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
