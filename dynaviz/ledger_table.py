@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
@@ -37,21 +37,15 @@ def _entries(ledger: PointLedger) -> Table:
     from rich import box
     from rich.table import Table
 
-    shown = _deciding(ledger)
-    rest = len(ledger.entries) - len(shown)
-    caption = f"{rest:,} more scans, which contributed less; --json lists all." if rest else None
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption=caption, caption_justify="left")
+    turns = _turns(ledger)
+    shown = _deciding(ledger, turns)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, caption_justify="left")
+    table.caption = _rest(ledger, {entry.frame for entry in shown})
     for name in ("frame", "m", "angle", "hit", "crossed"):
         table.add_column(name, justify="right", no_wrap=True)
     for quantity in ledger.quantities:
         table.add_column(quantity.name, justify="left" if quantity.legend else "right")
     table.add_column("so far")
-    before: bool | None = None
-    verdicts = {}
-    for entry in ledger.entries:
-        if entry.removed is not None and entry.removed != before:
-            verdicts[entry.frame] = "removed" if entry.removed else "kept"
-            before = entry.removed
     for entry in shown:
         own = entry.frame == ledger.frame
         table.add_row(
@@ -61,27 +55,47 @@ def _entries(ledger: PointLedger) -> Table:
             f"{entry.hits or ''}",
             f"{entry.crossed or ''}",
             *(_cell(entry, quantity) for quantity in ledger.quantities),
-            verdicts.get(entry.frame, ""),
+            turns.get(entry.frame, ""),
             style="bold" if own else None,
         )
     return table
 
 
-def _deciding(ledger: PointLedger) -> list[LedgerEntry]:
-    """At most ``ROWS`` entries by frame: those that changed the verdict first, then those that contributed most."""
-    flips, before = set(), None
+def _turns(ledger: PointLedger) -> dict[int, str]:
+    """The frames after which the verdict changed, and the verdict from then on."""
+    turns, before = {}, None
     for entry in ledger.entries:
         if entry.removed is not None and entry.removed != before:
-            flips.add(entry.frame)
+            turns[entry.frame] = "removed" if entry.removed else "kept"
             before = entry.removed
+    return turns
 
-    def weight(entry: LedgerEntry) -> tuple[bool, bool, bool, float, int]:
+
+def _deciding(ledger: PointLedger, turns: Collection[int]) -> list[LedgerEntry]:
+    """At most ``ROWS`` entries by frame: the point's own, those that turned the verdict, then by their contribution.
+
+    Entries without any contribution are left out.
+    """
+    lasting = {rule.name for rule in ledger.rules if rule.frame is not None}
+    readings = [quantity.name for quantity in ledger.quantities if not quantity.total]
+
+    def weight(entry: LedgerEntry) -> tuple[bool, bool, float, bool, int]:
+        decides = entry.frame == ledger.frame or entry.frame in turns
         change = max((abs(value) for value in entry.changes.values()), default=0.0)
-        own = entry.frame == ledger.frame
-        return own, entry.frame in flips, bool(entry.holds and not entry.changes), change, entry.hits + entry.crossed
+        read = any(entry.values.get(name) is not None for name in readings)
+        return decides, not lasting.isdisjoint(entry.holds), change, read, entry.hits + entry.crossed
 
-    chosen = sorted(ledger.entries, key=weight, reverse=True)[:ROWS]
-    return sorted(chosen, key=lambda entry: entry.frame)
+    ranked = sorted(ledger.entries, key=weight, reverse=True)
+    if ledger.rules:
+        ranked = [entry for entry in ranked if any(weight(entry)[:4])]
+    return sorted(ranked[:ROWS], key=lambda entry: entry.frame)
+
+
+def _rest(ledger: PointLedger, shown: Collection[int]) -> str | None:
+    """A line on the entries that are not shown."""
+    rest = [entry for entry in ledger.entries if entry.frame not in shown]
+    hits, crossed = (sum(getattr(entry, name) > 0 for entry in rest) for name in ("hits", "crossed"))
+    return f"{len(rest):,} more scans ({hits:,} hit it, {crossed:,} crossed it); --json lists all." if rest else None
 
 
 def _cell(entry: LedgerEntry, quantity: QuantityInfo) -> str:

@@ -263,12 +263,12 @@ class _Book:
     Attributes:
         entries: by frame.
         totals: the last values of quantities that accumulate.
-        best: for each lasting rule: number of terms that held after the scan that came closest, its frame, the terms.
+        best: for each lasting rule: how close the closest scan came, as from ``_closeness``, its frame, the terms.
     """
 
     entries: list[LedgerEntry] = field(default_factory=list)
     totals: dict[str, float] = field(default_factory=dict)
-    best: dict[str, tuple[int, int, tuple[TermValue, ...]]] = field(default_factory=dict)
+    best: dict[str, tuple[tuple[int, float], int, tuple[TermValue, ...]]] = field(default_factory=dict)
 
     def update(self, values: Sequence[Quantity], k: int) -> dict[str, float]:
         """Take the values of point k after a scan; returns the changes."""
@@ -286,8 +286,8 @@ class _Book:
         for rule in evidence.rules:
             if rule.lasting:
                 terms = _terms(rule, k)
-                if (count := sum(term.holds for term in terms)) > self.best.get(rule.name, (-1,))[0]:
-                    self.best[rule.name] = count, frame, terms
+                if rule.name not in self.best or _closeness(terms) > self.best[rule.name][0]:
+                    self.best[rule.name] = _closeness(terms), frame, terms
 
     def closed(self, rule: Rule, k: int, holds: bool) -> RuleValue:
         """The rule with the numbers that decided."""
@@ -304,6 +304,13 @@ def _terms(rule: Rule, k: int) -> tuple[TermValue, ...]:
         threshold = float(np.broadcast_to(np.asarray(term.threshold, np.float64), values.shape)[k])
         found.append(TermValue(term.name, _plain(values[k]), term.test, threshold, term.unit, bool(term.holds()[k])))
     return tuple(found)
+
+
+def _closeness(terms: Sequence[TermValue]) -> tuple[int, float]:
+    """Number of terms that hold, and minus the distance of the others from their thresholds; larger is closer."""
+    failing = [term for term in terms if not term.holds]
+    gaps = (math.inf if term.value is None else abs(term.value - term.threshold) for term in failing)
+    return len(terms) - len(failing), -sum(gaps)
 
 
 def _geometry(scan: Scan, ends: Any, passes: Any, point: F32, normal: F64 | None) -> tuple[Any, ...]:

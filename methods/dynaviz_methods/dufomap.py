@@ -141,7 +141,7 @@ class DufoMap:
         observed = marked(seen.blocks, seen.observed, cubes.ravel()).reshape(cubes.shape).sum(1)
         own, hit = (marked(seen.blocks, bits, voxels) for bits in (seen.observed, seen.hit))
         void = ~hit & (observed >= cubes.shape[1])
-        saw = Quantity("saw", np.where(own, np.where(hit, 0.0, 1.0 + void), np.nan), legend=SAW)
+        saw = Quantity("saw", np.where(hit, 0.0, np.where(own, 1.0 + void, np.nan)), legend=SAW)
         count = Quantity("observed", np.where(own, observed, np.nan), threshold=cubes.shape[1])
         free = Quantity("seen free", read(self._seen_free, voxels).astype(float), total=True, threshold=1)
         around_it = Term("voxels observed in the cube around it", observed, ">=", cubes.shape[1])

@@ -1,0 +1,87 @@
+"""``dynaviz why``, as a user types it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from helpers.worlds import room
+
+from dynaviz import api
+from dynaviz.datasets.convert import convert
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the little room in ``room``, and a run of OctoMap on every second frame from the second one."""
+    path = tmp_path_factory.mktemp("why")
+    convert(room(frames=6, rays=400), path / "room")
+    sequence = api.open(path / "room", frames="1:", stride=2)
+    command = "dynaviz run octomap room --frames 1: --stride 2 --set resolution=0.4"
+    api.run("octomap", sequence, out=path / "run", record="scores", settings=("resolution=0.4",), command=command)
+    return path
+
+
+@pytest.fixture
+def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the run; the working folder is that of its command."""
+    monkeypatch.chdir(folder)
+    return folder / "run"
+
+
+def test_it_shows_the_ledger_and_the_rule(run_command: Command, run: Path, tmp_path: Path) -> None:
+    file = tmp_path / "why.json"
+    code, out, err = run_command("why", run, "--frame", 1, "--point", 40, "--json", file)
+    assert code == 0, err
+    ledger = json.loads(file.read_bytes())["ledger"]
+    assert (ledger["frame"], ledger["index"], ledger["searched"]) == (1, 13, 3)
+    assert "OctoMap on room: point 40 of frame 1, at (" in out
+    assert "Of 3 scans, " in out
+    assert "log-odds" in out
+    assert "1*" in out  # the frame of the point
+    verdict = "yes" if ledger["removed"] else "no "
+    assert f"{verdict} free: log-odds {ledger['rules'][0]['terms'][0]['value']:.3f} < 0" in out
+
+
+def test_it_reads_recordings_and_finds_moved_sequences(
+    run_command: Command, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5)
+    assert code == 2
+    assert "Give the sequence of the run: --sequence PATH" in err
+    code, out, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5, "--sequence", run.parent / "room")
+    assert code == 0, err
+    assert "point 5 of frame 0" in out
+
+
+def test_labels_of_another_program_have_rays_but_no_ledger(run_command: Command, run: Path, tmp_path: Path) -> None:
+    scored = tmp_path / "scored"
+    code, _, err = run_command("score", run / "static_map.pcd", "room", "--frames", "1:", "--stride", 2, "-o", scored)
+    assert code == 0, err
+    code, out, err = run_command("why", scored / "result.json", "--frame", 1, "--point", 40)
+    assert code == 0, err
+    assert "The labels come from another program, so there is no ledger: only the rays are known." in out
+    assert "1*" in out
+    assert "Removed if" not in out
+    (scored / "labels.npz").unlink()
+    code, _, err = run_command("why", scored, "--frame", 1, "--point", 40)
+    assert code == 2
+    assert "Give the run's folder, with its labels.npz" in err
+
+
+def test_wrong_arguments_give_one_line(run_command: Command, run: Path) -> None:
+    for words, problem in (
+        ((run, "--frame", 3, "--point", 0), "frame 3: the run has the frames 0 to 2"),
+        ((run, "--frame", 0, "--point", 400), "point 400: frame 0 has the points 0 to 399"),
+        ((run.parent / "room", "--frame", 0, "--point", 0), "contains no result.json and no run.rrd"),
+    ):
+        code, out, err = run_command("why", *words)
+        assert code == 2
+        assert not out
+        assert problem in err
+        assert sum("dynaviz:" in line for line in err.splitlines()) == 1
