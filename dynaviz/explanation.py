@@ -161,7 +161,7 @@ class _SameData(Listener):
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Compare digests."""
-        if summary.digest != self._result.sequence.digest:
+        if self._result.sequence.digest not in ("", summary.digest):
             problem = f"is from a different sequence than the {summary.frames:,} frames of {run.sequence.name}"
             raise DataError(self._path, problem, hint=_ELSEWHERE)
 
@@ -203,7 +203,7 @@ def _spec(result: Result, path: Path, sequence: scans.Sequence, threads: int | N
 def _sequence_of(result: Result, path: Path, given: str | os.PathLike[str] | None) -> scans.Sequence:
     """The sequence of a run, from its command or a path."""
     words = shlex.split(result.command)[1:]
-    options = _options(words)
+    options = sequence_options(words)
     source = options.pop("sequence", None)
     if words == ["demo"]:
         source = os.fspath(path.parent.parent / "street")
@@ -222,7 +222,7 @@ class _Parser(argparse.ArgumentParser):
         raise ValueError(message)
 
 
-def _options(words: Sequence[str]) -> dict[str, Any]:
+def sequence_options(words: Sequence[str]) -> dict[str, Any]:
     """The sequence of a ``run`` or ``score`` command, and the options with which it was opened; {} for others."""
     parser = _Parser(add_help=False, allow_abbrev=False)
     parser.add_argument("command", choices=["run", "score"])
@@ -236,8 +236,16 @@ def _options(words: Sequence[str]) -> dict[str, Any]:
     parser.add_argument("--deskew", action=argparse.BooleanOptionalAction)
     for flag in ("online", "offline", "view"):
         parser.add_argument(f"--{flag}", action="store_true")
+    # argparse takes "-5:" for an option, unless it is joined to its own: --frames=-5:
+    valued = {f"--{option}" for option in (*opening, *others, "stride")}
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] in valued:
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
     try:
-        found = vars(parser.parse_args(list(words)))
+        found = vars(parser.parse_args(joined))
     except ValueError:
         return {}
     chosen = ("frames", "stride", "sensor", "poses", "points_in", "deskew")

@@ -130,6 +130,8 @@ class Method(Labeller, Protocol):
     online mode ``label`` follows each scan's own ``observe``. Labels depend only on the scans, the parameters and the
     seed: not on the number of threads, and not on the probe.
 
+    A method may also implement ``dynaviz.evidence.Explains``: for any points, the numbers behind their labels.
+
     ``Params`` is a frozen dataclass of the numbers a user may tune; its fields are the paper's "number of parameters".
     """
 

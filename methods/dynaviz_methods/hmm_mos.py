@@ -188,7 +188,7 @@ class HmmMos:
         scores = self._map.score()
         sums = self._summed(scores)
         threshold = otsu(sums)
-        self._judged = scan.index, np.where(used, voxels, -1), scores.voxels, sums, threshold, self._last
+        self._judged = scan.index, voxels, used, scores.voxels, sums, threshold, self._last
         self._codes[scores.voxels] = self._judge(scores, sums, threshold)
         reasons = np.where(used, self._codes[voxels], OUT_OF_RANGE).astype(np.uint8)
         reasons[voxels < 0] = OUT_OF_REACH
@@ -207,7 +207,7 @@ class HmmMos:
         """State and belief of the points' voxels, and the changes around them that are summed over the window."""
         voxels = self._map.place(asked.points)
         belief, state = self._map.belief.ravel()[voxels], self._map.state.ravel()[voxels]
-        index, own, occupied, sums, threshold, last = self._judged
+        index, own, used, occupied, sums, threshold, last = self._judged
         quantities = (
             Quantity("state", known(state, voxels), legend=("unknown", "occupied", "free")),
             Quantity("belief", np.where(state == 0, np.nan, known(belief, voxels)), total=True, threshold=0.5),
@@ -215,7 +215,7 @@ class HmmMos:
         )
         rules: tuple[Rule, ...] = ()
         if index == asked.scan.index:
-            rules = self._rules(own[asked.rows], occupied, sums, threshold, last)
+            rules = self._rules(np.where(used, own, -1)[asked.rows], occupied, sums, threshold, last)
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules, final=bool(rules))
 
     def _rules(self, voxels: I64, occupied: I64, sums: I32, threshold: float, last: I64) -> tuple[Rule, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.explanation import explain, why
+from dynaviz.explanation import explain, sequence_options, why
 from dynaviz.method import Context, Labels, MethodInfo, Reason
 from dynaviz.scan import Scan
 from dynaviz.testing import InMemory
@@ -163,6 +164,24 @@ def test_labels_of_another_version_are_an_error() -> None:
     result = replace(api.run("octomap", scans), labels_sha256="0" * 64)
     with pytest.raises(DataError, match=r"whose labels this version does not reproduce\. Run the method again"):
         why(result, 0, 0, sequence=scans)
+
+
+@pytest.mark.parametrize(
+    ("command", "found"),
+    [
+        ("run --online octomap path --frames -5: --no-deskew", {"sequence": "path", "frames": "-5:", "deskew": False}),
+        ("run m p --set a=1 --set b=2 -o out --stride 2 --sensor s", {"sequence": "p", "stride": 2, "sensor": "s"}),
+        ("score map.pcd p --radius 0.1 --points-in world", {"sequence": "p", "points_in": "world"}),
+    ],
+)
+def test_the_sequence_is_found_in_the_command(command: str, found: dict[str, Any]) -> None:
+    defaults = {"frames": None, "stride": 1, "sensor": None, "poses": None, "points_in": None, "deskew": None}
+    assert sequence_options(shlex.split(command)) == {**defaults, **found}
+
+
+@pytest.mark.parametrize("command", ["", "demo", "bench -s p -o out"])
+def test_other_commands_name_no_sequence(command: str) -> None:
+    assert sequence_options(shlex.split(command)) == {}
 
 
 def test_a_different_sequence_is_an_error() -> None:
