@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from dynaviz import api, registry
 from dynaviz.benchmarking.bench import bench
+from dynaviz.benchmarking.gain import Gain, gain
 from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard
 from dynaviz.benchmarking.plan_file import anchored
 from dynaviz.benchmarking.runner import BenchCallbacks
@@ -59,16 +60,24 @@ class Tuned:
     """The result of a search on implants; printing it with rich shows the scores as a table.
 
     Attributes:
-        preset: the file with the best parameters, for ``--config``.
+        preset: the file with the best parameters, for ``--config``: ``best-METHOD.toml`` if their gain is proven, or
+            they are the defaults; otherwise ``unproven-METHOD.toml``.
         improved: whether they differ from the default.
+        gain: what they gain on other implants; None if they are the defaults, or a run failed.
         scores: default and tuned, on the implants of the search, on other implants, and on true labels.
         board: all runs.
     """
 
     preset: Path
     improved: bool
+    gain: Gain | None
     scores: list[Score]
     board: Leaderboard
+
+    @property
+    def proven(self) -> bool:
+        """Whether the parameters are better than the default on movers that the search did not see."""
+        return self.gain is not None and not self.gain.doubts
 
     def __rich__(self) -> Table:
         from rich import box
@@ -101,7 +110,8 @@ def tune(
     """Find the parameters of a method that suit a sensor and a place, without labels.
 
     Implants of several seeds are written to ``out/implants``. The search sees some of them; the others are scored at
-    the end. Labels of the sequence are not used, except to score the result. A panel of other methods decides which
+    the end; parameters whose gain on these is not proven (``Gain.doubts``) are not called best. Labels of the sequence
+    are not used, except to score the result. A panel of other methods decides which
     points of the sequence are static. An interrupted search resumes if it is started again.
 
     Args:
@@ -148,7 +158,24 @@ def tune(
     board = bench(table, folder, callbacks=callbacks)
     groups = {"implants of the search": names[:seeds], "other implants": names[seeds:], "true labels": [LABELS]}
     found = board.searches[0]
-    return Tuned(found.preset, bool(found.best.variant), list(_scores(board, found.best.variant, groups)), board)
+    improved = bool(found.best.variant)
+    gained = _gain(board, found.best.variant, names[seeds:]) if improved else None
+    tuned = Tuned(found.preset, improved, gained, _scores(board, found.best.variant, groups), board)
+    unproven = folder / f"unproven-{method}.toml"
+    if improved and not tuned.proven:
+        found.preset.replace(unproven)
+        return replace(tuned, preset=unproven)
+    unproven.unlink(missing_ok=True)
+    return tuned
+
+
+def _gain(board: Leaderboard, best: str, names: Sequence[str]) -> Gain | None:
+    """The gain over the default on some sequences; None if a run failed."""
+    chosen = [
+        [row.result for name in names for row in board.rows if _is(row, variant, [name]) and row.result]
+        for variant in ("", best)
+    ]
+    return gain(*chosen) if all(len(results) == len(names) for results in chosen) else None
 
 
 def _scores(board: Leaderboard, best: str, groups: Mapping[str, list[str]]) -> list[Score]:

@@ -84,7 +84,14 @@ def tune(
     show(tuned)
     if not tuned.improved:
         show(f"None of {trials} parameter sets is better than the default on the implants of the search.")
-    show(escape(f"Use these parameters with: {program()} run {method} SEQ --config {tuned.preset}"))
+    if tuned.gain:
+        show(f"Gain of the parameters found: {tuned.gain}.")
+    if tuned.improved and not tuned.proven:
+        doubts = "; ".join(tuned.gain.doubts) if tuned.gain else "a run on other implants failed"
+        show(f"Not proven: {doubts}. Keep the default parameters, or search with more --seeds and --holdout.")
+        show(escape(f"The parameters found are in {tuned.preset}."))
+    else:
+        show(escape(f"Use these parameters with: {program()} run {method} SEQ --config {tuned.preset}"))
     if tuned.board.failed:
         show(escape(f"{len(tuned.board.failed)} runs failed. For the first error see {tuned.board.failed[0].folder}."))
         raise typer.Exit(1)

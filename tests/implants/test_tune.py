@@ -53,6 +53,9 @@ def test_parameters_are_found_scored_and_kept(street_folder: Path, tmp_path: Pat
     assert aa[1] >= aa[0]
     assert found.improved == (aa[1] > aa[0])
     assert (aa[0], aa[1]) == (found.board.searches[0].default_aa, found.board.searches[0].aa)
+    assert (found.gain is not None) == found.improved
+    assert found.preset.name == ("best-erasor.toml" if found.proven or not found.improved else "unproven-erasor.toml")
+    assert [file.name for file in tmp_path.glob("*-erasor.toml")] == [found.preset.name]
     resolved = params.resolve(registry.load("methods", "erasor"), config=found.preset)
     assert resolved.params.scan_ratio == found.scores[1].result.parameters["scan_ratio"]
 
