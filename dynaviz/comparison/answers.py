@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
 from dynaviz.metric import Labelled
 from dynaviz.results.scores import RANGE_EDGES
@@ -83,10 +84,8 @@ class Answers:
 
 def range_bands(scan: Scan) -> U8:
     """(N,) uint8: each point's range from its ray's origin as an index into ``BAND_NAMES``; the last if not finite."""
-    squared = scan.squared_ranges()
-    bands = np.zeros(len(squared), np.uint8)
-    for limit in RANGE_EDGES:
-        bands += ~(squared < limit * limit)  # NaN falls into the last band
+    points, origins = (kernels.as_readonly(array, np.float32) for array in (scan.points, scan.origins))
+    bands: U8 = kernels.drawing.range_bands(points, origins, np.square(RANGE_EDGES).astype(np.float32))
     return bands
 
 

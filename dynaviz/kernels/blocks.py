@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 
 REACH = 1 << 15  # voxels to each side of the world's origin, as in OctoMap's keys of 16 bit
+SEQUENCE = np.uint64(0x03F79D71B4CB0A89)  # de Bruijn: its 64 windows of 6 bits differ, which numbers single bits
+BIT_OF = np.argsort([((int(SEQUENCE) << v) % (1 << 64)) >> 58 for v in range(64)])
 
 
 @njit(cache=True, nogil=True)
@@ -61,12 +63,12 @@ def voxels_of(blocks, bits):
     count = 0
     for n in range(len(blocks)):
         for w in range(8):
-            word, first = bits[n, w], np.int64(blocks[n]) << 9 | w << 6
-            if word:
-                for v in range(64):
-                    if word >> v & 1:
-                        voxels[count] = first | v
-                        count += 1
+            word, first = np.uint64(bits[n, w]), np.int64(blocks[n]) << 9 | w << 6
+            while word:
+                rest = word & (word - np.uint64(1))
+                voxels[count] = first | BIT_OF[(word ^ rest) * SEQUENCE >> np.uint64(58)]
+                count += 1
+                word = rest
     return voxels
 
 

@@ -61,12 +61,33 @@ class KeySet:
 
     def add(self, keys: I64) -> Bool:
         """Add keys (N,) int64; returns (N,) bool, True at the first occurrence of each new key."""
-        room = 2 * (self._count + len(keys))
-        if room > len(self._slots):
-            self._slots = kernels.voxels.rehash(self._slots, 1 << int(room).bit_length())
+        self._make_room(len(keys))
         new: Bool = kernels.voxels.insert(self._slots, kernels.as_readonly(keys, np.int64))
         self._count += int(new.sum())
         return new
+
+    def first_in(self, points: F32, rows: I64, middle: F32, size: float) -> I64:
+        """Add the voxels of points.
+
+        Args:
+            points: (N, 3) float32, metres.
+            rows: (K,) the points to add; finite, and within ``REACH`` voxels of the middle.
+            middle: (3,) float32, metres: the corner of voxel (0, 0, 0).
+            size: edge of a voxel, metres.
+
+        Returns:
+            Those of the rows that are the first in a new voxel, in their order.
+        """
+        self._make_room(len(rows))
+        points, rows = kernels.as_readonly(points, np.float32), kernels.as_readonly(rows, np.int64)
+        first: I64 = kernels.drawing.in_new_voxels(self._slots, points, rows, middle, float(size))
+        self._count += len(first)
+        return first
+
+    def _make_room(self, count: int) -> None:
+        room = 2 * (self._count + count)
+        if room > len(self._slots):
+            self._slots = kernels.voxels.rehash(self._slots, 1 << int(room).bit_length())
 
     def keys(self) -> I64:
         """(len,) int64, sorted."""

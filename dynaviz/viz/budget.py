@@ -13,9 +13,10 @@ CELL = 1.0  # metres: edge of the cells around errors
 SHARE = 0.5  # of the budget, at most, for what lies around errors
 NEAR = 8.0  # metres: beyond twice this range, the rest is thinned more
 FINE = 0.1  # metres: least distance of what is left
-ROUNDS = 3  # of thinning; what is still too much is cut
+ROUNDS = 5  # of thinning; what is still too much is cut
+MORE = 4  # a round of thinning ends at this many times the points wanted, and cells are made larger
+ENOUGH = 5  # a round looks at this many times the points wanted, if there are more
 _SIDE = int(2 * FAR / CELL)
-_STEPS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
 
 
 class Budget:
@@ -46,20 +47,19 @@ class Budget:
 
     def _fitted(self, points: F32, rows: I64, room: int) -> I64:
         """At most ``room`` of these rows, spread evenly over the places."""
-        size = FINE
+        excess, size = len(rows) / max(room, 1), FINE
         for _ in range(ROUNDS):
-            if len(rows) <= room:
+            if excess <= 1:
                 return rows
-            size *= max(1.2, float(np.sqrt(len(rows) / max(room, 1))))  # the number of cells falls with the square
-            table = np.empty(1 << int(2 * len(rows)).bit_length(), np.uint64)
-            rows = kernels.thinning.thinned(points, rows, self._centre, size, NEAR, table)
+            size *= max(1.2, float(np.sqrt(excess)))  # the number of cells falls with the square
+            share = min(1.0, ENOUGH * room / len(rows))
+            kept, complete = kernels.thinning.thinned(points, rows, self._centre, size, NEAR, MORE * room, share)
+            if complete:
+                rows, excess = kept, len(kept) / max(room, 1)
+            else:
+                excess = 2.0
         return rows if len(rows) <= room else rows[np.linspace(0, len(rows) - 1, room).astype(np.intp)]
 
     def _mark(self, points: F32) -> None:
         """Mark the cells of points, and those around them."""
-        local = points - self._corner
-        cells = (local[((local > 0) & (local < 2 * FAR)).all(1)] / CELL).astype(np.intp)
-        flat = np.unique(np.ravel_multi_index(tuple(cells.T), self._interest.shape))
-        cells = np.stack(np.unravel_index(flat, self._interest.shape), 1)
-        around = np.clip((cells[:, None] + _STEPS).reshape(-1, 3), 0, _SIDE - 1)
-        self._interest[tuple(around.T)] = True
+        kernels.thinning.mark(kernels.as_readonly(points, np.float32), self._corner, CELL, self._interest)

@@ -25,6 +25,7 @@ from dynaviz.probe import PolarGrid, State, Text, Value
 from dynaviz.results.result import RecordMode, Result, environment
 from dynaviz.scan import Outcome, Scan
 from dynaviz.viz import cases, classes, keys, paths, sink, states, viewer
+from dynaviz.viz.background import Background
 from dynaviz.viz.budget import Budget
 from dynaviz.viz.case_timeline import CaseTimeline
 from dynaviz.viz.curves import Curves
@@ -33,13 +34,15 @@ from dynaviz.viz.report import OutcomeCounts, before, failure_list, removed, rep
 from dynaviz.viz.scene import MapDrawing
 
 STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states with coordinates
+STATES_PENDING = 0.5  # seconds between writes of states to the file
 
 
 class Recorder(Listener):
     """Writes the recording of a run; a listener of the run and the probe of its method.
 
     ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when
-    the run finishes. If the run ends early, ``.run.rrd.part`` in the same folder contains every frame so far.
+    the run finishes. If the run ends early, ``.run.rrd.part`` in the same folder contains every frame so far; if it is
+    killed, all but the last labelled frame and the states of the last half second.
 
     Args:
         path: the recording.
@@ -62,11 +65,14 @@ class Recorder(Listener):
         self._queue: list[tuple[State, Value]] = []
         self._heading, self._guided = keys.Heading(), set[str]()
         self._outcomes = OutcomeCounts()
+        # Without states, the runtime of the method is reported as honest, so nothing else may run next to it.
+        self._background = Background(inline=mode == "scores")
 
     def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        self._background.close()
         if self._sink is not None:
             self._curves.write()
             self._sink.close()
@@ -116,17 +122,28 @@ class Recorder(Listener):
     def observed(self, frame: int) -> None:
         """Draw the states emitted by ``observe``."""
         if self._queue:
+            self._background.wait()
             self._open.at(frame, self._scan.stamp_ns)
             self._draw_states(self._scan)
-            self._open.flush()
+            self._open.flush(STATES_PENDING)
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Draw the states emitted by ``label``, and write the rest of the frame in the background."""
+        self._background.wait()
+        scan = labelled.scan
+        self._stamp_ns = scan.stamp_ns
+        self._positions.append(scan.position)
+        if self._queue:
+            self._open.at(labelled.frame, scan.stamp_ns)
+            self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
+        # The method may use its arrays again for the next scan.
+        kept = dataclasses.replace(labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy())
+        self._background.run(self._write_frame, kept, dict(curves))
+
+    def _write_frame(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Write a frame: its points by outcome, the labels of all points, and the curves."""
         scan = labelled.scan
-        self._positions.append(scan.position)
         self._open.at(labelled.frame, scan.stamp_ns)
-        if self._queue:
-            self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
         if self._scene is not None:
             self._scene.pose(scan)
             self._scene.frame(labelled)
@@ -145,6 +162,8 @@ class Recorder(Listener):
         Raises:
             DataError: if the file cannot be written, or a scan cannot be read again for the evidence.
         """
+        self._background.wait()
+        self._open.at(len(self._positions) - 1, self._stamp_ns)
         self._curves.write()
         if self._scene is not None:
             self._scene.finish()
@@ -254,7 +273,8 @@ class Recorder(Listener):
         edges, total = histogram.edges.copy(), histogram.counts.sum(0)
         if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the previous one
             edges[-1] = 2 * edges[-2] - edges[-3]
-        self._open.log(f"{path}/run", _bars(path, total, edges), static=True)
+        bars = _bars(path, total, edges)
+        self._open.log(f"{path}/run", bars, static=True)
         if total.sum():
             width = 0.003 * (edges[-1] - edges[0])
             line = rr.BarChart(
@@ -263,7 +283,8 @@ class Recorder(Listener):
             self._open.log(f"{path}/p10", line, static=True)
         for (frame, *_), counts in zip(self._outcomes.frames, histogram.counts, strict=True):
             self._open.at(frame, None)
-            self._open.log(path, _bars(path, counts, edges))
+            bars.values = counts  # the rest is converted only once
+            self._open.log(path, bars)
 
     def _mark_worst(self) -> None:
         worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst())

@@ -32,7 +32,7 @@ class OutcomeCounts:
 
     def add(self, frame: int, index: int, outcome: U8, reasons: U8) -> tuple[int, int]:
         """Count a frame; returns its false negatives and false positives."""
-        flat = outcome.astype(np.intp) * 256 + reasons
+        flat = (outcome.astype(np.uint16) << 8) | reasons
         here = np.bincount(flat, minlength=self.points.size).reshape(self.points.shape)
         self.points += here
         missed, removed = (int(here[o].sum()) for o in (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE))

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
+from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.metric import FrameBoxes, Labelled
 from dynaviz.scan import Outcome, Scan
 from dynaviz.spatial.extent import CELL, Extent
-from dynaviz.spatial.grid import KeySet, in_key_range, pack, voxel_downsample
 from dynaviz.viz import classes, paths
+from dynaviz.viz.downsampling import DYNAMIC, FINE, VOXEL, DownsampledMap, by_outcome, to_draw
 from dynaviz.viz.sink import RecordingFile
-
-VOXEL = 0.2  # metres: edge of the voxels used to downsample the map and the false positives of a frame
-FINE = 0.1  # metres: the same for dynamic points, which are few
-MOST = 10_000  # points of an outcome in a frame, about; more are downsampled, with larger voxels if need be
-MARGIN = 1.1  # factor on these, because surfaces are rough
-GROWTH = 1.25  # factor on the voxel's edge while a map has more points than its cap
 
 MAPS = {  # entities of the points of the whole run, by outcome
     paths.MAP: (Outcome.STATIC_KEPT, Outcome.UNLABELLED_KEPT),
     paths.MAP_WRONG: (Outcome.FALSE_NEGATIVE,),
     paths.REMOVED: (Outcome.DYNAMIC_REMOVED, Outcome.UNLABELLED_REMOVED),
     paths.REMOVED_WRONG: (Outcome.FALSE_POSITIVE,),
-}
-DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
-DRAWN = {  # outcomes drawn by frame in ``errors`` mode, and the voxel's edge in metres if they are downsampled
-    Outcome.DYNAMIC_REMOVED: FINE,
-    Outcome.FALSE_NEGATIVE: FINE,
-    Outcome.FALSE_POSITIVE: VOXEL,
-    Outcome.UNLABELLED_REMOVED: VOXEL,
 }
 CAPS = {  # points in the map of the whole run: at most about 550 000, which a software renderer can draw
     Outcome.STATIC_KEPT: 300_000,
@@ -57,40 +44,6 @@ WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay 
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
-class DownsampledMap:
-    """Points of a whole run, one per voxel; memory grows with the occupied volume, not with the number of points.
-
-    Args:
-        size: the voxel's edge, metres.
-        cap: number of points at the end, at most.
-    """
-
-    def __init__(self, size: float, cap: int) -> None:
-        self.size, self.cap = size, cap
-        self._seen = KeySet()
-        self._points: list[F32] = [np.empty((0, 3), np.float32)]
-        self._reasons: list[U8] = [np.empty(0, np.uint8)]
-
-    def add(self, points: F32, reasons: U8) -> None:
-        """Add (N, 3) finite points and their (N,) reason codes; the first point of each voxel is kept."""
-        first = self._seen.add(pack(points, self.size))
-        self._points.append(points[first])
-        self._reasons.append(reasons[first])
-
-    def thinned(self) -> tuple[F32, U8]:
-        """(M, 3) float32 points and their (M,) reason codes, downsampled further if they exceed the cap.
-
-        They are ordered by reason: equal codes next to each other compress to almost nothing.
-        """
-        points, reasons, size = np.concatenate(self._points), np.concatenate(self._reasons), self.size
-        while len(points) > self.cap:
-            size *= GROWTH
-            first = voxel_downsample(points, size)[0]
-            points, reasons = points[first], reasons[first]
-        order = np.argsort(reasons, kind="stable")
-        return points[order], reasons[order]
-
-
 class MapDrawing:
     """Draws the 3D part of a recording.
 
@@ -107,7 +60,7 @@ class MapDrawing:
         self._middle: F32 = np.round(
             np.median(extent.cells, axis=0) * CELL if len(extent.cells) else np.zeros(3)
         ).astype(np.float32)
-        self._maps = {o: DownsampledMap(FINE if o in DYNAMIC else VOXEL, CAPS[o]) for o in Outcome}
+        self._maps = {o: DownsampledMap(FINE if o in DYNAMIC else VOXEL, CAPS[o], self._middle) for o in Outcome}
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
@@ -122,23 +75,21 @@ class MapDrawing:
     def frame(self, labelled: Labelled) -> None:
         """Draw a frame's points by outcome, and add them to the map."""
         self._trajectory.append(labelled.scan.position)
-        local = labelled.scan.points - self._middle
-        finite = in_key_range(local, FINE)
-        rows = _by_outcome(labelled.outcome, finite)
+        rows = by_outcome(labelled, self._middle)
         for outcome, downsampled in self._maps.items():
             if len(rows[outcome]):
-                downsampled.add(local[rows[outcome]], labelled.reasons[rows[outcome]])
+                downsampled.add(labelled.scan.points, labelled.reasons, rows[outcome])
         if self._full:
-            self._draw(labelled, np.arange(len(local)), None)
+            self._draw(labelled, np.arange(len(labelled.scan)), None)
         else:
-            self._draw(labelled, *_chosen(labelled, local, rows))
+            self._draw(labelled, *to_draw(labelled, self._middle, rows))
 
     def finish(self) -> None:
         """Draw the map of the whole run and the trajectory of the sensor."""
         for path, kinds in MAPS.items():
             points, reasons = zip(*[self._maps[o].thinned() for o in kinds], strict=True)
             outcome = np.repeat(np.array(kinds, np.uint8), [len(p) for p in points])
-            cloud = self._cloud(np.concatenate(points) + self._middle, outcome, np.concatenate(reasons))
+            cloud = self._cloud(np.concatenate(points), outcome, np.concatenate(reasons))
             self._sink.log(path, cloud, static=True)
         line = rr.LineStrips3D([self._trajectory], colors=[240, 240, 240], radii=rr.Radius.ui_points(0.8))
         self._sink.log(paths.TRAJECTORY, line if self._trajectory else rr.LineStrips3D([]), static=True)
@@ -167,15 +118,12 @@ class MapDrawing:
         self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
-        cloud = self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], labelled.reasons[chosen])
-        self._sink.log(paths.SCAN, cloud)
+        reasons = labelled.reasons[chosen]
+        what: list[Any] = [self._cloud(labelled.scan.points[chosen], labelled.outcome[chosen], reasons)]
         if len(chosen) and stands_for is not None:
-            details = {
-                "point": chosen.astype(np.uint32),
-                "stands_for": stands_for.astype(np.uint32),
-                "reason": labelled.reasons[chosen],
-            }
-            self._sink.log(paths.SCAN, rr.DynamicArchetype("dynaviz.Scan", components=details))
+            details = {"point": chosen.astype(np.uint32), "stands_for": stands_for.astype(np.uint32), "reason": reasons}
+            what.append(rr.DynamicArchetype("dynaviz.Scan", components=details))
+        self._sink.log(paths.SCAN, *what)
 
     def _cloud(self, xyz: F32, outcome: U8, reasons: U8) -> rr.Points3D:
         """Points with their class; without ``show_labels=False`` the viewer would print it at each of a few points."""
@@ -201,31 +149,3 @@ def _radii(outcome: U8) -> F32:
     shrunk = RADII * (np.maximum(counts, FEW) / FEW) ** -0.25
     sizes: F32 = -np.maximum(shrunk, SMALLEST).astype(np.float32)
     return sizes[outcome]
-
-
-def _by_outcome(outcome: U8, finite: Bool) -> list[Intp]:
-    """The rows of each ``Outcome``, ascending, without those that are not finite."""
-    order = np.argsort(outcome, kind="stable")
-    order = order[finite[order]]
-    bounds = np.searchsorted(outcome[order], np.arange(len(Outcome) + 1, dtype=np.uint8))
-    return [order[first:end] for first, end in itertools.pairwise(bounds)]
-
-
-def _chosen(labelled: Labelled, local: F32, rows: list[Intp]) -> tuple[Intp, Intp]:
-    """Rows of points to draw, and how many each stands for: dynamic and removed points, one per voxel if many."""
-    parts = []
-    for outcome, size in DRAWN.items():
-        every = np.flatnonzero(labelled.outcome == outcome)  # those that are not finite, too
-        if outcome in DYNAMIC and len(every) <= MOST:
-            parts.append((every, np.ones(len(every), np.intp)))
-        else:
-            parts.append(_thinned(rows[outcome], local, size))
-    return np.concatenate([chosen for chosen, _ in parts]), np.concatenate([counts for _, counts in parts])
-
-
-def _thinned(rows: Intp, local: F32, size: float) -> tuple[Intp, Intp]:
-    """One of these rows per voxel of this edge, or of a larger one if these are more than ``MOST``."""
-    first, counts = voxel_downsample(local[rows], size)
-    if len(first) > MOST:  # the number of voxels of surfaces falls with the square of their edge
-        first, counts = voxel_downsample(local[rows], MARGIN * size * float(np.sqrt(len(first) / MOST)))
-    return rows[first], counts

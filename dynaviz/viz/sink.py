@@ -1,10 +1,11 @@
-"""The file of a recording: written as ``.part``, flushed every frame, renamed when complete; may feed a viewer."""
+"""The file of a recording: written as ``.part``, flushed often, renamed when complete; may feed a viewer."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
+import time
 import uuid
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -56,6 +57,7 @@ class RecordingFile:
             raise self._unwritable(error) from None
         self._file = _stream(layout_id)
         self._file.save(self._writer.inlet, default_blueprint=blueprint)
+        self._flushed = 0.0
         self._streams = [self._file]  # the viewer has its own stream, so that it cannot damage the file
         if live is not None and viewer.listens(live):
             self._streams.append(_stream(layout_id))
@@ -125,12 +127,19 @@ class RecordingFile:
             reader = RrdReader(part_of(self.path))
             yield from reader.stream().filter(content=[f"/{path}" for path in contents], has_timeline=paths.FRAME)
 
-    def flush(self) -> None:
+    def flush(self, pending: float = 0.0) -> None:
         """Write everything logged so far to the file; disconnect from a viewer that was closed.
+
+        Args:
+            pending: do nothing if the last flush is less than this ago, seconds.
 
         Raises:
             DataError: if it cannot be written, for example on a full disk.
         """
+        now = time.monotonic()
+        if now - self._flushed < pending:
+            return
+        self._flushed = now
         self._file.flush(timeout_sec=FLUSH_SECONDS)
         try:
             self._writer.settle()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from dynaviz import colours
+from dynaviz import colours, kernels
 from dynaviz.arrays import F32, U8
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
 from dynaviz.scan import Scan
@@ -86,8 +86,9 @@ def from_above(values: F32) -> F32:
 
 
 def _voxels(value: Voxels, state: State, budget: Budget | None) -> Any:
-    chosen = _chosen((value.keys + np.float32(0.5)) * np.float32(value.size), budget)
-    cells = value.keys[chosen]
+    cells = kernels.as_readonly(value.keys, np.int32)
+    chosen = slice(None) if budget is None else budget.chosen(kernels.thinning.centres(cells, float(value.size)))
+    cells = cells[chosen]
     edges = [value.size] * 3
     if value.values is None:
         return rr.VoxelGridMap(cells, edges, colors=np.tile(np.array(colours.STATE, np.uint8), (len(cells), 1)))

@@ -58,7 +58,15 @@ def test_points_without_a_place_are_left_out() -> None:
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 3.0))
 def test_thinned_points_are_the_first_of_their_cell(seed: int, size: float) -> None:
     points = kernels.as_readonly(np.random.default_rng(seed).uniform(-6, 6, (300, 3)), np.float32)
-    rows, table = np.arange(len(points)), np.empty(1024, np.uint64)
-    kept = kernels.thinning.thinned(points, rows, np.zeros(3), size, 100.0, table)  # all cells have the same size
-    _, first = np.unique(np.floor(points.astype(np.float64) / size), axis=0, return_index=True)
+    rows, all_cells_alike = np.arange(len(points)), 100.0
+    kept, complete = kernels.thinning.thinned(points, rows, np.zeros(3), size, all_cells_alike, 1000, 1.0)
+    _, first = np.unique(np.floor(points.astype(np.float64) * (1.0 / size)), axis=0, return_index=True)
     assert kept.tolist() == np.sort(first).tolist()
+    assert complete
+    some, complete = kernels.thinning.thinned(points, rows, np.zeros(3), size, all_cells_alike, len(kept) - 1, 1.0)
+    assert some.tolist() == kept[:-1].tolist()
+    assert not complete
+    few, complete = kernels.thinning.thinned(points, rows, np.zeros(3), 1e-3, all_cells_alike, 1000, 0.25)
+    assert 60 <= len(few) <= 90
+    assert np.diff(few).max() <= 8
+    assert complete

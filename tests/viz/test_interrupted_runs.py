@@ -32,6 +32,7 @@ from dynaviz.viz.recorder import Recorder
 from dynaviz.viz.repair import repair
 
 Command = Callable[..., tuple[int, str, str]]
+UNWRITTEN = 1  # frames that may be lost by a kill: the one that is written in the background
 HELPERS = Path(__file__).parents[1] / "helpers"
 FINAL = {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd", "config.toml"}
 
@@ -75,10 +76,10 @@ def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
         part = folder / ".run.rrd.part"
         before = part.read_bytes() if part.exists() else b""
         found = repair(part) if before else None
-        if run["frames"]:
+        if run["frames"] > UNWRITTEN:
             assert found
             assert found.path == folder / "run.rrd"
-            assert run["frames"] <= found.answered <= found.frames == FRAMES
+            assert run["frames"] - UNWRITTEN <= found.answered <= found.frames == FRAMES
             check_answers(RunRecording(found.path), scans)
             assert part.read_bytes() == before
         salvaged.append(found.answered if found else 0)
@@ -125,7 +126,7 @@ with Recorder({path!r}) as recorder:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 @pytest.mark.filterwarnings("ignore:RRD file has no footer")
-def test_a_killed_run_leaves_every_flushed_frame(tmp_path: Path) -> None:
+def test_a_killed_run_leaves_every_frame_but_the_last(tmp_path: Path) -> None:
     here = Path(__file__).parent
     code = KILLED.format(folders=[str(here.parent), str(here)], path=str(tmp_path / "run.rrd"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -137,7 +138,7 @@ def test_a_killed_run_leaves_every_flushed_frame(tmp_path: Path) -> None:
     frames: set[Any] = set()
     for chunk in RrdReader(part).stream().filter(content="/answers"):
         frames |= set(chunk.to_record_batch()["frame"].to_pylist())
-    assert frames == {0, 1, 2, 3}
+    assert {0, 1, 2} <= frames <= {0, 1, 2, 3}
 
 
 INTERRUPTED = """
