@@ -163,7 +163,25 @@ def all_reasons() -> str:
     return table(("reason", "methods", "meaning"), rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {"overview": overview, "all_states": all_states, "all_reasons": all_reasons}
+def protocols() -> str:
+    """What each protocol counts."""
+    infos = [protocol.info for protocol in registry.loadable("protocols").values()]
+    rows = (
+        (
+            f"**{info.title}**",
+            f"`{info.name}`",
+            info.counts,
+            info.ignores,
+            info.combines,
+            ", ".join(info.scores),
+            info.source,
+        )
+        for info in infos
+    )
+    return table(("protocol", "name", "counts", "leaves out", "combines", "scores", "source"), rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {each.__name__: each for each in (overview, all_states, all_reasons, protocols)}
 
 
 def facts(kind: Any) -> str:

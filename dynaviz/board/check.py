@@ -97,8 +97,9 @@ def _compared(result: Result, found: Rescored, board: BoardFile | None, entry: E
     verdicts = {
         "sequence": _verdict(found.sequence_digest == result.sequence.digest),
         "labels": _verdict(found.labels_sha256 == result.labels_sha256),
-        "counts": _verdict(all(result.counts.get(name) == number for name, number in found.counts.items())),
     }
+    if result.counts:
+        verdicts["counts"] = _verdict(dict(result.counts) == found.counts)
     listed = board.entry(entry.key) if board else None
     if board is not None:
         verdicts["protocols"] = _verdict(listed is not None and dict(listed.protocols) == dict(found.protocols))

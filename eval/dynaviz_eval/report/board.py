@@ -104,7 +104,7 @@ def _best(content: Boards) -> list[str]:
             if top is not None and rows:
                 where = f" on {board.title}" if len(content.boards) > 1 else ""
                 names = " and ".join(row.label for row in rows)
-                lines.append(f"{info.title}{where}: {names}, {info.scores[0]} {top:.2f} %")
+                lines.append(f"{info.title}{where}: {names}, {info.scores[0]} {top:.2f}\N{NO-BREAK SPACE}%")
     return lines
 
 
@@ -234,7 +234,7 @@ def _entries(content: Boards) -> Table:
     """Every run with its digests and the paths of its files."""
     columns = [Column(name, number=False) for name in ("entry", "sequence", "scoring")] + [Column("frames")]
     columns += [Column(name, "first digits of the digest", number=False) for name in ("points", "labels", "recording")]
-    columns += [Column(name, number=False) for name in ("result", "recording", "command")]
+    columns += [Column(name, number=False) for name in ("result", "recording")]
     rows = []
     for board in content.boards:
         for row in board.rows:
@@ -245,14 +245,13 @@ def _entries(content: Boards) -> Table:
             file = content.study.link(row.run.file)
             rows.append(
                 [
-                    named(row.label),
+                    Value(row.label, row.label, detail=result.command),
                     Value(result.sequence.name, result.sequence.name),
                     Value(result.scoring, result.scoring),
                     count(result.sequence.frames),
                     *(Value((digest or NONE)[:DIGITS], digest) for digest in digests),
                     Value(file, file, link=file),
                     Value(path or "none", path, link=path),
-                    Value(result.command or NONE, result.command),
                 ]
             )
     notes = [

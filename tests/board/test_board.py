@@ -1,0 +1,243 @@
+"""Boards: digests and scores of entries, a page that mixes nothing, and a check that notices every change."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.guessing_method import Guess, guess_run
+from helpers.html_pages import Page
+from helpers.made_results import result
+from helpers.scan_folders import write_kitti_poses, write_scans
+from helpers.worlds import InMemory, room
+
+from dynaviz import registry
+from dynaviz.api import _run_into, run
+from dynaviz.board.check import check_board
+from dynaviz.board.entries import read_board
+from dynaviz.board.sequences import SequenceFinder
+from dynaviz.board.write import write_board
+from dynaviz.errors import DataError
+from dynaviz.protocol import ProtocolScores
+from dynaviz.reporting import Study
+from dynaviz.results.collect import collect
+from dynaviz.results.result import Result
+from dynaviz.results.sections import SequenceInfo
+from dynaviz.scan import Sequence, select_frames
+
+PROTOCOLS = {handle.name for handle in registry.handles("protocols")}
+
+
+@pytest.fixture
+def hall() -> InMemory:
+    return room(frames=3, rays=300)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, hall: InMemory) -> Path:
+    """Two runs: of all frames, and of the last two."""
+    for name, sequence in (("whole", hall), ("end", select_frames(hall, "1:"))):
+        guess(sequence, tmp_path / name)
+    return tmp_path
+
+
+def guess(sequence: Sequence, folder: Path) -> None:
+    """Run the test's method with the metrics that a check compares."""
+    metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "voxelwise"))
+    _run_into(folder, None, "errors", replace(guess_run(sequence), metrics=metrics), False, lambda *_: None)
+
+
+def finder(sequence: InMemory | None) -> SequenceFinder:
+    return SequenceFinder(opened_by=lambda result: sequence)
+
+
+def edit(path: Path, change: Callable[[Any], None]) -> None:
+    plain = json.loads(path.read_text())
+    change(plain)
+    path.write_text(json.dumps(plain))
+
+
+def test_entries_have_digests_and_the_scores_of_every_protocol(folder: Path, hall: InMemory) -> None:
+    written = write_board(folder, folder / "site", finder(hall))
+    board = read_board(folder / "site/board.json")
+    assert board == written.board
+    assert (written.rescored, [entry.path for entry in board.entries]) == (2, ["end", "whole"])
+    for entry in board.entries:
+        made = Result.load(folder / entry.path / "result.json")
+        assert (entry.labels_sha256, entry.sequence) == (made.labels_sha256, made.sequence)
+        assert set(entry.protocols) == PROTOCOLS
+        points = entry.protocols["points"]
+        assert points.scores == {name: made.metrics[name] for name in points.scores}
+        assert points.counts == {name: made.counts[name] for name in points.counts}
+        assert entry.protocols["semantickitti_mos"].scores["IoU"] == made.metrics["IoU"]
+        voxels = made.sections.voxelwise
+        assert voxels is not None
+        assert entry.protocols["freedom"].scores["PR"] == voxels.PR
+
+
+def test_known_scores_are_taken_over_by_digest(folder: Path, hall: InMemory) -> None:
+    write_board(folder, folder / "site", finder(hall))
+    assert write_board(folder, folder / "site", finder(None)).rescored == 0
+    edit(folder / "end/result.json", lambda plain: plain.update(labels_sha256="ab" * 32))
+    changed = write_board(folder, folder / "site", finder(hall)).board
+    remarks = {entry.path: entry.remark for entry in changed.entries}
+    assert remarks == {"end": "labels.npz differs from the labels that were scored", "whole": ""}
+
+
+def test_runs_without_their_sequence_keep_their_own_scores(folder: Path) -> None:
+    written = write_board(folder, folder / "site", finder(None))
+    assert {entry.remark for entry in written.board.entries} == {"the sequence was not found; give it with --sequence"}
+    rows = {row[0]["text"]: row for row in Page(written.page.read_text()).body("main-1")}
+    metrics = Result.load(folder / "end/result.json").metrics
+    (row,) = rows.values()
+    assert "not found" in row[0]["text"]
+    assert row[1]["text"] in {f"{metrics['AA']:.2f}", f"{Result.load(folder / 'whole/result.json').metrics['AA']:.2f}"}
+    assert {cell["text"] for cell in row[2:]} == {"n/a"}
+
+
+def test_the_check_passes_what_was_not_touched(folder: Path, hall: InMemory) -> None:
+    write_board(folder, folder / "site", finder(hall))
+    checked = check_board(folder, folder / "site", finder(hall))
+    assert [entry.verdicts["protocols"] for entry in checked] == ["same", "same"]
+    assert all(entry.passed for entry in checked)
+    (alone,) = check_board(folder / "end", folder / "nowhere", finder(hall))
+    assert (alone.passed, alone.verdicts["protocols"]) == (True, "–")
+
+
+def flip_a_label(folder: Path) -> None:
+    with np.load(folder / "end/labels.npz") as z:
+        arrays = dict(z)
+    arrays["dynamic"][0] ^= 128
+    np.savez(folder / "end/labels.npz", **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (flip_a_label, "labels.npz differs .*; result.json has other counts .*; board.json has other scores"),
+        (
+            lambda folder: edit(folder / "end/result.json", lambda r: r["counts"].update(static_kept=1)),
+            "^result.json has other counts than its labels give$",
+        ),
+        (
+            lambda folder: edit(
+                folder / "site/board.json", lambda b: b["entries"][0]["protocols"]["doals"]["scores"].update(IoU=99.0)
+            ),
+            "^board.json has other scores, or lacks the entry$",
+        ),
+        (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz: cannot be read"),
+        (
+            lambda folder: edit(folder / "end/result.json", lambda r: r["sequence"].update(digest="0")),
+            "the sequence differs from that of the run",
+        ),
+    ],
+    ids=["label", "counts", "score", "no labels", "digest"],
+)
+def test_the_check_notices_every_change(
+    folder: Path, hall: InMemory, change: Callable[[Path], None], problem: str
+) -> None:
+    write_board(folder, folder / "site", finder(hall))
+    change(folder)
+    end, whole = check_board(folder, folder / "site", finder(hall))
+    assert re.search(problem, end.problem), end.problem
+    assert whole.passed
+
+
+def test_labels_of_other_points_are_refused(folder: Path, hall: InMemory) -> None:
+    for other, problem in ((room(3, 200), "has 300 labels for frame"), (room(2, 300), "labels for 3 frames, of which")):
+        checked = check_board(folder, folder / "site", finder(other))
+        assert any(problem in entry.problem for entry in checked)
+    assert all("was not found" in entry.problem for entry in check_board(folder, folder, finder(None)))
+
+
+def test_methods_are_run_again(tmp_path: Path) -> None:
+    dense = room(frames=4, rays=1500)
+    run("octomap", select_frames(dense, "1:"), out=tmp_path / "a", record="none", settings=("resolution=0.2",))
+    assert check_board(tmp_path, tmp_path, finder(dense), rerun=True)[0].verdicts["rerun"] == "same"
+    config = tmp_path / "a/config.toml"
+    config.write_text(config.read_text().replace("resolution = 0.2", "resolution = 1.0"))
+    (checked,) = check_board(tmp_path, tmp_path, finder(dense), rerun=True)
+    assert checked.problem == "the method gives other labels"
+
+
+def test_sequences_are_found_by_name_near_the_run(tmp_path: Path, hall: InMemory) -> None:
+    write_kitti_poses(write_scans(tmp_path / "room") / "poses.txt")
+    out = tmp_path / "runs/guess"
+    guess(hall, out)
+    (found_run,) = collect([out])
+    made = found_run.result
+    assert made is not None
+    found = SequenceFinder().find(found_run, made)
+    assert found is not None
+    assert (found.name, len(found)) == ("room", 5)
+    given = SequenceFinder([tmp_path / "room"])
+    assert given.find(found_run, made) is not found
+    assert SequenceFinder().find(found_run, Result("m", {}, SequenceInfo("elsewhere"))) is None
+
+
+def made_study(tmp_path: Path, *results: Result, **scores: dict[str, float]) -> Study:
+    """A study of made results; every run has the same scores by protocol."""
+    for number, each in enumerate(results):
+        each.save(tmp_path / f"{number:02}" / "result.json")
+    runs = collect([tmp_path])
+    made = {name: ProtocolScores(values) for name, values in scores.items()}
+    return Study(runs, tmp_path, protocols=registry.loadable("protocols"), scores={run.file: made for run in runs})
+
+
+KITTI = {"name": "kitti_00", "digest": "k", "frames": 141, "points": 17362230}
+
+
+def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) -> None:
+    study = made_study(
+        tmp_path, result("dufomap", KITTI), result("erasor", KITTI), benchmark={"AA": 12.34, "SA": 23.45, "DA": 34.56}
+    )
+    page = Page(registry.load("reports", "board")(study))
+    rows = {row[0]["text"]: [cell["text"] for cell in row] for row in page.body("published-1")}
+    assert rows["DUFOMap"][1:9] == ["97.96", "98.72", "98.34", "98.34", "23.45", "34.56", "12.34", "n/a"]
+    assert rows["DOR fusion"][5:9] == ["–"] * 4
+    assert [cell["text"] for cell in page.tables["published-1"][0][1:3]] == [
+        "published, not measured here [%]",
+        "measured here, same protocol [%]",
+    ]
+    published = {row[k] for row in rows.values() for k in range(1, 5)}
+    elsewhere = {name: table for name, table in page.tables.items() if name != "published-1"}
+    assert not published & {cell["text"] for table in elsewhere.values() for row in table for cell in row}
+
+
+def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> None:
+    runs = [result(m, s) for m in ("octomap", "erasor") for s in ("semantickitti_08", "hall")]
+    runs.append(result("removert", "hall"))
+    counts = {"TP": 30, "FP": 10, "FN": 20}
+    study = made_study(tmp_path, *runs)
+    scores = {run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs}
+    text = registry.load("reports", "board")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
+    page = Page(text)
+    rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos")}
+    assert rows == {"octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["–", "50.00", "–"]} or rows == {
+        "octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["50.00", "–", "–"],
+    }  # fmt: skip
+    assert "In the split val of SemanticKITTI-MOS." in page.text
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
+    assert "00/result.json" in page.links
+    assert not page.loaded
+    assert not re.search(r"""(src|href|url\()\s*=?\s*["'(]?\s*(https?:)?//""", text)
+
+
+def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:
+    write_board(folder, folder / "site", finder(hall))
+    for content, problem in (
+        ("{}", "is not the file of a board"),
+        ('{"entries": [1]}', "is not a valid board"),
+        ('{"entries": [], "schema": 99}', "was written by a newer dynaviz"),
+        ("{", "board.json"),
+    ):
+        (folder / "site/board.json").write_text(content)
+        with pytest.raises(DataError, match=problem):
+            check_board(folder, folder / "site", finder(hall))

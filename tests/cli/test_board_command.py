@@ -1,0 +1,52 @@
+"""dynaviz board: sequences are found again by the command of a run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from helpers.mos_files import write_helimos
+
+from dynaviz.cli.board import by_command
+from dynaviz.results.result import Result
+from dynaviz.results.sections import SequenceInfo
+
+
+def test_write_and_recompute(run_command, tmp_path: Path) -> None:
+    root = write_helimos(tmp_path / "data")
+    words = ("run", "dufomap", f"helimos_val:{root}", "--frames", "1:4", "--record", "none", "-o", tmp_path / "runs/a")
+    assert run_command(*words)[0] == 0
+    code, out, _ = run_command("board", tmp_path / "runs")
+    assert code == 0
+    assert "1 runs scored." in out
+    assert (tmp_path / "runs/board/index.html").is_file()
+    code, out, _ = run_command("board", tmp_path / "runs", "--check", "--rerun")
+    assert code == 0
+    assert "All 1 entries were recomputed" in out
+    board = tmp_path / "runs/board/board.json"
+    plain = json.loads(board.read_text())
+    plain["entries"][0]["protocols"]["points"]["scores"]["SA"] = 1.0
+    board.write_text(json.dumps(plain))
+    code, out, _ = run_command("board", tmp_path / "runs", "--check")
+    assert code == 1
+    assert "board.json has other scores" in out
+    root.rename(root.with_name("moved"))
+    code, out, _ = run_command("board", tmp_path / "runs", "--check")
+    assert code == 1
+    assert "the sequence helimos_ouster_val was not found; give it with --sequence" in out
+    moved = f"helimos_val:{root.with_name('moved')}"
+    assert "other scores" in run_command("board", tmp_path / "runs", "--check", "--sequence", moved)[1]
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["", "dynaviz demo", "dynaviz run m nowhere", "dynaviz run m", "dynaviz run m s --no-such", "dynaviz huh"],
+)
+def test_commands_that_open_nothing(command: str) -> None:
+    assert by_command(Result("m", {}, SequenceInfo(), command=command)) is None
+
+
+def test_rerun_needs_check(run_command, tmp_path: Path) -> None:
+    code, _, err = run_command("board", tmp_path, "--rerun")
+    assert (code, err) == (2, "dynaviz: --rerun: only with --check\n")
