@@ -64,7 +64,7 @@ class Comparison:
             "kind": "comparison",
             "sequence": msgspec.to_builtins(self.sequence),
             "interval": interval,
-            "unscored_frames": list(self.unscored_frames) or None,
+            **({"unscored_frames": list(self.unscored_frames)} if self.unscored_frames else {}),
             "verdicts": self.verdicts(),
             "runs": msgspec.to_builtins(self.runs),
             "pairs": msgspec.to_builtins(self.pairs),

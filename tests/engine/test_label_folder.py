@@ -112,6 +112,7 @@ def test_a_comparison_leaves_unanswered_frames_out(
     pair = compared.pairs[0]
     assert compared.unscored_frames == (1,)
     assert "1 of 5 frames are left out" in str(compared)
+    assert compared.to_dict()["unscored_frames"] == [1]
     assert pair.scores.SA.first == pair.scores.SA.second == pytest.approx(result.metrics["SA"])
     assert pair.scores.FP.first == pair.scores.FP.second == result.counts["static_removed"]
     assert pair.places == ()
