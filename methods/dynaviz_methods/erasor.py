@@ -119,7 +119,7 @@ STATES = (
     State(
         "status",
         PolarGrid,
-        "2 too few points, 3 map not higher, 4 map higher but low, 6 map higher: flagged",
+        "Verdict on each bin: 2 too few points, 3 map not higher, 4 map higher but low, 6 map higher: flagged",
         legend=("", "", "too few points", "map not higher", "higher, but low", "", "higher: flagged"),
         value_range=(2.0, 6.0),
     ),
