@@ -15,6 +15,7 @@ from dynaviz.scan import Outcome
 Colour = tuple[int, int, int]  # RGB, 0 to 255
 
 BACKGROUND: Colour = (18, 20, 26)  # of 3D views and maps, in every theme
+LABEL: Colour = (255, 255, 255)  # text in 3D views: its plate is dark grey in the dark theme, else mid-grey
 NEUTRAL: Colour = (135, 135, 140)  # marks without a meaning of their own, on white and on black
 
 BRIGHT: dict[Outcome, Colour] = {

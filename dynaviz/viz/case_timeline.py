@@ -19,7 +19,7 @@ from dynaviz.scan import Outcome
 from dynaviz.scan import Sequence as Scans
 from dynaviz.viz import classes, drawn, paths, witnesses
 from dynaviz.viz.cases import POINTS, ShownCase
-from dynaviz.viz.scene import WIRES
+from dynaviz.viz.scene import NAME_STYLE, WIRES
 from dynaviz.viz.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
@@ -95,7 +95,8 @@ class CaseTimeline:
             DataError: for a scan that cannot be read.
         """
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
-        contents = [paths.SCAN, paths.SENSOR, paths.FAILURES, paths.CLUSTERS, *states]
+        drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
+        contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         places = [_place(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
         self._styles()
@@ -140,9 +141,7 @@ class CaseTimeline:
         self._sink.log(paths.CASE_BOX, box)
         self._sink.log(
             paths.CASE_NAME,
-            rr.Points3D.from_fields(
-                positions=_above(low[None], high[None]), labels=[label], colors=[colours.BRIGHT[outcome]]
-            ),
+            rr.Points3D.from_fields(positions=_above(low[None], high[None]), labels=[label]),
         )
         self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=_circles(low[None], high[None])))
         self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
@@ -152,7 +151,7 @@ class CaseTimeline:
         log, lines = self._sink.log, rr.LineStrips3D.from_fields
         box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False)
         log(paths.CASE_BOX, box, static=True)
-        log(paths.CASE_NAME, rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), show_labels=True), static=True)
+        log(paths.CASE_NAME, NAME_STYLE, static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
         legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
@@ -177,10 +176,7 @@ class CaseTimeline:
             centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
             colors=[colours.BRIGHT[case.outcome] for case in cases],
         )  # fmt: skip
-        names = rr.Points3D.columns(
-            positions=_above(low, high), labels=[case.label for case in cases],
-            colors=[colours.BRIGHT[case.outcome] for case in cases],
-        )  # fmt: skip
+        names = rr.Points3D.columns(positions=_above(low, high), labels=[case.label for case in cases])
         aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
         self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
         self._sink.columns(paths.CASE_NAME, frames.tolist(), [None], names)

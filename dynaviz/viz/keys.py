@@ -124,9 +124,9 @@ def _width(words: str) -> int:
 
 
 def rings(grid: PolarGrid, picture: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
-    """Circles at round distances over a polar grid from above, and their radii at their tops; picture: edge in pixels.
+    """Circles at round distances over a polar grid from above, and every second radius at its top.
 
-    The circles themselves would have their labels in the middle, on top of each other.
+    The circles themselves would have their labels in the middle, on top of each other. picture: its edge in pixels.
     """
     half = picture / 2
     step = next(step for step in (1, 2, 5, 10, 20, 50, 100) if step * 5 > grid.max_range or step == 100)
@@ -135,7 +135,8 @@ def rings(grid: PolarGrid, picture: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
     circles = [half + length * np.stack([-np.sin(CIRCLE), np.cos(CIRCLE)], 1) for length in lengths]
     lines = rr.LineStrips2D(circles, colors=RING_COLOUR, radii=rr.Radius.ui_points(0.5), draw_order=10.0)
     names = rr.Points2D(
-        np.stack([np.full(len(lengths), half), half - lengths], 1), labels=[f"{d:g} m" for d in distances],
+        np.stack([np.full(len(lengths[1::2]), half), half - lengths[1::2]], 1),
+        labels=[f"{d:g} m" for d in distances[1::2]],
         colors=RING_COLOUR, radii=rr.Radius.ui_points(0.0), show_labels=True, draw_order=10.0,
     )  # fmt: skip
     return lines, names

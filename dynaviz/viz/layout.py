@@ -78,17 +78,21 @@ def blueprint(body: Any, timeline: str = paths.FRAME) -> rrb.Blueprint:
 
 def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     common = [paths.SENSOR, paths.TRAJECTORY]
-    boxes = [paths.CASES, paths.CLUSTER_CASES]
+    boxes = _with_names(paths.CASES, paths.CLUSTER_CASES)
     above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
     if found.cases:
         case = [paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND, paths.CASE_RAYS]
         above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], follow(paths.CASE_AROUND)), above)
-    here = [paths.SCAN, paths.MAP, paths.RINGS, paths.FAILURES, paths.CLUSTERS, paths.CASE_AIM]
+    here = [paths.SCAN, paths.MAP, paths.RINGS, *_with_names(paths.FAILURES, paths.CLUSTERS), paths.CASE_AIM]
     frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
     tabs = _tabs(info, found)
     state = found.state or next((state.name for state in info.emits if state.legend), None)  # verdicts, not quantities
     below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
     return rrb.Vertical(above, below, row_shares=[3, 2])
+
+
+def _with_names(*boxes: str) -> list[str]:
+    return [*boxes, *map(paths.names, boxes)]
 
 
 def _open_at(state: str | None, tabs: list[Any]) -> Any:

@@ -27,7 +27,7 @@ CASES = "world/failures/cases"  # static: a box around each case over all of its
 CLUSTERS = "world/clusters"  # the same two for the suspicious clusters of a run without ground truth
 CLUSTER_CASES = "world/clusters/cases"
 CASE_BOX = "world/case/box"  # the box of the case at the index; on the timeline of frames, of the frame's costliest
-CASE_NAME = f"{CASE_BOX}/name"  # its label, above it
+CASE_NAME = "world/case/box/names"  # its label, above it
 CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
 CASE_AIM = "world/case/aim"  # a line from the sensor to it
 CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
@@ -78,6 +78,11 @@ def histogram(name: str) -> str:
 def boxes(name: str) -> str:
     """A metric's boxes by frame; those over all frames are at ``.../cases``."""
     return f"{WORLD}/{name}"
+
+
+def names(boxes: str) -> str:
+    """The labels of boxes."""
+    return f"{boxes}/names"
 
 
 NAMES: dict[Outcome, str] = {

@@ -39,8 +39,12 @@ FEW = 500  # points; larger classes are drawn smaller, or many scattered errors 
 RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
 NUMBERED = 5  # cases with a number in the map; more would hide each other
 EDGES = rr.Radius.ui_points(1.2)  # of boxes
+ABOVE = 1.6  # metres: height of a label above its box, so that it hides nothing
 HAIRLINE = rr.Radius.ui_points(0.4)  # of the boxes of a frame without a label
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
+NAME_STYLE = rr.Points3D.from_fields(
+    colors=colours.LABEL, radii=rr.Radius.ui_points(0.0), show_labels=True
+)  # of labels: their own entities, because those of boxes would have their colour
 TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
@@ -101,9 +105,15 @@ class MapDrawing:
         labels, path = np.array(cases.labels[few], object), paths.boxes(name)
         numbers = [str(number) if number <= NUMBERED else "" for number in range(1, len(labels) + 1)]
         low, size = cases.low[few], (cases.high - cases.low)[few]
-        whole = rr.Boxes3D(mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES)
+        whole = rr.Boxes3D(
+            mins=low, sizes=size, colors=shades, labels=numbers, radii=EDGES, fill_mode=WIRES, show_labels=False
+        )
         self._sink.log(f"{path}/cases", whole, static=True)
-        self._sink.log(path, rr.Boxes3D.from_fields(fill_mode=WIRES, show_labels=True), static=True)
+        shown = slice(min(NUMBERED, len(labels)))
+        at = rr.Points3D.from_fields(positions=(low + size / 2)[shown], labels=numbers[shown])
+        self._sink.log(paths.names(f"{path}/cases"), NAME_STYLE, at, static=True)
+        self._sink.log(path, rr.Boxes3D.from_fields(fill_mode=WIRES, show_labels=False), static=True)
+        self._sink.log(paths.names(path), NAME_STYLE, static=True)
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
@@ -114,8 +124,13 @@ class MapDrawing:
             labels=np.where(labelled, labels[case], "").tolist(),
             radii=[EDGES if firm else HAIRLINE for firm in labelled],
         )  # fmt: skip
-        lengths = np.bincount(cases.frames[order], minlength=len(self._trajectory))
+        frames = cases.frames[order]
+        lengths = np.bincount(frames, minlength=len(self._trajectory))
         self._sink.columns(path, range(len(lengths)), [None], columns.partition(lengths))
+        above = np.concatenate([middle[:, :2], high[:, 2:] + ABOVE], 1)[labelled]
+        names = rr.Points3D.columns(positions=above, labels=labels[case[labelled]].tolist())
+        lengths = np.bincount(frames[labelled], minlength=len(lengths))
+        self._sink.columns(paths.names(path), range(len(lengths)), [None], names.partition(lengths))
 
     def _draw(self, labelled: Labelled, chosen: np.ndarray, stands_for: np.ndarray | None) -> None:
         reasons = labelled.reasons[chosen]

@@ -11,7 +11,7 @@ from dynaviz import colours, kernels
 from dynaviz.arrays import F32, U8
 from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Value, Voxels
 from dynaviz.scan import Scan
-from dynaviz.viz import keys
+from dynaviz.viz import keys, paths
 from dynaviz.viz.budget import Budget
 
 PICTURE = 256  # pixels: the edge of a polar grid seen from above
@@ -26,7 +26,9 @@ def legend(state: State) -> Any:
     if not state.legend:
         return None
     shades = colours.CLASSES
-    return rr.AnnotationContext([(i, name, shades[i % len(shades)]) for i, name in enumerate(state.legend) if name])
+    known = [(i, name, shades[i % len(shades)]) for i, name in enumerate(state.legend) if name]
+    empty = [(EMPTY, "", colours.BACKGROUND)] if issubclass(state.kind, paths.FLAT) else []
+    return rr.AnnotationContext([*known, *empty])  # the viewer would make up a colour for classes without one
 
 
 def draw(value: Value, state: State, scan: Scan, budget: Budget | None) -> Any:
