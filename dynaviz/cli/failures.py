@@ -67,8 +67,9 @@ def _clusters(section: Removals, top: int) -> list[RenderableType]:
     share = f"{section.removed:,} of {section.points:,} points were removed ({section.percent:.2f} %)"
     more = max(len(section.clusters) - top, 0) + section.others.cases
     found: list[RenderableType] = [*lines, f"{share}: {main_reasons(section.reasons)}."]
-    if section.clusters:
-        found += [f"Clusters of removed points, most suspicious first. {RANKING}", listing(section.clusters[:top])]
+    if not section.clusters:
+        return [*found, "The recording contains no clusters of removed points. Run the method again to find them."]
+    found += [f"Clusters of removed points, most suspicious first. {RANKING}", listing(section.clusters[:top])]
     return [*found, f"{more:,} more clusters."]
 
 

@@ -12,7 +12,8 @@ from dynaviz.comparison.answers import Answers
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
-from dynaviz.results.sections import Failures, Removals, Sections
+from dynaviz.results.scores import RANGE_EDGES
+from dynaviz.results.sections import Failures, Removals, RemovedFrame, RemovedInterval, Sections
 from dynaviz.scan import Label, Outcome, Scan
 from dynaviz.viz import paths
 from dynaviz.viz.reader import DrawnPoints, RunRecording
@@ -44,17 +45,46 @@ def failures_of(path: str | os.PathLike[str]) -> Failures:
 def removals_of(path: str | os.PathLike[str]) -> Removals | None:
     """The section ``removals`` of a recorded run without ground truth; None for a run with ground truth.
 
+    For a run that did not finish, it is counted from the labels of the recorded frames, without clusters: these are
+    found from all points, of which the recording contains only a part.
+
     Raises:
-        DataError: for a recording that cannot be read, or has neither ground truth nor a section on removed points.
+        DataError: for a recording that cannot be read, or has no labelled frame.
     """
     recording = RunRecording(path)
     if recording.properties["has_labels"]:
         return None
     result = recording.result
-    if result is None or result.sections.removals is None:
-        problem = "has no ground truth and no section on removed points, so nothing is known about failures"
-        raise DataError(path, problem, hint="Run the method again")
-    return result.sections.removals
+    return (result and result.sections.removals) or _count_removed(recording)
+
+
+def _count_removed(recording: RunRecording) -> Removals:
+    names = [*(reason.name for reason in recording.reasons), "unknown code"]
+    reasons, frames = np.zeros(len(names), np.int64), []
+    bands = np.zeros((2, len(RANGE_EDGES) + 1), np.int64)
+    for answers in recording.answers():
+        removed = answers.dynamic
+        reasons += np.bincount(np.minimum(answers.reasons[removed], len(names) - 1), minlength=len(names))
+        bands += [np.bincount(part, minlength=bands.shape[1]) for part in (answers.bands, answers.bands[removed])]
+        frames.append(RemovedFrame(answers.frame, answers.index, len(answers), int(removed.sum())))
+    if not frames:
+        raise _without_labels(recording)
+    ends = [0.0, *RANGE_EDGES, None]
+    return Removals(
+        points=int(bands[0].sum()),
+        removed=int(bands[1].sum()),
+        reasons={names[code]: int(reasons[code]) for code in np.argsort(-reasons, kind="stable") if reasons[code]},
+        range=tuple(
+            RemovedInterval(low=low, high=high, points=points, removed=removed)
+            for low, high, points, removed in zip(ends[:-1], ends[1:], *bands.tolist(), strict=True)
+        ),
+        frame=tuple(frames),
+    )
+
+
+def _without_labels(recording: RunRecording) -> DataError:
+    problem = "contains no labelled frame: its run ended while it observed the scans"
+    return DataError(recording.path, problem, hint="Run the method again")
 
 
 def _compute(recording: RunRecording) -> Failures:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
-from helpers.guessing_method import Guess, GuessParams
+from helpers.guessing_method import Guess, GuessParams, guess_run, record_with_metrics
 from helpers.worlds import InMemory
 
 from dynaviz import registry
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import DataError
+from dynaviz.results.sections import CaseTotals
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths
 from dynaviz.viz.cases import listed
-from dynaviz.viz.failures import failures_of
+from dynaviz.viz.failures import failures_of, removals_of
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
 
@@ -56,6 +59,26 @@ def test_the_cases_of_a_run_that_ended_early_are_computed(little_room, tmp_path,
             costs[case.kind] += sign * case.cost
     assert set(points.values()) == {0}
     assert all(cost == pytest.approx(0, abs=1e-9) for cost in costs.values())
+
+
+def test_what_an_unfinished_run_without_truth_removed_is_counted(little_room, tmp_path, run_command):
+    scans = InMemory([replace(scan, labels=None) for scan in little_room.scans])
+    whole = removals_of(record_with_metrics(scans, tmp_path / "whole.rrd", "scores"))
+    cut = cut_short(scans, tmp_path / "cut.rrd", "scores")
+    assert whole.clusters
+    assert removals_of(cut) == msgspec.structs.replace(whole, clusters=(), others=CaseTotals())
+    code, out, _ = run_command("failures", cut)
+    assert (code, f"{whole.removed:,} of {whole.points:,} points" in out) == (0, True)
+
+    class Stopping(Listener):
+        def labelled(self, labelled, curves) -> None:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"), Recorder(tmp_path / "early.rrd", "scores") as recorder:
+        execute(guess_run(scans), [Stopping(), recorder], recorder)
+    (tmp_path / ".early.rrd.part").rename(tmp_path / "early.rrd")
+    with pytest.raises(DataError, match=r"contains no labelled frame.* Run the method again"):
+        removals_of(tmp_path / "early.rrd")
 
 
 def test_boxes_hold_the_wrong_points_of_their_frame(little_room, tmp_path):
