@@ -98,7 +98,7 @@ class Rule:
     """A reason to remove points: they are dynamic where all terms hold.
 
     Attributes:
-        name: a few words.
+        name: a few words; each rule has its own.
         terms: at least one.
         lasting: one scan after which all terms hold is enough, whatever later scans show; otherwise the rule counts
             when the label is decided.
