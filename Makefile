@@ -48,7 +48,7 @@ check: lint types test boundscheck docs
 
 .venv/.user: .venv/.venv pyproject.toml
 	@echo "installing dynaviz into .venv, about 1.5 GB ..."
-	@$(PIP) --no-compile --editable .
+	@$(PIP) --no-compile --editable '.[explore]'
 	@$(BIN)/python -m dynaviz.precompile
 	@touch $@
 

@@ -17,15 +17,17 @@ if TYPE_CHECKING:
     from dynaviz.benchmarking.tune import tune
     from dynaviz.diagnosis import doctor
     from dynaviz.explanation import why
+    from dynaviz.explorer import explore
     from dynaviz.reporting import report
     from dynaviz.results.result import Result
 
-__all__ = ["Result", "bench", "compare", "doctor", "open", "report", "run", "score", "tune", "why"]
+__all__ = ["Result", "bench", "compare", "doctor", "explore", "open", "report", "run", "score", "tune", "why"]
 
 _HOMES = {
     "bench": "dynaviz.benchmarking.bench",
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
+    "explore": "dynaviz.explorer",
     "open": "dynaviz.api",
     "report": "dynaviz.reporting",
     "run": "dynaviz.api",

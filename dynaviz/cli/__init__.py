@@ -25,6 +25,7 @@ from dynaviz.cli import (
     demo,
     doctor,
     download,
+    explore,
     export_labels,
     failures,
     implant,
@@ -75,7 +76,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate, implant,
-    tune, download, convert, export_labels, view, shot, why, repair
+    tune, download, convert, export_labels, explore, view, shot, why, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

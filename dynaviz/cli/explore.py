@@ -1,0 +1,41 @@
+"""dynaviz explore."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("explore")(explore)
+
+
+def explore(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or its run.rrd.")],
+    other: Annotated[
+        Path | None, typer.Argument(metavar="[OTHER]", help="Another run on the same frames, to compare.")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine. [default: any free one]")] = 0,
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser if there is a screen.")] = True,
+) -> None:
+    """Explore a run in a browser: its failures, and why any clicked point got its label.
+
+    The server is only reachable from this machine, with the token in the address.
+
+    \b
+    dynaviz explore recordings/demo/octomap
+    dynaviz explore recordings/demo/octomap recordings/demo/octomap_gf
+    """
+    import webbrowser
+
+    from dynaviz.explorer import explore as start
+    from dynaviz.viz.viewer import has_screen
+
+    with start(run, other, port=port) as server:
+        print(f"Explore at {server.url} until interrupted (Ctrl-C).", flush=True)
+        if browser and has_screen():
+            webbrowser.open(server.url)
+        server.wait()

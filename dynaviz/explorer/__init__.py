@@ -1,0 +1,34 @@
+"""The explorer: a page on this machine with the cases of a run, the viewer, and why a clicked point got its label."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dynaviz.explorer.server import Explorer
+
+
+def explore(run: str | os.PathLike[str], other: str | os.PathLike[str] | None = None, *, port: int = 0) -> Explorer:
+    """Open the explorer of a run, on this machine.
+
+    In a notebook, the returned object shows the page; elsewhere open its ``url`` in a browser.
+
+    Args:
+        run: its folder, ``result.json`` or ``run.rrd``. It needs a recording with points.
+        other: a run on the same frames, to compare.
+        port: to listen on; 0 for any free port.
+
+    Returns:
+        The running server: ``url`` is the address of the page, ``close()`` stops it. It also is a context manager.
+
+    Raises:
+        DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
+        UsageError: if the runs are of different sequences.
+        MissingDependency: without the packages of the extra ``explore``.
+    """
+    from dynaviz.explorer.answers import Explored
+    from dynaviz.explorer.run import ExploredRun
+    from dynaviz.explorer.server import Explorer
+
+    return Explorer(Explored(ExploredRun(run), None if other is None else ExploredRun(other)), port)

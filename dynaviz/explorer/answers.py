@@ -1,0 +1,192 @@
+"""What the page of the explorer can ask, answered from the recordings."""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz.errors import UsageError
+from dynaviz.explorer import cards
+from dynaviz.explorer.ledgers import Ledgers
+from dynaviz.explorer.run import ExploredRun
+from dynaviz.viz.focus import CASE, LAYOUTS, MAP
+from dynaviz.viz.shot import shot
+
+PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
+SIZE = (1600, 900)  # of copied pictures, pixels
+CLIP_SIZE = (960, 640)
+LETTERS = "ab"
+
+Query = Mapping[str, str]
+
+
+class Explored:
+    """One run, or two runs on the same points.
+
+    Args:
+        run, other: what ``ExploredRun`` opens.
+
+    Attributes:
+        runs: by letter.
+        answers: by name, a function from a query to plain JSON types.
+        contents: by name, a function from a query to the content of a file, and its media type.
+
+    Raises:
+        DataError: as ``ExploredRun``.
+        UsageError: if the runs are of different sequences.
+    """
+
+    def __init__(self, run: ExploredRun, other: ExploredRun | None = None):
+        opened = [run] if other is None else [run, other]
+        if other is not None and other.result.sequence.digest != run.result.sequence.digest:
+            raise UsageError(
+                f"{other.path} is from a different sequence than {run.path}. Compare runs of the same frames"
+            )
+        self.runs = dict(zip(LETTERS, opened, strict=False))
+        self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
+        self._ledgers, self._lock = Ledgers(self.runs), threading.Lock()
+        self._thumbnail = cache(lambda letter, number: cards.thumbnail(self.runs[letter], self._card(letter, number)))
+        self.answers: dict[str, Callable[[Query], Any]] = {
+            "runs": self._overview,
+            "click": self._click,
+            "point": self._point,
+            "why": self._why,
+        }
+        self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
+            "layout": (self._layout, RRD),
+            "marks": (self._marks, RRD),
+            "thumbnail": (lambda query: self._thumbnail(self._letter(query), _number(query, "case")), PNG),
+            "picture": (lambda query: self._shot(query, "case.png", SIZE), PNG),
+            "clip": (lambda query: self._shot(query, "case.mp4", CLIP_SIZE), MP4),
+        }
+
+    def close(self) -> None:
+        """Stop work in the background."""
+        self._ledgers.close()
+
+    def _overview(self, query: Query) -> dict[str, Any]:
+        """Facts of the runs, and their cases."""
+        return {letter: self._facts(letter) for letter in self.runs}
+
+    def _facts(self, letter: str) -> dict[str, Any]:
+        run = self.runs[letter]
+        other = next((each for key, each in self.runs.items() if key != letter), None)
+        seconds = run.result.runtime.mean_s
+        return {
+            "title": run.title,
+            "method": run.result.method,
+            "variant": run.result.variant,
+            "sequence": run.result.sequence.name,
+            "frames": run.frames,
+            "scores": {name: run.result.metrics.get(name) for name in ("SA", "DA", "AA")},
+            "truth": run.result.has_truth,
+            "seconds": None if seconds is None else seconds * run.frames,
+            "path": shlex.quote(str(run.path)),
+            "cases": [cards.plain(run, card, other) for card in self._cards[letter]],
+        }
+
+    def _click(self, query: Query) -> dict[str, Any]:
+        """The point that was clicked, as ``_point``."""
+        run = self.runs[self._letter(query)]
+        instance = _number(query, "instance") if "instance" in query else None
+        position = np.array([_decimal(query, axis) for axis in "xyz"])
+        frame, point = run.clicked(query.get("entity", "").strip("/"), instance, _number(query, "frame"), position)
+        return self._at(frame, point)
+
+    def _point(self, query: Query) -> dict[str, Any]:
+        """Truth, answer and reason of a point in each run."""
+        return self._at(_number(query, "frame"), _number(query, "point"))
+
+    def _at(self, frame: int, point: int) -> dict[str, Any]:
+        found = {letter: run.point(frame, point) for letter, run in self.runs.items()}
+        commands = {
+            letter: f"dynaviz why {shlex.quote(str(run.path))} --frame {frame} --point {point}"
+            for letter, run in self.runs.items()
+        }
+        return {"frame": frame, "point": point, "runs": found, "commands": commands}
+
+    def _why(self, query: Query) -> dict[str, Any]:
+        """The ledger of a point, or the progress of the replay that computes it."""
+        letter, frame, point = self._letter(query), _number(query, "frame"), _number(query, "point")
+        self.runs[letter].point(frame, point)  # or the replay would find out after a while
+        return self._ledgers.ask(letter, frame, point)
+
+    def _layout(self, query: Query) -> bytes:
+        """The layout of a case, a frame or the map, as a recording."""
+        letter, kind = self._letter(query), query.get("layout", CASE)
+        if kind not in LAYOUTS:
+            raise UsageError(f"layout {kind}: choose from {', '.join(LAYOUTS)}")
+        run, focus = self.runs[letter], self.runs[letter].focus
+        # The case may be one of the other run: both viewers then show the same place.
+        owner = query.get("owner", letter)
+        if owner not in self.runs:
+            raise UsageError(f"run {owner}: choose from {', '.join(self.runs)}")
+        if not self._cards[owner]:
+            low, high = _extent(run)
+            with self._lock:
+                return focus.layout(MAP if kind == CASE else kind, "map", 0, low, high, None)
+        card = self._card(owner, _number(query, "case"))
+        low, high = (np.array(card.case.low), np.array(card.case.high)) if kind == MAP else (card.low, card.high)
+        title = f"case {card.number}: {card.title}, frame {card.case.worst_frame}"
+        with self._lock:
+            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome)
+
+    def _marks(self, query: Query) -> bytes:
+        """A mark at a point, and the rays of its ledger if that is known."""
+        letter = self._letter(query)
+        focus = self.runs[letter].focus
+        if "point" not in query:
+            return focus.marks(None, np.zeros((0, 2, 3), np.float32), [])
+        frame, point = _number(query, "frame"), _number(query, "point")
+        at = self.runs[letter].point(frame, point)["position"]
+        strips, kinds = self._ledgers.rays(letter, frame, point)
+        return focus.marks(None if at is None else np.array(at), strips, kinds)
+
+    def _shot(self, query: Query, name: str, size: tuple[int, int]) -> bytes:
+        """A picture or a clip of a case that the recording lists."""
+        run = self.runs[self._letter(query)]
+        with tempfile.TemporaryDirectory() as folder:
+            file = shot(run.path, Path(folder) / name, case=_number(query, "case"), size=size)[0]
+            return file.read_bytes()
+
+    def _letter(self, query: Query) -> str:
+        letter = query.get("run", LETTERS[0])
+        if letter not in self.runs:
+            raise UsageError(f"run {letter}: choose from {', '.join(self.runs)}")
+        return letter
+
+    def _card(self, letter: str, number: int) -> cards.Card:
+        found = self._cards[letter]
+        if not 1 <= number <= len(found):
+            raise UsageError(f"case {number}: the run has the cases 1 to {len(found)}")
+        return found[number - 1]
+
+
+def _extent(run: ExploredRun) -> tuple[Any, Any]:
+    """The box around the drawn points of the first frame, for a run without cases."""
+    drawn = run.drawn(0)
+    if drawn is None or not len(drawn.xyz):
+        return np.full(3, -10.0), np.full(3, 10.0)
+    low, high = np.nanquantile(drawn.xyz.astype(np.float64), [0.05, 0.95], axis=0)
+    return low, high
+
+
+def _number(query: Query, name: str) -> int:
+    try:
+        return int(query[name])
+    except (KeyError, ValueError):
+        raise UsageError(f"{name}: give a whole number") from None
+
+
+def _decimal(query: Query, name: str) -> float:
+    try:
+        return float(query[name])
+    except (KeyError, ValueError):
+        raise UsageError(f"{name}: give a number") from None

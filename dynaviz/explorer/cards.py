@@ -1,0 +1,149 @@
+"""The cards of the explorer: each case of a run with its numbers, its wrong points by frame, and a thumbnail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynaviz import colours
+from dynaviz.arrays import F64, I64
+from dynaviz.explorer.run import ExploredRun
+from dynaviz.results.sections import FailureCase, RemovedCluster
+from dynaviz.scan import Outcome
+
+BARS = 40  # of a sparkline, at most
+MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
+THUMBNAIL = (112, 72)  # pixels
+AROUND = 1.5  # width of a thumbnail, in widths of the case
+SMALLEST = 5.0  # metres: width of the smallest thumbnail
+BOTH = 0.5  # share of a case's points that the other run gets wrong, too, from which both are wrong
+OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Card:
+    """A case of a run.
+
+    Attributes:
+        number: 1 for the first.
+        case: of the result.
+        outcome: of its points.
+        rows: (K,) its points in the run's ``wrong``.
+        low, high: (3,) float64, metres, world frame: its box in its worst frame.
+        point: row in the scan of its worst frame: a wrong point in the middle of it; None if none was drawn.
+    """
+
+    number: int
+    case: FailureCase | RemovedCluster
+    outcome: Outcome
+    rows: I64
+    low: F64
+    high: F64
+    point: int | None
+
+    @property
+    def title(self) -> str:
+        """What it is, in a few words."""
+        did = "kept" if self.outcome == Outcome.FALSE_NEGATIVE else "removed"
+        return f"{did.capitalize()} {self.case.what}".strip()
+
+
+def cards(run: ExploredRun) -> list[Card]:
+    """The cases of a run: failures, costliest first, or without ground truth clusters, most suspicious first."""
+    cases: Sequence[FailureCase | RemovedCluster] = run.result.failures or run.result.clusters
+    return [_card(run, number, case) for number, case in enumerate(cases, 1)]
+
+
+def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster) -> Card:
+    outcome = OUTCOMES[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
+    wrong = run.wrong
+    low, high = np.array(case.low), np.array(case.high)
+    inside = (wrong.xyz >= low - MARGIN).all(1) & (wrong.xyz <= high + MARGIN).all(1) & (wrong.outcome == outcome)
+    rows = np.flatnonzero(inside & (wrong.frame >= case.first_frame) & (wrong.frame <= case.last_frame))
+    worst = rows[wrong.frame[rows] == case.worst_frame]
+    if not len(worst):
+        return Card(number, case, outcome, rows, low, high, None)
+    xyz = wrong.xyz[worst].astype(np.float64)
+    middle = worst[np.argmin(((xyz - np.median(xyz, axis=0)) ** 2).sum(1))]
+    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[middle]))
+
+
+def plain(run: ExploredRun, card: Card, other: ExploredRun | None) -> dict[str, Any]:
+    """A card in plain types, as the page receives it."""
+    case, failure = card.case, card.case if isinstance(card.case, FailureCase) else None
+    return {
+        "number": card.number,
+        "title": card.title,
+        "kind": {Outcome.FALSE_NEGATIVE: "ghost", Outcome.FALSE_POSITIVE: "hole"}.get(card.outcome, "removed"),
+        "cost": failure.cost if failure else None,
+        "metric": failure.metric if failure else None,
+        "suspicion": None if isinstance(case, FailureCase) else case.suspicion,
+        "points": case.points,
+        "first": case.first_frame,
+        "last": case.last_frame,
+        "worst": case.worst_frame,
+        "frames": case.frames,
+        "range": case.range.mean,
+        "reasons": dict(case.reasons),
+        "cause": (failure.cause if failure else None) or (None if failure else ", ".join(_why(case)) or None),
+        "behaviour": failure.behaviour if failure else None,
+        "what": case.what,
+        "object": f"{case.what} {failure.instance}" if failure and failure.instance else None,
+        "sentence": case.sentence,
+        "low": list(case.low),
+        "high": list(case.high),
+        "point": card.point,
+        "spark": spark(run, card),
+        "by": by(run, card, other),
+    }
+
+
+def _why(case: FailureCase | RemovedCluster) -> tuple[str, ...]:
+    return case.why if isinstance(case, RemovedCluster) else ()
+
+
+def spark(run: ExploredRun, card: Card) -> list[int]:
+    """Wrong points over all frames of the run, in at most ``BARS`` bins."""
+    bins = min(run.frames, BARS)
+    where = run.wrong.frame[card.rows] * bins // max(run.frames, 1)
+    counts: list[int] = np.bincount(where, run.wrong.stands_for[card.rows], bins).astype(int).tolist()
+    return counts
+
+
+def by(run: ExploredRun, card: Card, other: ExploredRun | None) -> str | None:
+    """Which run is wrong at the points of a case: ``both``, or ``one`` if the other gets most of them right."""
+    if other is None:
+        return None
+    wrong, total = 0, 0
+    frames, points, weights = run.wrong.frame[card.rows], run.wrong.point[card.rows], run.wrong.stands_for[card.rows]
+    for frame in np.unique(frames).tolist():
+        here = frames == frame
+        wrong += int(weights[here][other.wrong_at(frame, points[here])].sum())
+        total += int(weights[here].sum())
+    return "both" if total and wrong >= BOTH * total else "one"
+
+
+def thumbnail(run: ExploredRun, card: Card) -> bytes:
+    """A PNG of the case in its worst frame, from above or from the side, whichever shows more of it."""
+    import cv2
+
+    width, height = THUMBNAIL
+    picture = np.full((height, width, 3), colours.BACKGROUND, np.uint8)
+    drawn = run.drawn(card.case.worst_frame)
+    if drawn is not None:
+        size, middle = card.high - card.low, (card.low + card.high) / 2
+        across = int(np.argmax(size[:2]))
+        up = 1 - across if size[1 - across] >= size[2] else 2
+        wide = max(SMALLEST, AROUND * size[across], AROUND * size[up] * width / height)
+        place = (drawn.xyz[:, [across, up]] - middle[[across, up]]) * (width / wide)
+        column, row = (width / 2 + place[:, 0]).round().astype(int), (height / 2 - place[:, 1]).round().astype(int)
+        shown = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+        shown = shown[np.argsort(drawn.outcome[shown] == card.outcome, kind="stable")]  # the case on top
+        shades = np.array([colours.BRIGHT[outcome] for outcome in Outcome], np.uint8)
+        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            x, y = np.minimum(column[shown] + dx, width - 1), np.minimum(row[shown] + dy, height - 1)
+            picture[y, x] = shades[drawn.outcome[shown]]
+    return cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes()

@@ -1,0 +1,75 @@
+// The cards of the cases: filters, order, and the list.
+import { make, whole, words } from './dom.js'
+import { sparkline } from './plot.js'
+
+const RANGES = [['0-10', 0, 10], ['10-20', 10, 20], ['20-30', 20, 30], ['30-50', 30, 50], ['50+', 50, Infinity]]
+const SORTS = { cost: 'costliest first', size: 'most points first', frame: 'by worst frame' }
+const BY = { a: 'only A wrong', b: 'only B wrong', both: 'both wrong' }
+
+/** Of each filter its label, and the values of a case. */
+const FILTERS = {
+  by: ['Wrong in', card => [card.by]],
+  kind: ['Ghost or hole', card => [card.kind]],
+  cause: ['Cause', card => [card.cause ?? 'unknown']],
+  what: ['Class', card => [card.what || 'unknown']],
+  range: ['Range [m]', card => [RANGES.find(([, low, high]) => card.range >= low && card.range < high)?.[0]]],
+  reason: ['Reason', card => Object.keys(card.reasons)],
+  object: ['Object', card => [card.object]],
+}
+const NAMES = { by: BY, kind: { ghost: 'ghosts (kept)', hole: 'holes (removed)', removed: 'removed' } }
+
+/** All cases of one or two runs; of two, those that both get wrong are listed for A alone. */
+export function allCards(runs) {
+  const list = Object.entries(runs).flatMap(([of, run]) => run.cases.map(card => ({ ...card, of })))
+  if (!runs.b) return list
+  return list.map(card => ({ ...card, by: card.by === 'both' ? 'both' : card.of })).filter(card => !(card.of === 'b' && card.by === 'both'))
+}
+
+const costOf = card => card.cost ?? card.suspicion ?? 0
+const ORDER = { cost: (a, b) => costOf(b) - costOf(a), size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
+
+/** The cards that pass the filters of a state, in its order. */
+export function chosen(cards, state) {
+  const search = (state.search ?? '').toLowerCase().split(/\s+/).filter(Boolean)
+  const text = card => `${card.title} ${card.sentence} ${card.cause ?? ''} ${card.behaviour ?? ''} ${Object.keys(card.reasons).join(' ')}`.toLowerCase()
+  return cards
+    .filter(card => Object.entries(FILTERS).every(([name, [, values]]) => !state[name] || values(card).includes(state[name])))
+    .filter(card => search.every(word => text(card).includes(word)))
+    .sort(ORDER[state.sort] ?? ORDER.cost)
+}
+
+/** The form of filters; only those with a choice are shown. */
+export function filters(form, cards, state, changed) {
+  const options = Object.entries(FILTERS).map(([name, [label, values]]) => {
+    const counts = new Map()
+    for (const card of cards) for (const value of values(card)) if (value) counts.set(value, (counts.get(value) ?? 0) + 1)
+    if (counts.size < 2) return null
+    const order = name === 'range' ? RANGES.map(([value]) => value).filter(value => counts.has(value)) : [...counts.keys()].sort((a, b) => counts.get(b) - counts.get(a))
+    const entries = order.map(value => make('option', { value, selected: state[name] === value }, `${NAMES[name]?.[value] ?? words(value)} (${counts.get(value)})`))
+    return make('select', { name, 'aria-label': label, change: changed }, make('option', { value: '' }, label), entries)
+  })
+  const sorts = Object.entries(SORTS).map(([value, label]) => make('option', { value, selected: (state.sort ?? 'cost') === value }, label))
+  const truth = cards.some(card => card.cost !== null)
+  if (!truth) sorts[0].textContent = 'most suspicious first'
+  form.replaceChildren(
+    make('input', { type: 'search', name: 'search', placeholder: 'Search', 'aria-label': 'Search', value: state.search ?? '', input: changed }),
+    make('select', { name: 'sort', 'aria-label': 'Order', change: changed }, sorts),
+    ...options.filter(Boolean))
+  form.onsubmit = event => event.preventDefault()
+}
+
+const chip = card => card.cost === null ? `suspicion ${card.suspicion.toFixed(2)}` : `−${card.cost.toFixed(2)} % ${card.metric}`
+const span = card => card.first === card.last ? `frame ${card.first}` : `frames ${card.first}–${card.last}`
+
+/** A card: what, what it costs, why, where and when. */
+export function cardElement(card, frames, compared, open) {
+  const bins = card.spark.length, worst = Math.floor(card.worst * bins / Math.max(frames, 1))
+  return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
+    make('img', { src: `api/thumbnail?run=${card.of}&case=${card.number}`, width: 112, height: 72, alt: '', loading: 'lazy' }),
+    make('div', {},
+      make('p', { class: 'head' }, make('b', {}, `${card.number} ${card.title}`), make('span', { class: 'cost' }, chip(card))),
+      make('p', { class: 'cause' }, card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')),
+      make('p', { class: 'where' }, `${card.range.toFixed(0)} m away, ${span(card)}, ${whole(card.points)} points`),
+      compared && make('p', { class: 'by' }, BY[card.by]),
+      sparkline(card.spark, worst)))
+}

@@ -1,0 +1,36 @@
+// Small helpers to build the page.
+
+/** An element: `make('a', {href: '#', class: 'b'}, 'text', child)`. Functions become listeners; false and null are left out. */
+export function make(name, attributes = {}, ...children) {
+  const svg = ['svg', 'g', 'path', 'rect', 'line', 'circle', 'text', 'title', 'polyline'].includes(name)
+  const element = svg ? document.createElementNS('http://www.w3.org/2000/svg', name) : document.createElement(name)
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === false || value === null || value === undefined) continue
+    if (typeof value === 'function') element.addEventListener(key, value)
+    else element.setAttribute(key, value === true ? '' : value)
+  }
+  element.append(...children.flat().filter(child => child !== null && child !== undefined && child !== false))
+  return element
+}
+
+/** Ask the server; errors carry its message. */
+export async function ask(name, query = {}) {
+  const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`)
+  const plain = answer.headers.get('content-type')?.startsWith('application/json')
+  const content = plain ? await answer.json() : await answer.arrayBuffer()
+  if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
+  return content
+}
+
+let hiding
+/** Show a message for a few seconds. */
+export function say(text) {
+  const message = document.getElementById('message')
+  message.textContent = text
+  message.hidden = false
+  clearTimeout(hiding)
+  hiding = setTimeout(() => { message.hidden = true }, 6000)
+}
+
+export const words = name => name.replaceAll('_', ' ')
+export const whole = number => Math.round(number).toLocaleString('en')

@@ -1,0 +1,151 @@
+// The explorer: cards, viewers and the panel of the chosen point, held together by the state in the address.
+import { allCards, cardElement, chosen, filters } from './cards.js'
+import { ask, make, say } from './dom.js'
+import { listen } from './keys.js'
+import { button, buttons, copy } from './share.js'
+import { change, current, read } from './state.js'
+import { Viewer } from './viewer.js'
+import { PointPanel, showCase } from './why.js'
+
+const by = id => document.getElementById(id)
+const viewers = {}
+let runs, cards, panel, list = []
+
+async function start() {
+  const state = read()
+  runs = await ask('runs')
+  cards = allCards(runs)
+  headings()
+  filters(by('filters'), cards, state, () => {
+    change(Object.fromEntries(new FormData(by('filters'))))
+    showList()
+  })
+  panel = new PointPanel(by('point'), runs, letter => mark(letter))
+  showList()
+  const first = find(state.of, state.case) ?? list[0]
+  if (first) change({ of: first.of, case: first.number })
+  showCard()
+  for (const letter of Object.keys(runs)) openViewer(letter)
+  const asked = state.point !== undefined ? [state.at ?? state.frame ?? 0, state.point] : first?.point != null && !state.frame ? [first.worst, first.point] : null
+  if (asked) await explain(ask('point', { frame: asked[0], point: asked[1] }), state.point !== undefined)
+  window.explorer = { viewers, current, clicked } // for tests, and for the console
+  document.body.dataset.ready = 'page'
+}
+
+function headings() {
+  const { a, b } = runs
+  document.title = `${a.title}${b ? ` and ${b.title}` : ''} on ${a.sequence}`
+  by('run').textContent = b ? `A ${a.title}, B ${b.title}: ${a.sequence}` : `${a.title}: ${a.sequence}`
+  const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
+  by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : b ? `A ${scores(a)}\nB ${scores(b)}` : `${scores(a)} %`
+}
+
+const find = (of, number) => cards.find(card => card.of === of && card.number === number)
+const selected = () => find(current().of, current().case)
+
+function showList() {
+  list = chosen(cards, current())
+  const unit = cards.some(card => card.cost !== null) ? 'cases' : 'clusters of removed points'
+  by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
+  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, Boolean(runs.b), open)))
+  highlight()
+}
+
+function highlight() {
+  for (const element of document.querySelectorAll('.card[aria-current]')) element.removeAttribute('aria-current')
+  const element = by(`card-${current().of}-${current().case}`)
+  element?.setAttribute('aria-current', 'true')
+  element?.scrollIntoView({ block: 'nearest' })
+}
+
+function showCard() {
+  const card = selected()
+  highlight()
+  showCase(by('case'), card, runs.a, card && buttons(card, runs[card.of]))
+}
+
+/** Go to a case: its worst frame, an eye that frames it, and a wrong point in the middle of it. */
+async function open(card) {
+  change({ of: card.of, case: card.number, layout: 'case', frame: card.worst, at: undefined, point: undefined })
+  showCard()
+  for (const viewer of Object.values(viewers)) viewer.seek(card.worst)
+  await Promise.all([layOut(), card.point == null ? panel.hint() : explain(ask('point', { frame: card.worst, point: card.point }), false)])
+}
+
+function step(by) {
+  const at = list.findIndex(card => card === selected())
+  const next = list[Math.min(Math.max(at + by, 0), list.length - 1)]
+  if (next && next !== selected()) open(next)
+}
+
+function layout(kind) {
+  change({ layout: kind })
+  layOut()
+}
+
+async function layOut() {
+  const { of, case: number, layout: kind } = current()
+  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => {
+    viewer.show(await ask('layout', { run: letter, owner: of, layout: kind, ...(number && { case: number }) }))
+  })).catch(error => say(error.message))
+  document.body.dataset.layout = `${kind}-${number}`
+}
+
+/** The mark and the rays of the explained point. */
+async function mark(letter) {
+  const found = panel.shown
+  if (viewers[letter]) viewers[letter].show(await ask('marks', { run: letter, ...(found && { frame: found.frame, point: found.point }) }))
+}
+
+function openViewer(letter) {
+  const place = make('div', { class: 'viewer' })
+  by('viewers').append(make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place))
+  viewers[letter] = new Viewer(place, `${letter}.rrd`, {
+    ready: () => opened(letter),
+    click: item => clicked(letter, item),
+    time: frame => moved(letter, frame),
+    played: playing => {
+      for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.playing !== playing) viewer.seek(viewers[letter].time, false)
+    },
+  })
+}
+
+async function opened(letter) {
+  const frame = current().frame ?? selected()?.worst ?? 0
+  await layOut()
+  viewers[letter].seek(frame)
+  change({ frame })
+  if (panel.shown) await mark(letter)
+  viewers[letter].opened = true
+  if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
+}
+
+/** One cursor: the other viewer follows. */
+function moved(letter, frame) {
+  for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.opened && viewer.time !== frame && viewers[letter].opened) viewer.seek(frame)
+  if (viewers[letter].opened) change({ frame })
+}
+
+async function clicked(letter, { entity_path, instance_id, position: [x, y, z] }) {
+  const place = { run: letter, entity: entity_path, frame: viewers[letter].time ?? 0, x, y, z }
+  await explain(ask('click', { ...place, ...(instance_id !== undefined && instance_id !== null && { instance: instance_id }) }), true)
+}
+
+async function explain(answer, asked) {
+  try {
+    const found = await answer
+    if (asked) change({ at: found.frame, point: found.point })
+    panel.show(found, asked)
+    by('point').append(make('p', { class: 'buttons' }, Object.entries(found.commands).map(([letter, command]) => button(runs.b ? `Command ${letter.toUpperCase()}` : 'Command', () => copy(command)))))
+    await Promise.all(Object.keys(viewers).filter(letter => viewers[letter].isReady).map(mark))
+  } catch (error) {
+    panel.hint(error.message)
+  }
+}
+
+listen({
+  j: () => step(1), k: () => step(-1), f: () => layout('frame'), m: () => layout('map'), c: () => layout('case'),
+  space: () => Object.values(viewers)[0]?.play(!Object.values(viewers)[0].playing),
+  '/': () => by('filters').elements.search.focus(),
+})
+start().catch(error => say(error.message))

@@ -1,0 +1,76 @@
+// Rerun's viewer inside the page: a host for the widget of the rerun-notebook wheel.
+import widget from './viewer/widget.js'
+
+const PANELS = { top: 'hidden', blueprint: 'hidden', selection: 'hidden', time: 'collapsed' }
+
+export class Viewer {
+  /**
+   * @param element where to show it
+   * @param url of the recording
+   * @param on functions: ready(), click(item), time(frame), played(playing)
+   */
+  constructor(element, url, on) {
+    this.on = on
+    this.time = null
+    this.playing = false
+    this.listeners = {}
+    this.waiting = []
+    this.isReady = false
+    const dark = matchMedia('(prefers-color-scheme: dark)').matches
+    const values = { _width: 'auto', _height: 'auto', _url: new URL(url, location.href).href, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
+    const model = {
+      get: name => values[name],
+      on: (event, listener) => (this.listeners[event] ??= []).push(listener),
+      send: event => this.#hear(event),
+    }
+    widget.render({ model, el: element })
+  }
+
+  /** Move the cursor. */
+  seek(frame, play = false) {
+    this.time = frame
+    this.playing = play
+    this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(frame), play })
+  }
+
+  play(play) { this.seek(this.time ?? 0, play) }
+
+  /** Show the content of an .rrd file: more data of the recording, or a new layout. */
+  show(content) { this.#tell({ type: 'rrd' }, [new DataView(content)]) }
+
+  #tell(message, buffers = []) {
+    if (!this.isReady) this.waiting.push([message, buffers])
+    else for (const listener of this.listeners['msg:custom'] ?? []) listener(message, buffers)
+  }
+
+  #hear(event) {
+    if (event === 'ready') return
+    const told = JSON.parse(event)
+    if (told.type === 'recording_open') this.#open()
+    else if (told.type === 'selection_change') this.#click(told.items)
+    else if (told.type === 'time_update') {
+      this.time = Math.round(told.time)
+      this.on.time(this.time)
+    } else if (told.type === 'play' || told.type === 'pause') {
+      this.playing = told.type === 'play'
+      this.on.played(this.playing)
+    }
+  }
+
+  #open() {
+    if (this.isReady) return
+    this.isReady = true
+    // Not in the listener itself: the viewer must not be called while it reports an event.
+    setTimeout(() => {
+      for (const [message, buffers] of this.waiting.splice(0)) this.#tell(message, buffers)
+      this.on.ready()
+    })
+  }
+
+  /** Of things behind each other take the points, which may lie behind a box. */
+  #click(items) {
+    const hits = items.filter(item => item.type === 'entity' && item.position && !item.entity_path.startsWith('/world/explore'))
+    const hit = hits.find(item => item.entity_path === '/world/scan') ?? hits.find(item => item.instance_id !== undefined) ?? hits[0]
+    if (hit) setTimeout(() => this.on.click(hit))
+  }
+}

@@ -1,0 +1,198 @@
+"""A recorded run as the explorer sees it: its cases, and the truth, answer and reason of any point."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz import registry
+from dynaviz.arrays import F64, I64, U8, Bool
+from dynaviz.comparison.answers import Answers
+from dynaviz.errors import DataError, UsageError
+from dynaviz.probe import Voxels
+from dynaviz.results.result import Result
+from dynaviz.scan import Label, Outcome
+from dynaviz.viz import paths
+from dynaviz.viz.cases import WRONG
+from dynaviz.viz.focus import CLOUDS, Focus
+from dynaviz.viz.reader import DrawnPoints, RunRecording, viewable
+
+NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
+TRUTH = {int(Label.STATIC): "static", int(Label.DYNAMIC): "dynamic"}
+
+
+class ExploredRun:
+    """A recorded run, in memory.
+
+    Args:
+        path: its folder, ``result.json`` or ``run.rrd``.
+
+    Attributes:
+        path: of the recording.
+        recording, result: of the run.
+        frames: number of frames.
+
+    Raises:
+        DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        self.path = recording_of(Path(path))
+        viewable(self.path)
+        self.recording = RunRecording(self.path)
+        result = self.recording.result
+        if result is None:
+            raise DataError(self.path, "is the recording of a run that did not finish", hint="Run the method again")
+        if self.recording.properties["mode"] == "scores":
+            hint = "Run the method again with --record errors"
+            raise DataError(self.path, "contains scores alone, without points to explore", hint=hint)
+        self.result: Result = result
+        self.frames = self.recording.frames
+        self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn()}
+        self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}
+        self._reasons = self.recording.reasons
+
+    @property
+    def title(self) -> str:
+        """Of the method."""
+        return str(self.recording.properties["title"])
+
+    @cached_property
+    def focus(self) -> Focus:
+        """Writes layouts and marks for the viewer."""
+        voxels: list[str] = []
+        if self.result.method in registry.loadable("methods"):
+            emits = registry.load("methods", self.result.method).info.emits
+            voxels = [state.name for state in emits if state.kind is Voxels]
+        return Focus(self.recording, voxels)
+
+    @cached_property
+    def wrong(self) -> WrongPoints:
+        """The drawn points that are wrong; without ground truth, those that were removed."""
+        return WrongPoints(list(self._drawn.values()))
+
+    def drawn(self, frame: int) -> DrawnPoints | None:
+        """The drawn points of a frame."""
+        return self._drawn.get(frame)
+
+    def answers(self, frame: int) -> Answers | None:
+        """Label, ground truth and reason of every point of a frame."""
+        return self._answers.get(frame)
+
+    def clicked(self, entity: str, instance: int | None, frame: int, position: F64) -> tuple[int, int]:
+        """Frame and row of a clicked point.
+
+        Args:
+            entity: its path in the recording.
+            instance: its number there.
+            frame: position in the run at which it was clicked.
+            position: (3,) metres, world frame.
+
+        Raises:
+            UsageError: if no recorded point is there.
+        """
+        drawn = self._drawn.get(frame)
+        if entity == paths.SCAN and drawn is not None and instance is not None and instance < len(drawn.point):
+            return frame, int(drawn.point[instance])
+        if drawn is not None and (row := _nearest(drawn.xyz, position)) is not None:
+            return frame, int(drawn.point[row])
+        if entity in CLOUDS and (found := _nearest(self.wrong.xyz, position)) is not None:
+            return int(self.wrong.frame[found]), int(self.wrong.point[found])
+        raise UsageError("the recording stores no single point here, because all points here are right")
+
+    def point(self, frame: int, point: int) -> dict[str, Any]:
+        """Truth, answer and reason of a point, in plain types.
+
+        Raises:
+            UsageError: for a frame or point that does not exist.
+        """
+        answers = self._answers.get(frame)
+        if answers is None:
+            raise UsageError(f"frame {frame}: the run has the frames 0 to {self.frames - 1}")
+        if not 0 <= point < len(answers):
+            raise UsageError(f"point {point}: frame {frame} has the points 0 to {len(answers) - 1}")
+        reason = self._reasons[answers.reasons[point]]
+        truth, removed = TRUTH.get(int(answers.truth[point])), bool(answers.dynamic[point])
+        return {
+            "frame": frame,
+            "index": answers.index,
+            "point": point,
+            "position": self._position(frame, point),
+            "truth": truth,
+            "removed": removed,
+            "outcome": Outcome(answers.outcome[point]).name.lower(),
+            "reason": reason.name,
+            "meaning": reason.meaning,
+            "cause": reason.cause,
+            "sentence": _sentence(truth, removed, reason.meaning.partition(": ")[2] or reason.meaning),
+        }
+
+    def wrong_at(self, frame: int, points: I64) -> Bool:
+        """(K,) whether the answers at some points of a frame are wrong."""
+        answers = self._answers[frame]
+        wrong: Bool = np.isin(answers.outcome[points], WRONG)
+        return wrong
+
+    def _position(self, frame: int, point: int) -> list[float] | None:
+        """Metres, world frame; None if the point was not drawn."""
+        drawn = self._drawn.get(frame)
+        rows = np.flatnonzero(drawn.point == point) if drawn is not None else []
+        return drawn.xyz[rows[0]].astype(float).tolist() if drawn is not None and len(rows) else None
+
+
+class WrongPoints:
+    """Points of all frames whose outcome is one of ``WRONG``.
+
+    Attributes:
+        xyz: (N, 3) float32, metres, world frame.
+        frame, point, stands_for: (N,) int64.
+        outcome: (N,) uint8.
+    """
+
+    def __init__(self, drawn: list[DrawnPoints]) -> None:
+        rows = [np.flatnonzero(np.isin(each.outcome, WRONG)) for each in drawn]
+        frames = [np.full(len(row), each.frame, np.int64) for each, row in zip(drawn, rows, strict=True)]
+
+        def joined(name: str, empty: Any) -> Any:
+            parts = [getattr(each, name)[row] for each, row in zip(drawn, rows, strict=True)]
+            return np.concatenate(parts) if parts else empty
+
+        self.xyz = joined("xyz", np.zeros((0, 3), np.float32))
+        self.frame: I64 = np.concatenate(frames) if frames else np.zeros(0, np.int64)
+        self.point: I64 = joined("point", np.zeros(0, np.int64))
+        self.stands_for: I64 = joined("stands_for", np.zeros(0, np.int64))
+        self.outcome: U8 = joined("outcome", np.zeros(0, np.uint8))
+
+
+def recording_of(path: Path) -> Path:
+    """The recording of a run: the file, or ``run.rrd`` next to its result or in its folder.
+
+    Raises:
+        DataError: if there is none.
+    """
+    file = path / "run.rrd" if path.is_dir() else path.with_name("run.rrd") if path.suffix == ".json" else path
+    if file != path and not file.is_file():
+        raise DataError(file, "does not exist", hint="Give a run that was recorded, without --record none")
+    return file
+
+
+def _nearest(xyz: np.ndarray, position: F64) -> int | None:
+    """Row of the nearest point within ``NEAR``."""
+    if not len(xyz):
+        return None
+    squared = ((xyz - position) ** 2).sum(1)
+    row = int(np.nanargmin(squared)) if np.isfinite(squared).any() else 0
+    return row if squared[row] <= NEAR * NEAR else None
+
+
+def _sentence(truth: str | None, removed: bool, meaning: str) -> str:
+    answer = "removed" if removed else "kept"
+    if truth is None:
+        return f"{answer.capitalize()} (no ground truth): {meaning}."
+    if removed == (truth == "dynamic"):
+        return f"Right: {truth}, and {answer}: {meaning}."
+    return f"Wrong: {truth}, but {answer}: {meaning}."
