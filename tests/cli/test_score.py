@@ -37,6 +37,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     maps = {"clean": points[labels == 0], "empty": points[:0], "away": points + np.float32(900)}
     for name, kept in maps.items():
         write_pcd(path / f"{name}.pcd", dict(zip("xyz", kept.T, strict=True)))
+    for name, rays in (("labels", 1500), ("short", 9)):
+        (path / name).mkdir()
+        for scan in scans:
+            scan.labels[:rays].astype("<u4").tofile(path / f"{name}/{scan.index:06d}.label")
     (path / "cut.pcd").write_bytes((path / "clean.pcd").read_bytes()[:-7])
     (path / "notes.txt").write_text("hello")
     return path
@@ -54,6 +58,16 @@ def test_a_map_is_scored_with_all_files(
     assert "warning" not in err
     files = {path.name for path in (tmp_path / "recordings/room/clean").iterdir()}
     assert files == {"run.rrd", "result.json", "labels.npz", "static_map.pcd", "dynamic_points.pcd"}
+
+
+def test_labels_of_each_scan_are_scored(score: Command, folder: Path, tmp_path: Path) -> None:
+    (folder / "labels/000012.label").unlink()
+    code, out, err = score(folder / "labels", folder / "room", "-o", tmp_path, "--name", "network", "--record", "none")
+    assert code == 0, err
+    assert "scoring: mask" in out
+    assert err.count("warning: labels: has no labels for 1 of 4 frames (12); their points are not scored") == 1
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert (result["method"], result["metrics"]["AA"], result["counts"]["unlabelled"]) == ("network", 100, 1500)
 
 
 def test_options(score: Command, folder: Path, tmp_path: Path) -> None:
@@ -113,6 +127,9 @@ def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, fold
         ("clean.pcd room --frames 7:", "--frames 7:"),
         ("clean.pcd room --name a/b", "name"),
         ("absent.pcd room", "absent.pcd"),
+        ("short room", "000010.label: has 9 labels, but the scan has 1,500 points"),
+        ("bare room", "bare: contains no label files"),
+        ("clean.pcd room --key a", "key = a"),
         ("cut.pcd room", "cut.pcd, byte"),
         ("empty.pcd room", "empty.pcd: contains no points"),
         ("notes.txt room", "notes.txt"),

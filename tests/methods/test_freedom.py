@@ -98,6 +98,14 @@ def test_a_box_that_leaves_is_taken_back():
     assert removed[1] > 0.7
 
 
+def test_online_the_scans_so_far_decide():
+    scans = busy_room(6)
+    method = run([], extent=Extent.of(*scans), **COARSE)
+    for n, scan in enumerate(scans, 1):
+        method.observe(scan)
+        assert reasons(method, [scan]) == reasons(run(scans[:n], extent=Extent.of(*scans), **COARSE), [scan])
+
+
 def test_labels_do_not_depend_on_threads_the_probe_or_the_extent():
     scans = busy_room(6)
     wide = Extent(np.full(3, -10.0), np.full(3, 10.0), np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13)
@@ -189,7 +197,13 @@ def test_invalid_parameters_are_rejected(values):
 
 
 def test_presets_have_the_published_values():
-    published = {"kitti": (80.0, 6, 64, False), "helimos": (240.0, 3, 32, False), "port": (80.0, 6, 64, True)}
+    published = {
+        "kitti": (80.0, 6, 64, False),
+        "kitti_01": (80.0, 3, 64, False),
+        "helimos": (240.0, 3, 32, False),
+        "semindoor": (40.0, 3, 0, False),
+        "port": (80.0, 6, 64, True),
+    }
     for preset, expected in published.items():
         p = resolve(Freedom, preset).params
         assert (p.max_range, p.counts_to_free, p.image_rows, p.port) == expected

@@ -108,6 +108,16 @@ def test_a_box_that_stops_is_static_after_the_window():
     assert max(removed[11:]) == 0
 
 
+def test_labels_online_are_those_after_all_scans():
+    scans = crossed_room()
+    method = begin(scans, **COARSE)
+    online = []
+    for scan in scans:
+        method.observe(scan)
+        online += reasons(method, [scan])
+    assert online == reasons(method, scans)
+
+
 def test_labels_do_not_depend_on_threads_the_probe_the_extent_or_point_order():
     scans = crossed_room(6)
     wide = Extent(np.full(3, -40.0), np.full(3, 40.0), np.argwhere(np.ones((26, 26, 26))).astype(np.int32) - 13)
