@@ -65,6 +65,7 @@ def demo(
         f"  {command} shot {recording} -o {best.method}.png    (without a display)",
         f"  {command} view {comparison}    (how {best.method} differs from {second.method})",
         f"  {command} run {best.method} PATH/TO/YOUR/SEQUENCE",
+        f"Click the failures, and see which scans decided a point: {command} explore {recording.parent}",
     )
     if view or (view is None and should_open_viewer()):
         from dynaviz.viz.view import view as open_viewer

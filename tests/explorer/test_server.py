@@ -1,0 +1,222 @@
+"""What the server of the explorer answers, to whom, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode, urlsplit
+
+import numpy as np
+import pytest
+
+import dynaviz as dv
+from dynaviz.errors import DataError, UsageError
+from dynaviz.explorer.server import Explorer
+from dynaviz.results.result import Result
+from dynaviz.scan import Outcome
+from dynaviz.viz.reader import RunRecording
+
+
+@pytest.fixture(scope="module")
+def explorer(runs: dict[str, Path]) -> Iterator[Explorer]:
+    with dv.explore(runs["fine"], runs["coarse"]) as server:
+        yield server
+
+
+def get(url: str, **headers: str) -> tuple[int, bytes]:
+    """Status and content of an address."""
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=30) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+def ask(explorer: Explorer, name: str, **query: Any) -> Any:
+    """The JSON answer to a question of the page."""
+    status, content = get(f"{explorer.url}api/{name}?{urlencode(query)}")
+    assert status == 200, content
+    return json.loads(content)
+
+
+def test_nothing_is_served_without_the_token(explorer: Explorer) -> None:
+    parts = urlsplit(explorer.url)
+    home, token = f"http://{parts.netloc}", parts.path.strip("/")
+    assert len(token) >= 32
+    assert get(explorer.url)[0] == 200
+    for path in ("/", "/main.js", "/a.rrd", "/api/runs", f"/{token[:-1]}/", f"/{token}x/api/runs", "/x/api/runs"):
+        assert get(home + path)[0] == 404, path
+
+
+def test_each_server_has_its_own_token(runs: dict[str, Path], explorer: Explorer) -> None:
+    with dv.explore(runs["fine"]) as other:
+        assert urlsplit(other.url).path != urlsplit(explorer.url).path
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(other.url, timeout=5)
+
+
+UNLISTED = (
+    "labels.npz", "result.json", "run.rrd", "c.rrd", "server.py", "viewer/", "viewer/widget.py", "api/", "api/secret",
+    "../server.py", "%2e%2e/server.py", "viewer/..%2f__init__.py", "/etc/passwd", "page/main.js",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNLISTED)
+def test_files_that_are_not_listed_are_not_found(explorer: Explorer, name: str) -> None:
+    assert get(explorer.url + name)[0] == 404
+
+
+def test_the_recordings_are_served_as_they_are(explorer: Explorer, runs: dict[str, Path]) -> None:
+    for letter, run in (("a", "fine"), ("b", "coarse")):
+        assert get(f"{explorer.url}{letter}.rrd") == (200, (runs[run] / "run.rrd").read_bytes())
+
+
+def test_it_listens_on_this_machine_alone_and_under_no_other_name(explorer: Explorer) -> None:
+    address = urlsplit(explorer.url)
+    assert address.hostname == "127.0.0.1"
+    with socket.socket() as elsewhere:  # all of 127.0.0.0/8 leads to this machine, but only one address is bound
+        assert elsewhere.connect_ex(("127.0.0.2", address.port)) != 0
+    assert get(explorer.url, Host="example.org")[0] == 400
+
+
+def test_the_page_allows_no_other_machine(explorer: Explorer) -> None:
+    with urllib.request.urlopen(explorer.url, timeout=30) as answer:
+        policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'self'" in policy
+    assert "http" not in policy
+
+
+def test_the_cases_are_those_of_the_result(explorer: Explorer, runs: dict[str, Path]) -> None:
+    found = ask(explorer, "runs")
+    assert [found[letter]["method"] for letter in "ab"] == ["octomap", "octomap"]
+    result = Result.load(runs["fine"] / "result.json")
+    cards = found["a"]["cases"]
+    assert [(card["cost"], card["worst"], card["sentence"]) for card in cards] == [
+        (case.cost, case.worst_frame, case.sentence) for case in result.failures
+    ]
+    assert all(sum(card["spark"]) >= card["points"] for card in cards)  # boxes of cases may overlap
+    assert {card["by"] for card in cards} <= {"one", "both"}
+
+
+def test_a_case_is_of_both_runs_if_both_are_wrong_at_most_of_its_points(
+    explorer: Explorer, runs: dict[str, Path]
+) -> None:
+    fine, coarse = (RunRecording(runs[name] / "run.rrd") for name in ("fine", "coarse"))
+    others = {answers.frame: answers for answers in coarse.answers()}
+    drawn = list(fine.drawn())
+    found = set()
+    for card in ask(explorer, "runs")["a"]["cases"]:
+        outcome = Outcome.FALSE_NEGATIVE if card["kind"] == "ghost" else Outcome.FALSE_POSITIVE
+        wrong = []
+        for points in drawn[card["first"] : card["last"] + 1]:
+            inside = ((points.xyz > np.array(card["low"]) - 0.02) & (points.xyz < np.array(card["high"]) + 0.02)).all(1)
+            mine = points.point[inside & (points.outcome == outcome)]
+            answers = others[points.frame]
+            wrong += (answers.dynamic[mine] != (answers.truth[mine] == 1)).tolist()
+        assert card["by"] == ("both" if np.mean(wrong) >= 0.5 else "one"), card["title"]
+        found.add(card["by"])
+    assert found == {"one", "both"}
+
+
+def stored(run: Path) -> Callable[[int, int], tuple[bool, str]]:
+    """Label and reason of a point in ``labels.npz``."""
+    with np.load(run / "labels.npz") as file:
+        starts = np.concatenate([[0], np.cumsum(file["points"])])
+        dynamic = np.unpackbits(file["dynamic"], count=int(starts[-1]))
+        reasons, names = file["reasons"], file["reason_names"]
+    return lambda frame, point: (bool(dynamic[starts[frame] + point]), str(names[reasons[starts[frame] + point]]))
+
+
+def test_clicks_give_the_stored_label_and_reason_of_each_run(explorer: Explorer, runs: dict[str, Path]) -> None:
+    known = {letter: stored(runs[name]) for letter, name in (("a", "fine"), ("b", "coarse"))}
+    drawn = list(RunRecording(runs["fine"] / "run.rrd").drawn())
+    random, asked = np.random.default_rng(0), 0
+    for points in drawn:
+        for instance in random.choice(len(points.xyz), min(9, len(points.xyz)), replace=False).tolist():
+            x, y, z = map(float, points.xyz[instance])
+            place = {"run": "a", "entity": "/world/scan", "frame": points.frame, "x": x, "y": y, "z": z}
+            found = ask(explorer, "click", **place, instance=instance)
+            assert (found["frame"], found["point"]) == (points.frame, points.point[instance])
+            for letter, point in found["runs"].items():
+                assert (point["removed"], point["reason"]) == known[letter](found["frame"], found["point"])
+            asked += 1
+    assert asked >= 40
+
+
+def test_a_click_on_the_map_finds_the_wrong_point_in_its_frame(explorer: Explorer) -> None:
+    card = ask(explorer, "runs")["a"]["cases"][0]
+    point = ask(explorer, "point", frame=card["worst"], point=card["point"])
+    x, y, z = point["runs"]["a"]["position"]
+    place = {"run": "a", "entity": "/world/map/wrong", "x": x, "y": y, "z": z}
+    assert ask(explorer, "click", **place, frame=card["worst"], instance=0)["point"] == card["point"]
+    found = ask(explorer, "click", **place, frame=card["last"] + 40)
+    assert found["runs"]["a"]["outcome"].startswith("false")
+    assert get(f"{explorer.url}api/click?run=a&entity=world/map&frame=0&x=900&y=0&z=0")[0] == 400
+
+
+def test_the_ledger_is_that_of_why(explorer: Explorer, runs: dict[str, Path]) -> None:
+    card = ask(explorer, "runs")["a"]["cases"][0]
+    query = {"run": "a", "frame": card["worst"], "point": card["point"]}
+    without = get(f"{explorer.url}api/marks?{urlencode(query)}")[1]
+    end = time.monotonic() + 60
+    while "why" not in (answer := ask(explorer, "why", **query)):
+        assert "error" not in answer, answer
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert answer["why"] == json.loads(json.dumps(dv.why(runs["fine"], card["worst"], card["point"]).to_dict()))
+    assert answer["why"]["ledger"]["entries"]
+    assert len(get(f"{explorer.url}api/marks?{urlencode(query)}")[1]) > len(without)  # with its rays
+
+
+@pytest.mark.parametrize(
+    ("question", "message"),
+    [
+        ("point?frame=77&point=0", "frame 77: the run has the frames 0 to 5"),
+        ("point?frame=0&point=9999", "point 9999: frame 0 has the points 0 to 699"),
+        ("point?frame=x&point=0", "frame: give a whole number"),
+        ("why?run=c&frame=0&point=0", "run c: choose from a, b"),
+        ("layout?case=999", "case 999: the run has the cases 1 to"),
+        ("layout?case=1&layout=sky", "layout sky: choose from case, frame, map"),
+        ("click?frame=0&x=1&y=2", "z: give a number"),
+    ],
+)
+def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: str) -> None:
+    status, content = get(f"{explorer.url}api/{question}")
+    assert status == 400
+    assert message in json.loads(content)["error"]
+
+
+def test_thumbnails_are_pictures_of_the_case(explorer: Explorer) -> None:
+    status, content = get(f"{explorer.url}api/thumbnail?case=1")
+    assert status == 200
+    assert content.startswith(b"\x89PNG")
+
+
+def test_runs_without_ground_truth_have_clusters(runs: dict[str, Path]) -> None:
+    with dv.explore(runs["unknown"]) as server:
+        (facts,) = ask(server, "runs").values()
+        assert not facts["truth"]
+        clusters = Result.load(runs["unknown"] / "result.json").clusters
+        assert [(card["suspicion"], card["kind"]) for card in facts["cases"]] == [
+            (c.suspicion, "removed") for c in clusters
+        ]
+        assert get(f"{server.url}api/layout?case=1")[0] == 200
+
+
+def test_runs_that_cannot_be_explored(runs: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="without points to explore"):
+        dv.explore(runs["scores"])
+    with pytest.raises(DataError, match=r"run\.rrd: does not exist"):
+        dv.explore(tmp_path)
+    with pytest.raises(UsageError, match="from a different sequence"):
+        dv.explore(runs["fine"], runs["unknown"])
+
+
+def test_a_notebook_shows_the_page(explorer: Explorer) -> None:
+    assert f'<iframe src="{explorer.url}"' in explorer._repr_html_()
