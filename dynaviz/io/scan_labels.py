@@ -54,7 +54,7 @@ def _moving_class(path: Path, classes: U16) -> Bool:
     """Which classes are moving; refuses values that mean something else."""
     used = np.bincount(classes, minlength=1 << 16) > 0
     if used[2:_STATIC].any():
-        problem = f"contains the value {2 + int(used[2:_STATIC].argmax())}, which is no class of SemanticKITTI"
+        problem = f"contains the value {2 + int(used[2:_STATIC].argmax())}, which SemanticKITTI does not use"
         raise DataError(path, problem, hint=f"Map the classes of a network back first. {_VALUES}")
     if used[1] and used[MOVING:].any() and not used[_STATIC:MOVING].any():
         problem = (

@@ -61,7 +61,7 @@ def test_wrong_lengths_name_the_file_and_both_counts(tmp_path: Path, suffix: str
 @pytest.mark.parametrize(
     ("values", "expected"),
     [
-        ([0, 1, 2, 1, 0], "contains the value 2, which is no class of SemanticKITTI"),
+        ([0, 1, 2, 1, 0], "contains the value 2, which SemanticKITTI does not use"),
         ([0.0, 0.2, 0.9, 1.0, 0.5], "float64 with fractions.*threshold"),
         ([0.0, 1.0, np.nan, 1.0, 0.0], "float64 with fractions"),
         ([0, 1, -1, 0, 0], "contains the value -1"),
@@ -76,7 +76,7 @@ def test_values_of_another_meaning_are_refused(tmp_path: Path, values: Any, expe
         read_moving(written(tmp_path / "a.npy", values), 5)
 
 
-def test_a_member_that_is_no_array_is_refused(tmp_path: Path) -> None:
+def test_a_member_that_is_not_an_array_is_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
         file.writestr("labels.npy", b"not an array")
     with pytest.raises(DataError, match=r"a\.npz: not a valid NPZ file \(labels is not an array\)"):
