@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -30,9 +30,9 @@ TRIES = 40  # candidates for the place of an event
 class Anchored(Motion):
     """A motion on the spot: the body changes with the schedule, the pose stays that of the start of the path."""
 
-    def pose(self, time: float, height: Height) -> F64 | None:
-        """(4, 4) float64 pose on the ground in the scene frame."""
-        return Motion(self.path, lambda _: 0.0, upright=True).pose(time, height)
+    def poses(self, times: Sequence[float], height: Height) -> list[F64 | None]:
+        """(4, 4) float64 pose on the ground in the scene frame, for each time."""
+        return Motion(self.path, lambda _: 0.0, upright=True).poses(times, height)
 
 
 def populate(scene: SimulatedScene, effects: Effects, rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from dynaviz.simulate import optics
 from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.effects import NAMES, Effects
 from dynaviz.simulate.lidar import Hits, Rays, RayScene, receive, sweep_rays
-from dynaviz.simulate.sweep import MovingSweep, TimedRays, by_tick, ray_shares, sensor_poses
+from dynaviz.simulate.sweep import MovingSweep, TimedRays, by_tick, ray_shares, sensor_poses, time_slices
 from dynaviz.spatial import geometry
 
 STEEPEST = 20.0  # limit of the tangent of the incidence angle, for noise
@@ -53,13 +53,13 @@ def measure(ray_scene: RayScene, sensor: Sensor, index: int, effects: Effects, s
     nominal = sweep_rays(sensor, index, rng)
     time, shares = index / (sensor.rate or 10.0), ray_shares(nominal)
     poses, ticks = sensor_poses(ray_scene.scene, sensor, time, effects.sweep_s, shares)
-    sweep = MovingSweep(ray_scene, time, effects.sweep_s)
     actual = _beam_errors(nominal, sensor, effects, seed)
     rays = TimedRays(
         by_tick(poses, ticks, nominal.origins),
         by_tick(poses, ticks, actual, turn_only=True),
-        np.minimum((shares * sweep.slices).astype(np.int64), sweep.slices - 1),
+        time_slices(shares, effects.sweep_s),
     )
+    sweep = MovingSweep(ray_scene, time, effects.sweep_s, rays)
     hits = _meet(rays, sweep, sensor, effects, lambda name: _stream(seed, index, name))
     distance, seen, kinds, intensity = receive(hits, sensor, rng, effects.dropout)
     seen &= _kept(hits, effects, _stream(seed, index, "dropout_range"))

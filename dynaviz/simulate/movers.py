@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,32 +105,43 @@ class Motion:
 
     def pose(self, time: float, height: Height) -> F64 | None:
         """(4, 4) float64 pose on the ground in the scene frame, or None before and after the route."""
-        distance = self.schedule(time)
-        if not 0 <= distance <= self.path.length:
-            return None
-        x, y, yaw = self.path.pose2d(distance)
-        return _upright(x, y, yaw, height) if self.upright else _leaning(x, y, yaw, height)
+        return self.poses([time], height)[0]
+
+    def poses(self, times: Sequence[float], height: Height) -> list[F64 | None]:
+        """The pose at each of some times, as ``pose`` gives it."""
+        distances = np.array([self.schedule(time) for time in times])
+        on_route = (distances >= 0) & (distances <= self.path.length)
+        x, y, yaw = self.path.at(distances)
+        found = (_upright if self.upright else _leaning)(x, y, yaw, height)
+        return [T if there else None for T, there in zip(found, on_route, strict=True)]
 
 
-def _upright(x: float, y: float, yaw: float, height: Height) -> F64:
-    c, s, z = np.cos(yaw), np.sin(yaw), height(np.array([x]), np.array([y]))[0]
-    return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
+def _upright(x: F64, y: F64, yaw: F64, height: Height) -> F64:
+    """(T, 4, 4) poses with a vertical z axis."""
+    poses = np.tile(np.eye(4), (len(x), 1, 1))
+    poses[:, 0, 0], poses[:, 1, 0], poses[:, 0, 1] = np.cos(yaw), np.sin(yaw), -np.sin(yaw)
+    poses[:, 1, 1] = poses[:, 0, 0]
+    poses[:, :3, 3] = np.stack([x, y, height(x, y)], axis=1)
+    return poses
 
 
-def _leaning(x: float, y: float, yaw: float, height: Height) -> F64:
-    """Pose of a vehicle with four wheels, 2.6 m by 1.4 m apart."""
-    forward, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
-    wheels = np.array([x, y]) + np.array([1.3 * forward, -1.3 * forward, 0.7 * left, -0.7 * left])
-    front, rear, port, starboard = height(*wheels.T)
-    X = np.array([*forward, (front - rear) / 2.6])
-    X /= np.linalg.norm(X)
-    Y = np.array([*left, (port - starboard) / 1.4])
-    Y -= X * np.sum(X * Y)
-    Y /= np.linalg.norm(Y)
-    T = np.eye(4)
-    T[:3, 0], T[:3, 1], T[:3, 2] = X, Y, np.cross(X, Y)
-    T[:3, 3] = x, y, (front + rear + port + starboard) / 4
-    return T
+def _leaning(x: F64, y: F64, yaw: F64, height: Height) -> F64:
+    """(T, 4, 4) poses of a vehicle with four wheels, 2.6 m by 1.4 m apart."""
+    poses = np.tile(np.eye(4), (len(x), 1, 1))
+    forward, left = np.stack([np.cos(yaw), np.sin(yaw)]), np.stack([-np.sin(yaw), np.cos(yaw)])
+    wheels = np.stack([1.3 * forward, -1.3 * forward, 0.7 * left, -0.7 * left], axis=1) + np.stack([x, y])[:, None]
+    for T, ground, x_axis, y_axis, place in zip(
+        poses, height(*wheels).T, forward.T, left.T, np.stack([x, y], axis=1), strict=True
+    ):
+        front, rear, port, starboard = ground
+        X = np.array([*x_axis, (front - rear) / 2.6])
+        X /= np.linalg.norm(X)
+        Y = np.array([*y_axis, (port - starboard) / 1.4])
+        Y -= X * np.sum(X * Y)
+        Y /= np.linalg.norm(Y)
+        T[:3, 0], T[:3, 1], T[:3, 2] = X, Y, np.cross(X, Y)
+        T[:3, 3] = *place, (front + rear + port + starboard) / 4
+    return poses
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,12 +68,18 @@ def _wheels(axles: tuple[float, float], half: float, radius: float) -> Mesh:
 def person(distance: float, height: float = 1.75) -> Mesh:
     """A walking person after ``distance`` metres: arms and legs swing."""
     swing = 0.55 * np.sin(2 * np.pi * distance / STRIDE)
-    parts = [ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17)), ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62), sides=8)]
-    parts += [tube([(0, 0, 1.46), (0.01, 0, 1.55)], 0.06, 6)]
+    parts = [_torso()]
     for side in (-1, 1):
         parts.append(_limb((0, 0.1 * side, 0.92), side * swing, (0.46, 0.46), (0.095, 0.07, 0.05), knee=-0.35))
         parts.append(_limb((0, 0.25 * side, 1.4), -0.8 * side * swing, (0.3, 0.28), (0.06, 0.045, 0.035), knee=0.3))
     return join(parts).scaled(height / 1.75, 1, height / 1.75)
+
+
+@cache
+def _torso() -> Mesh:
+    """Trunk, head and neck of a person."""
+    trunk, head = ellipsoid(0.14, 0.22, 0.33, at=(0, 0, 1.17)), ellipsoid(0.1, 0.09, 0.13, at=(0.02, 0, 1.62), sides=8)
+    return join([trunk, head, tube([(0, 0, 1.46), (0.01, 0, 1.55)], 0.06, 6)])
 
 
 def _limb(

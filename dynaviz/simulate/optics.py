@@ -72,12 +72,14 @@ def near_edges(ranges: F64, sensor: Sensor) -> Bool:
 
 def around(directions: F64, radius: F64, angle: F64) -> F64:
     """(N, 3) unit directions at (N,) angles ``radius`` from (N, 3) directions, turned about them by ``angle``."""
-    x, y, z = directions.T
+    x, y, z = np.ascontiguousarray(directions.T)
     flat = np.maximum(np.hypot(x, y), 1e-9)
-    left = np.stack([-y / flat, x / flat, np.zeros(len(x))], axis=1)
-    up = np.stack([-z * x / flat, -z * y / flat, flat], axis=1)
-    turned = directions + radius[:, None] * (np.cos(angle)[:, None] * left + np.sin(angle)[:, None] * up)
-    unit: F64 = turned / np.sqrt((turned**2).sum(1, keepdims=True))
+    aside, up = np.cos(angle), np.sin(angle)
+    unit = np.empty((len(x), 3))
+    unit[:, 0] = turned_x = x + radius * (aside * (-y / flat) + up * (-z * x / flat))
+    unit[:, 1] = turned_y = y + radius * (aside * (x / flat) + up * (-z * y / flat))
+    unit[:, 2] = turned_z = z + radius * (up * flat)
+    unit /= np.sqrt(turned_x**2 + turned_y**2 + turned_z**2)[:, None]
     return unit
 
 
@@ -188,11 +190,13 @@ def bloom(directions: F64, hits: Hits, effects: Effects, rng: np.random.Generato
     if not len(signs):
         return hits
     radius = 2 * np.sin(np.radians(effects.bloom_deg) / 2)
-    found_near = cKDTree(directions[signs]).query(directions, distance_upper_bound=radius)
+    low, high = directions[signs].min(0) - radius, directions[signs].max(0) + radius
+    around_them = np.flatnonzero(((directions >= low) & (directions <= high)).all(1))
+    found_near = cKDTree(directions[signs]).query(directions[around_them], distance_upper_bound=radius)
     distance, near = (np.asarray(each) for each in found_near)
-    found = np.flatnonzero(np.isfinite(distance) & (distance > 0))
-    sign = signs[near[found]]
-    lit = (chance[found] > distance[found] / radius) & (hits.range[found] > hits.range[sign] + HALO)
+    within = np.isfinite(distance) & (distance > 0)
+    found, distance, sign = around_them[within], distance[within], signs[near[within]]
+    lit = (chance[found] > distance / radius) & (hits.range[found] > hits.range[sign] + HALO)
     _assign(hits, found[lit], _take(hits, sign[lit]))
     return hits
 

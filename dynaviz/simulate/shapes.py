@@ -125,11 +125,11 @@ def ellipsoid(x: float, y: float, z: float, *, at: tuple[float, float, float] = 
 def tube(points: ArrayLike, radii: ArrayLike, sides: int = 8) -> Mesh:
     """A round bar along (P, 3) points, with one radius or one per point: poles, trunks, limbs, rims."""
     points = np.asarray(points, np.float64)
-    tangents = np.gradient(points, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    tangents = np.concatenate([points[1:2] - points[:1], (points[2:] - points[:-2]) / 2, points[-1:] - points[-2:-1]])
+    tangents /= np.sqrt((tangents * tangents).sum(1, keepdims=True))
     helper = np.where(np.abs(tangents[:, 2:]) < 0.9, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
     u = _cross(helper, tangents)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    u /= np.sqrt((u * u).sum(1, keepdims=True))
     v = _cross(tangents, u)
     around = 2 * np.pi * np.arange(sides)[:, None] / sides
     circle = np.cos(around) * u[:, None] + np.sin(around) * v[:, None]
