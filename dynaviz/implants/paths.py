@@ -12,6 +12,7 @@ from dynaviz.simulate.movers import Route
 SPACING = 0.5  # metres between points of a path
 ARCS, FOLLOWED = 300, 120  # paths to choose from
 NEAREST = 4.0  # metres from the sensor
+WITHIN = 0.3  # share of the wanted distance to the sensor
 ASIDE = 9.0  # metres from the trajectory
 LANE = 3.5  # metres, width of a lane
 LANES = (-1, 0, 1, 1, 1, 2)  # lanes to the left of the sensor's: most movers come towards it on the next lane
@@ -26,9 +27,9 @@ class Path:
     anchor: int
 
 
-def arcs(sensor: F64, far: float, bend: float, longest: float, rng: np.random.Generator) -> list[Path]:
-    """Arcs in random directions through random places around the sensor, (2,) metres."""
-    distance, angle = rng.uniform(NEAREST, far, ARCS), rng.uniform(0, 2 * np.pi, ARCS)
+def arcs(sensor: F64, away: float, bend: float, longest: float, rng: np.random.Generator) -> list[Path]:
+    """Arcs in random directions through random places about ``away`` metres from the sensor, (2,) metres."""
+    distance, angle = _around(away, ARCS, rng), rng.uniform(0, 2 * np.pi, ARCS)
     heading, curvature = rng.uniform(0, 2 * np.pi, ARCS), rng.normal(0, bend, ARCS)
     anchor = int(longest / 2 / SPACING)
     s = SPACING * np.arange(-anchor, anchor + 1)
@@ -38,6 +39,12 @@ def arcs(sensor: F64, far: float, bend: float, longest: float, rng: np.random.Ge
     start = sensor + np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
     xy = np.stack([x - x[:, anchor, None], y - y[:, anchor, None]], axis=-1) + start[:, None]
     return [Path(points, anchor) for points in xy]
+
+
+def _around(away: float, count: int, rng: np.random.Generator) -> F64:
+    """(N,) random distances around one, metres, that are not too near to the sensor."""
+    near: F64 = np.maximum(NEAREST, away * rng.uniform(1 - WITHIN, 1 + WITHIN, count))
+    return near
 
 
 def road(positions: F64) -> Route | None:
@@ -56,16 +63,16 @@ def road(positions: F64) -> Route | None:
 
 
 def followed(
-    route: Route, sensor: F64, far: float, longest: float, lanes: bool, rng: np.random.Generator
+    route: Route, sensor: F64, away: float, longest: float, lanes: bool, rng: np.random.Generator
 ) -> list[Path]:
-    """Paths parallel to a road, near the sensor, (2,) metres; those on its left mostly in the opposite direction.
+    """Paths parallel to a road, about ``away`` metres ahead of or behind the sensor, (2,) metres.
 
-    With ``lanes``, all are a whole number of lanes aside.
+    Those on its left lead mostly in the opposite direction. With ``lanes``, all are a whole number of lanes aside.
     """
     station = route.distance[np.hypot(*(route.xy - sensor).T).argmin()]
     found = []
-    for _ in range(FOLLOWED):
-        left, along = _aside(lanes, rng), station + rng.uniform(-far, far)
+    for ahead in _around(away, FOLLOWED, rng) * rng.choice((-1, 1), FOLLOWED):
+        left, along = _aside(lanes, rng), station + ahead
         opposite = (left > 0) == (rng.random() < 0.8)
         line = route.shifted(left)
         at = float(np.interp(along, route.distance, line.distance))

@@ -10,7 +10,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.paths import SPACING, Path, arcs, followed, paced, road, swerved
+from dynaviz.implants.paths import NEAREST, SPACING, Path, arcs, followed, paced, road, swerved
 from dynaviz.implants.scene import Implant
 from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.space import TALL, FreeSpace
@@ -18,7 +18,11 @@ from dynaviz.implants.survey import CELL, Survey
 from dynaviz.simulate.movers import Route
 
 MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
-VISIBLE = 40.0  # metres from the sensor
+VISIBLE = 50.0  # metres from the sensor
+MOVED = 0.9  # metres that a mover moves, and at least its length: nothing shows that one moves that moves less
+SEEN = 0.5  # share of the frames in which a mover is not hidden; 10 frames are enough
+GLANCES = 20  # frames in which that is checked
+LONG = 4.0  # seconds; in a shorter recording, a mover that waits would hardly move
 STEEPEST = 0.15  # metres per metre
 STANDING = 8.0  # metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
 FADED = 50.0  # metres from the sensor; farther away, few rays hit a mover. Less if the ground is not visible as far
@@ -28,6 +32,7 @@ TRIPS = 3  # times and speeds to try
 TRIED = 60  # best paths for which a schedule is checked
 DRIVING = 3.0  # m/s; a faster sensor drives on a road
 ROADWAY = 3.0  # metres from the middle of the sensor's lane
+GOLDEN = 0.6180339887498949  # multiples of the golden ratio, without the whole part, are spread evenly
 TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
 
 
@@ -42,7 +47,7 @@ class Kind:
         bend: standard deviation of the curvature, 1/m.
         lengths: shortest and longest path, metres.
         braking: m/s^2.
-        far: metres from the sensor, at most, where a path is started.
+        far: metres from the sensor; movers are spread evenly up to this range, or as far as the ground is visible.
         berth: metres to the sensor, in addition to the radius.
         tall: height class in ``FreeSpace.clearance``.
     """
@@ -59,10 +64,10 @@ class Kind:
 
 
 KINDS = {
-    "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 28.0, 2.0),
-    "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 30.0, 1.8, "high"),
-    "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 22.0, 1.6),
-    "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 18.0, 1.4),
+    "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 45.0, 2.0),
+    "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 45.0, 5.0, "high"),
+    "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 30.0, 1.6),
+    "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 25.0, 1.4),
 }
 ORDER = {"trucks": "truck", "cars": "car", "parks": "car", "cyclists": "cyclist", "persons": "person"}
 """Kind of each option; the largest are placed first."""
@@ -108,6 +113,7 @@ class Trip:
         speed: m/s.
         wait: seconds, at the anchor.
         stop: time in seconds at which it has parked.
+        away: metres from the sensor to the anchor, about.
     """
 
     behaviour: str
@@ -115,6 +121,7 @@ class Trip:
     speed: float
     wait: float
     stop: float
+    away: float
 
     def schedule(self, path: Path, times: F64, braking: float, behaviour: str) -> F64:
         """(K, 2) seconds, and metres along the path."""
@@ -160,7 +167,7 @@ class _Planner:
     def _place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
         kind, survey = KINDS[name], self._survey
         brushes = name == "person" and number % 2 == 1
-        trip = self._trip(kind, parks, waits=number % 3 == 2 and not parks, rng=rng)
+        trip = self._trip(kind, parks, number, rng)
         shape = int(rng.integers(2**31))
         notes = {"cruise": "brushes along obstacles" if brushes else "moves"}
         paths = list(self._best_paths(kind, trip, brushes, rng))
@@ -178,26 +185,28 @@ class _Planner:
                     return mover
         return None
 
-    def _trip(self, kind: Kind, parks: bool, waits: bool, rng: np.random.Generator) -> Trip:
-        """What a mover does, when and how fast; vehicles keep pace with the sensor if that is fast."""
+    def _trip(self, kind: Kind, parks: bool, number: int, rng: np.random.Generator) -> Trip:
+        """What a mover does, when, where and how fast; vehicles keep pace with the sensor if that is fast."""
         times = self._survey.times
         duration = times[-1] - times[0]
+        waits = number % 3 == 2 and duration > LONG and not parks
         speed = float(rng.uniform(*kind.speeds))
         if kind.radius > 1:
             speed *= max(1.0, self._pace / float(np.mean(kind.speeds)))
         frame = int(rng.integers(len(times)))
         wait = min(float(rng.uniform(0.15, 0.4)) * duration, 8.0)
         stop = times[0] + float(rng.uniform(0.3, 0.6)) * duration
-        return Trip("parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop)
+        away = NEAREST + (min(kind.far, self._faded) - NEAREST) * ((number + float(rng.random())) * GOLDEN % 1)
+        return Trip("parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop, away)
 
     def _best_paths(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[Path]:
         """Free parts of random paths, the best first; for vehicles those in lanes before those that cross, or after."""
         anchor, parks = self._survey.positions[trip.frame, :2], trip.behaviour == "parks"
         vehicle, keeps_lane = kind.radius > 1, bool(rng.random() < IN_LANE)
-        candidates = [*arcs(anchor, kind.far, kind.bend, kind.lengths[1], rng)]
+        candidates = [*arcs(anchor, trip.away, kind.bend, kind.lengths[1], rng)]
         crossing = len(candidates)
         if kind.radius > 0.4 and self._road:
-            candidates += followed(self._road, anchor, kind.far, kind.lengths[1], vehicle, rng)
+            candidates += followed(self._road, anchor, trip.away, kind.lengths[1], vehicle, rng)
         scored: list[tuple[bool, float, int, Path]] = []
         for number, candidate in enumerate(candidates):
             path = self._trimmed(candidate, kind)
@@ -257,11 +266,10 @@ class _Planner:
         return not (self._space.lowest[column[:, 0], column[:, 1]] < TALL["low"]).any()
 
     def _free(self, discs: F64, radius: float, berth: float) -> bool:
-        """Whether a mover is seen, and keeps clear of the sensor, of dynamic points and of other movers."""
+        """Whether a mover is seen to move, and keeps clear of the sensor, of dynamic points and of other movers."""
         survey = self._survey
         to_sensor = _distance(discs, survey.positions[:, None, :2])
-        seen = to_sensor < VISIBLE
-        if seen.sum() < min(10, max(1, len(seen) // 4)) or (to_sensor < radius + berth).any():
+        if (to_sensor < radius + berth).any():
             return False
         for other, other_radius in self._tracks:
             if (_distance(discs, other) < radius + other_radius + APART).any():
@@ -270,7 +278,32 @@ class _Planner:
             points = survey.dynamic[frame][:, :2].astype(np.float64)
             if len(points) and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART:
                 return False
-        return True
+        return self._shows(discs, to_sensor)
+
+    def _shows(self, discs: F64, to_sensor: F64) -> bool:
+        """Whether a mover, where the sensor sees it, moves by its length in enough frames."""
+        frames = np.unique(np.linspace(0, len(discs) - 1, GLANCES).round().astype(int))
+        seen = frames[[bool(to_sensor[f] < VISIBLE) and not self._hidden(f, discs[f].mean(0)) for f in frames]]
+        if len(seen) < max(1, min(10, SEEN * len(frames))):
+            return False
+        centre = discs[seen].mean(1)
+        length = float(np.hypot(*(discs[seen[0], -1] - discs[seen[0], 0])))
+        duration = min(1.0, float(self._survey.times[-1] - self._survey.times[0]))  # a shorter recording asks for less
+        return float(np.hypot(*(centre - centre[0]).T).max()) >= max(MOVED, length) * duration
+
+    def _hidden(self, frame: int, place: F64) -> bool:
+        """Whether an obstacle or an earlier mover lies between the sensor and a place, (2,) metres."""
+        sensor = self._survey.positions[frame, :2]
+        if not self._in_sight(sensor, place):
+            return True
+        away = float(np.hypot(*(place - sensor)))
+        ahead = (place - sensor) / max(away, 1e-9)
+        for other, radius in self._tracks:
+            offset = other[frame] - sensor
+            along, aside = offset @ ahead, offset @ np.array([-ahead[1], ahead[0]])
+            if ((np.abs(aside) < radius) & (along > 0) & (along < away)).any():
+                return True
+        return False
 
     def _pops(self, discs: F64, radius: float) -> bool:
         """Whether a mover appears or disappears within the recording where the sensor sees it."""
