@@ -62,7 +62,8 @@ def rescore(run: StudyRun, scoring: str, sequence: Sequence) -> Rescored:
     protocols: dict[str, EvaluationProtocol] = {
         name: kind(scoring) for name, kind in registry.loadable("protocols").items()
     }
-    digest, bits, outcomes, positions = ScanDigest(), PackedBits(), np.zeros(len(Outcome), np.int64), []
+    digest, bits, outcomes = ScanDigest(), PackedBits(), np.zeros(len(Outcome), np.int64)
+    positions: list[int] = []
     for position, scan in enumerate(stream(sequence)):
         if scan.index not in labels.frames:
             continue

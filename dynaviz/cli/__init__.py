@@ -48,6 +48,8 @@ try:
 except ImportError:  # earlier versions of typer raise the exceptions of click
     from click import ClickException as CommandLineError  # type: ignore[assignment]
 
+__all__ = ["CommandLineError", "app", "main"]
+
 
 class Commands(TyperGroup):
     """All commands. Wrong usage gives one line, like every other error that a user can cause."""

@@ -91,8 +91,8 @@ class DoalsSequence:
     def __getitem__(self, position: int) -> Scan:
         scan = self.inner[position]
         labels = np.full(len(scan), Label.UNLABELLED, np.uint8)
-        if scan.stamp_ns in self.dynamic:
-            moving = self.dynamic[scan.stamp_ns]
+        moving = None if scan.stamp_ns is None else self.dynamic.get(scan.stamp_ns)
+        if moving is not None:
             if len(moving) and not 0 <= moving.min() <= moving.max() < len(scan):
                 problem = f"point {moving.max()} of the scan at {scan.stamp_ns} ns, which has {len(scan)} points"
                 raise DataError(self.folder / INDICES, problem, hint="Use the scans as published, in their order")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from dynaviz.protocol import ProtocolScores
@@ -16,7 +15,8 @@ def defined(scores: Mapping[str, float]) -> dict[str, float | None]:
 
 def summed(parts: Iterable[ProtocolScores]) -> dict[str, float]:
     """The counts of several sequences, added up."""
-    total: Counter[str] = Counter()
+    total: dict[str, float] = {}
     for part in parts:
-        total.update(part.counts)  # type: ignore[arg-type]  # counts may be sums of percentages
-    return dict(total)
+        for name, number in part.counts.items():
+            total[name] = total.get(name, 0) + number
+    return total

@@ -110,13 +110,16 @@ class Erasor:
 
         if not self._points:
             return _of_counts(dict.fromkeys(_COUNTS, 0))
-        points, dynamic, kept = (np.concatenate(each) for each in (self._points, self._dynamic, self._kept))
+        points: F32 = np.concatenate(self._points)
+        dynamic: Bool = np.concatenate(self._dynamic)
+        kept: Bool = np.concatenate(self._kept)
         means, moving = voxel_points(points, dynamic)
         map_means, map_moving = voxel_points(points[kept], dynamic[kept])
         reach = EDGE * np.sqrt(3) / 2
         same = np.zeros(len(means), np.bool_)
         if len(map_means):
-            distance, nearest = cKDTree(map_means).query(means, distance_upper_bound=reach, workers=-1)
+            answer = cKDTree(map_means).query(means, distance_upper_bound=reach, workers=-1)
+            distance, nearest = np.asarray(answer[0]), np.asarray(answer[1])
             found = distance < reach
             same[found] = map_moving[nearest[found]] == moving[found]
         numbers = (~moving).sum(), (same & ~moving).sum(), moving.sum(), (same & moving).sum()
@@ -140,8 +143,8 @@ def voxel_points(points: F32, dynamic: Bool) -> tuple[F64, Bool]:
         dynamic: (V,) bool: whether the point of the voxel nearest to the mean is dynamic; the first one of equals.
     """
     _, voxel, number = np.unique(pack(points, EDGE), return_inverse=True, return_counts=True)
-    means = np.stack([np.bincount(voxel, column, len(number)) for column in points.T.astype(np.float64)], 1)
-    means /= number[:, None]
+    sums = [np.bincount(voxel, column, len(number)) for column in points.T.astype(np.float64)]
+    means: F64 = np.stack(sums, 1) / number[:, None]
     squared = ((points - means[voxel]) ** 2).sum(1)
     order = np.lexsort((squared, voxel))
     first = order[np.concatenate([[0], np.cumsum(number)[:-1]]).astype(np.intp)] if len(order) else order
