@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test lint types boundscheck coverage mutants docs check clean
+.PHONY: demo test lint types boundscheck coverage fuzz mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -33,13 +33,16 @@ coverage: .venv/.dev
 	$(BIN)/pytest -q $(ALL_CORES) --cov --cov-report=
 	NUMBA_DISABLE_JIT=1 $(BIN)/pytest -q $(ALL_CORES) --cov --cov-append -W ignore::RuntimeWarning -m plain
 
+fuzz: .venv/.dev  # read damaged files for 45 s; FUZZ_SEED=1000 selects others
+	cd tests && $(abspath $(BIN))/python -m helpers.fuzzing -j 2 -n 5000 --seconds 45
+
 mutants: .venv/.dev  # change the evaluation in one place at a time; list the changes that its tests miss
 	$(BIN)/python tests/mutants.py
 
 docs: .venv/.dev  # write the site to build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-check: lint types test boundscheck docs
+check: lint types test fuzz boundscheck docs
 
 .venv/.venv:
 	@$(PYTHON) -c 'import sys; sys.exit("dynaviz needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'

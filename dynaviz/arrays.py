@@ -1,6 +1,8 @@
-"""Short names for the array types in signatures."""
+"""Short names for the array types in signatures, and rounding to float32."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,3 +16,12 @@ I64 = NDArray[np.int64]
 Intp = NDArray[np.intp]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+
+def single(values: NDArray[Any]) -> F32:
+    """Round the values of a file to float32: those beyond its range become infinite, and signalling NaNs quiet.
+
+    Signalling NaNs would raise a warning in every later computation.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32) * np.float32(1)

@@ -99,8 +99,9 @@ def _candidates(points: F64, box: OrientedBox) -> tuple[Intp, F64]:
     reach = sum(box.size) + 2 * BORDER  # beyond any corner
     rows = np.flatnonzero(np.abs(points[:, 0] - origin[0]) < reach)
     rows = rows[np.abs(points[rows, 1] - origin[1]) < reach]
-    x, y, z = (points[rows, axis] - origin[axis] for axis in range(3))
-    return rows, np.stack([axes[0, k] * x + axes[1, k] * y + axes[2, k] * z for k in range(3)], axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # such points are in no box
+        x, y, z = (points[rows, axis] - origin[axis] for axis in range(3))
+        return rows, np.stack([axes[0, k] * x + axes[1, k] * y + axes[2, k] * z for k in range(3)], axis=1)
 
 
 def _inside(local: F64, box: OrientedBox, margin: float, ground: float = 0.0) -> Bool:

@@ -9,7 +9,7 @@ from typing import IO
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import open_file
 
@@ -55,8 +55,7 @@ def read_las(path: str | os.PathLike[str]) -> F32:
             if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
                 raise
             raise DataError(path, f"not a valid LAS file ({str(error)[:80]})", hint=_HINT) from None
-    with np.errstate(over="ignore"):  # values beyond float32 become infinite
-        return np.concatenate([np.empty((0, 3)), *parts]).astype(np.float32)
+    return single(np.concatenate([np.empty((0, 3)), *parts]))
 
 
 def _checked_size(file: IO[bytes]) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, U8
+from dynaviz.arrays import F32, F64, U8, single
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import atomic_file, open_file
 from dynaviz.io.pcd_header import (
@@ -81,8 +81,7 @@ class Pcd:
                 raise DataError(
                     self.path, f"field {name} has more than one value per point", hint="Write it with COUNT 1"
                 )
-            with np.errstate(over="ignore"):  # values beyond float32 become infinite
-                out[:, axis] = column
+            out[:, axis] = single(column)
         return out
 
     @property

@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 from dynaviz.io.text import read_rows
@@ -65,8 +65,7 @@ def read_ply(path: str | os.PathLike[str]) -> F32:
         before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
         _check_properties(path, [*before, vertex])
         rows = (_read_ascii if order == "=" else _read_binary)(path, file, order, before, vertex, lines)
-        with np.errstate(over="ignore"):  # values beyond float32 become infinite
-            return np.stack([rows[axis].astype(np.float32) for axis in "xyz"], 1)
+        return np.stack([single(rows[axis]) for axis in "xyz"], 1)
 
 
 def _read_header(path: Path, file: IO[bytes]) -> tuple[str, list[_Element], int]:

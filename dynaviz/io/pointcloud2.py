@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, single
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # PointField's INT8 ... FLOAT64
 
@@ -56,8 +56,7 @@ def cloud_xyz(rows: NDArray[Any]) -> F32:
     if missing := [axis for axis in "xyz" if axis not in names or rows.dtype[axis].shape]:
         raise ValueError(f"field {' '.join(missing)} is missing (found: {' '.join(names)})")
     xyz = np.empty((len(rows), 3), np.float32)
-    with np.errstate(over="ignore"):  # values beyond float32 become infinite
-        for axis, name in enumerate("xyz"):
-            xyz[:, axis] = rows[name]
+    for axis, name in enumerate("xyz"):
+        xyz[:, axis] = single(rows[name])
     xyz[(xyz == 0).all(1)] = np.nan  # drivers of organised clouds write missing returns as zeros
     return xyz

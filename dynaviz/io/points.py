@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError
 from dynaviz.io.las import read_las
 from dynaviz.io.npy import open_npy
@@ -48,8 +48,7 @@ def _read_npy(path: Path) -> F32:
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
         found = f"an array {array.shape} of {array.dtype}" if isinstance(array, np.ndarray) else "several arrays"
         raise DataError(path, f"contains {found}, not (N, 3 or more) numbers", hint=hint)
-    with np.errstate(over="ignore"):  # values beyond float32 become infinite
-        return array[:, :3].astype(np.float32)
+    return single(array[:, :3])
 
 
 _READERS: dict[str, Callable[[Path], F32]] = {

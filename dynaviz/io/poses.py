@@ -29,6 +29,7 @@ _ENTRY = r"[a-z]*_?([0-3])_?([0-3])"
 _UNITS = ((17, 1), (14, 10**3), (11, 10**6))  # minimum number of digits of a time in ns, us, ms since 1970
 _UNIT_NAMES = ((20, "picoseconds"), (17, "nanoseconds"), (14, "microseconds"), (11, "milliseconds"), (0, "seconds"))
 _LIMIT = 1 << 63  # nanoseconds since 1970, in the year 2262
+_LARGEST_NUMBER = 1 << 53  # whole numbers up to here are exact in float64
 _TIME_HINT = "Give times in s, ms, us or ns since 1970; in CSV state the unit in the header, such as stamp [ns]"
 
 
@@ -148,7 +149,7 @@ def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
         _matrices(path, rows, matrix) if matrix else _quaternions(path, rows, [*(position or []), *(rotation or [])])
     )
     stamps = None if time is None else _stamps(path, rows, time[0], _SCALES.get(time[1]))
-    numbers = None if index is None else _floats(path, rows, [index])[:, 0].astype(np.int64)
+    numbers = None if index is None else _numbers(path, rows, index)
     return PoseFile(path, "CSV", poses, stamps, numbers)
 
 
@@ -175,6 +176,15 @@ def _stamps(path: Path, rows: Rows, column: int, scale: int | None = None) -> I6
         except ValueError as error:
             raise DataError(path, f"not a valid time ({error})", at=f"line {n}", hint=_TIME_HINT) from None
     return stamps
+
+
+def _numbers(path: Path, rows: Rows, column: int) -> I64:
+    """Numbers of scans."""
+    numbers = _floats(path, rows, [column])[:, 0]
+    for number, (n, words) in zip(numbers, rows, strict=True):
+        if abs(number) >= _LARGEST_NUMBER:
+            raise DataError(path, f"not a valid scan number ({words[column][:30]})", at=f"line {n}", hint=_FORMATS)
+    return numbers.astype(np.int64)
 
 
 def _quaternions(path: Path, rows: Rows, columns: range | list[int]) -> F64:

@@ -55,6 +55,8 @@ class Bag:
             connections = self._reader.connections
             if not all(isinstance(name, str) for each in connections for name in (each.topic, each.msgtype)):
                 raise TypeError("a topic or its type is not text")
+            if len({(each.topic, each.msgtype) for each in connections}) > len({each.topic for each in connections}):
+                raise TypeError("a topic has messages of several types")
             return {each.topic: each.msgtype for each in connections if counts[each.topic]}
 
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 
@@ -34,4 +34,4 @@ def read_velodyne(path: str | os.PathLike[str], fields: int = 4) -> F32:
             layout = f"{' '.join(FIELDS[:fields])}, float32"
             problem = f"ends in the middle of a point: {size} bytes is not a multiple of {row} ({layout})"
             raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint="Copy the file again")
-        return np.fromfile(file, "<f4").reshape(-1, fields)
+        return single(np.fromfile(file, "<f4")).reshape(-1, fields)

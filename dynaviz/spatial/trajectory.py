@@ -20,6 +20,7 @@ TICK = 10_000
 
 _SHORTEST, _LONGEST = 2e6, 2e9  # duration of a sweep, nanoseconds; a factor of 1000 apart, so that only one unit fits
 _SAME_CLOCK = 1e10  # largest difference of a sweep's stamp and its points' times on one clock, nanoseconds
+_LARGEST = 2.0**62  # nanoseconds; differences of such times fit into 64 bits
 
 
 class PosesOverTime(Protocol):
@@ -115,11 +116,12 @@ def deskew(points: NDArray[np.floating[Any]], times: I64, path: PosesOverTime) -
     ticks, of = np.unique((times + TICK // 2) // TICK, return_inverse=True)
     T = path.at(ticks * TICK)
     world = np.empty((len(points), 3))
-    x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
-    for axis in range(3):
-        a, b, c, d = (T[:, axis, column][of] for column in range(4))
-        world[:, axis] = a * x + b * y + c * z + d
-    return world.astype(np.float32), T[of, :3, 3]
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite values stay non-finite
+        x, y, z = (points[:, axis].astype(np.float64) for axis in range(3))
+        for axis in range(3):
+            a, b, c, d = (T[:, axis, column][of] for column in range(4))
+            world[:, axis] = a * x + b * y + c * z + d
+        return world.astype(np.float32), T[of, :3, 3]
 
 
 def unit_of(values: NDArray[Any]) -> float | None:
@@ -148,9 +150,10 @@ def point_times(values: NDArray[Any], unit: float, stamp_ns: int) -> I64:
         stamp_ns: stamp of the sweep, nanoseconds.
 
     Returns:
-        (N,) int64, nanoseconds, on the stamp's clock; non-finite values get the stamp.
+        (N,) int64, nanoseconds, on the stamp's clock; values that are not times get the stamp.
     """
-    finite = np.isfinite(values)
+    with np.errstate(over="ignore", invalid="ignore"):
+        finite = np.abs(values.astype(np.float64) * unit) < _LARGEST
     if not finite.any():
         return np.full(len(values), stamp_ns, np.int64)
     first = values[finite].min()

@@ -154,3 +154,65 @@ def test_a_scan_named_by_a_time_beyond_64_bits(tmp_path: Path) -> None:
         np.save(tmp_path / name, np.zeros((3, 3), np.float32))
     with pytest.raises(DataError, match=r"0\.npy: its name is not a valid time .* 22 digits suggest picoseconds"):
         open_sequence(f"files:{tmp_path}")
+
+
+@pytest.mark.parametrize("number", ["1e308", "9" * 30, "-9e18"])
+def test_poses_with_scan_numbers_beyond_64_bits(tmp_path: Path, number: str) -> None:
+    (tmp_path / "a.csv").write_text(f"index,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n{number},1,2,3,0,0,0,1\n")
+    with pytest.raises(DataError, match=rf"a\.csv, line 3: not a valid scan number \({re.escape(number)}\)"):
+        read_poses(tmp_path / "a.csv")
+
+
+SIGNALLING = np.array([0x7F800001], np.uint32).view(np.float32)[0]  # a NaN that raises a warning where it is converted
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", [".pcd", ".npy"])
+def test_signalling_nans_become_quiet(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    WRITERS[suffix](path, np.array([[0, 0, 0], [0, 0, 7.5]], np.float32))
+    content = path.read_bytes()
+    assert content.endswith(struct.pack("<f", 7.5))
+    path.write_bytes(content[:-4] + SIGNALLING.tobytes())
+    np.testing.assert_array_equal(read_points(path).astype(np.float64)[1], [0, 0, np.nan])
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [SIGNALLING, np.inf, 3e38])
+def test_points_that_are_not_finite_are_in_no_box(tmp_path: Path, value: float) -> None:
+    write_raw_drive(tmp_path)
+    drive = next(tmp_path.rglob("tracklet_labels.xml")).parent
+    for path in drive.rglob("*.bin"):
+        rows = np.fromfile(path, "<f4").reshape(-1, 4)
+        rows[0, 2] = value
+        rows.tofile(path)
+    scan = open_sequence(f"kitti_raw:{drive}")[1]
+    assert scan.instances is not None
+    assert scan.instances[0] == 0
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [SIGNALLING, 1e38, -1e38])
+def test_points_and_times_of_a_bag_that_are_not_numbers(tmp_path: Path, value: float) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as writer:
+        writer.transform(0, "base", "lidar", at(0, 0, 1), static=True)
+        for k in range(3):
+            xyz, times = np.zeros((5, 3), np.float32), np.linspace(0, 0.1, 5, dtype=np.float32)
+            xyz[0, 0] = times[1] = value if k == 2 else 0
+            writer.cloud(k / 10, columns(xyz, time=times))
+            writer.odometry(k / 10, at(k), child="base")
+    scan = open_sequence(f"rosbag:{writer.path}")[2]
+    assert scan.times is not None
+    assert scan.times[1] == 0
+
+
+def test_a_topic_with_messages_of_two_types(tmp_path: Path) -> None:
+    """Its messages cannot be told apart by the topic."""
+    with BagWriter(tmp_path / "drive", "mcap") as writer:
+        writer.transform(0, "base", "lidar", at(0, 0, 1), static=True)
+        writer.cloud(0, columns(np.zeros((5, 3))))
+        writer.odometry(0, at(0), child="base")
+    path = tmp_path / "drive/metadata.yaml"
+    path.write_text(path.read_text().replace("name: /points", "name: /tf_static"))
+    with pytest.raises(DataError, match=r"drive: truncated or corrupt bag \(a topic has messages of several types\)"):
+        open_sequence(f"rosbag:{writer.path}")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from helpers.damage import damaged, remove
 from helpers.fuzzing import Mutants, reads_or_refuses
+from helpers.readable_commands import COMMANDS
 from helpers.readable_files import DATASETS, SUBJECTS
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 from dynaviz import registry
 
 DEFAULT_EXAMPLES = 5  # damaged files per reader
+SLOW = ("dynaviz implant", "dynaviz tune", "dynaviz report (HTML)", "dynaviz bench")  # a second or more per file
 EXAMPLES = int(os.environ.get("FUZZ", DEFAULT_EXAMPLES))
 
 
@@ -59,6 +61,14 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
         remove(file)
         file.write_bytes(contents[file])
     for seed in range(EXAMPLES):
+        mutants.read(seed)
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in SLOW])
+def test_commands_read_or_refuse_damaged_files(name: str, tmp_path: Path) -> None:
+    mutants = Mutants(name, tmp_path)
+    assert reads_or_refuses(mutants.subject.read, mutants.example, tmp_path), "the example itself is refused"
+    for seed in range(EXAMPLES // 2):
         mutants.read(seed)
 
 

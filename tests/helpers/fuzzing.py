@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
+import math
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,12 +28,16 @@ from typing import Any
 
 from dynaviz.errors import DataError, DynavizError
 from helpers.damage import remove
+from helpers.read_once import read_once
+from helpers.readable_commands import COMMANDS
 from helpers.readable_files import SUBJECTS, parts
 from helpers.structured_damage import damaged_structure
 
+EVERYTHING = SUBJECTS | COMMANDS
 TIMEOUT = 30  # seconds per file
-MEMORY = 200 << 20  # bytes that a reader may need in addition to four times the size of the file
-BATCH = 250  # files per child process
+MEMORY = 200 << 20  # bytes that a reader may need in addition
+BATCH = 2500  # files per child process
+CRASHED = 70  # exit code of a child process that fails itself
 
 
 class Timeout(BaseException):
@@ -51,12 +59,12 @@ def time_limit(seconds: int) -> Iterator[None]:
 
 
 def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> bool:
-    """Whether the file was read; fails unless the reader succeeds or raises a readable error."""
-    refusal = None
+    """Whether the file was read; fails unless the reader succeeds, returns False, or raises a readable error."""
+    refusal, read_it = None, True
     with warnings.catch_warnings(record=True) as caught, time_limit(TIMEOUT):
         warnings.simplefilter("always")
         try:
-            read(path)
+            read_it = read(path) is not False
         except DynavizError as error:
             refusal = error
         except Exception as error:  # shown in short form, because the text may be very long
@@ -68,7 +76,7 @@ def reads_or_refuses(read: Callable[[Path], Any], path: Path, folder: Path) -> b
         assert str(refusal).isprintable(), f"not one printable line: {str(refusal)!r}"
         assert len(str(refusal)) < 2500, f"{len(str(refusal))} characters: {str(refusal)[:200]}"
         assert not isinstance(refusal, DataError) or Path(refusal.path).is_relative_to(folder), refusal
-    return refusal is None
+    return refusal is None and read_it
 
 
 class Mutants:
@@ -80,7 +88,7 @@ class Mutants:
     """
 
     def __init__(self, name: str, folder: Path) -> None:
-        self.subject, self.folder = SUBJECTS[name], folder
+        self.subject, self.folder = EVERYTHING[name], folder
         self.example = self.subject.make(folder)
         self.contents = {file: file.read_bytes() for file in parts(folder, self.subject.target)}
         # One file of each kind first, so that a single table is damaged as often as one of many sweeps.
@@ -95,70 +103,115 @@ class Mutants:
         remove(file)
         file.write_bytes(content)
         read = reads_or_refuses(self.subject.read, self.example, self.folder)
-        remove(file)
-        file.write_bytes(self.contents[file])
+        self.restore(file)
         return read
+
+    def restore(self, *files: Path) -> None:
+        """Undo the damage to some files; default: all."""
+        for file in files or self.contents:
+            remove(file)
+            file.write_bytes(self.contents[file])
 
 
 def main() -> None:
-    """Fuzz subjects, and print a line for each, and one for each failure."""
+    """Fuzz subjects; print a line for each, and one for each failure. Exits with 1 if there is one."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(SUBJECTS))
+    parser.add_argument("names", nargs="*", default=list(SUBJECTS), help="of readers or commands; default: all readers")
     parser.add_argument("-n", type=int, default=1000, help="number of files per subject")
-    parser.add_argument("-s", type=int, default=1, help="first seed")
+    parser.add_argument("-s", type=int, default=int(os.environ.get("FUZZ_SEED", "1")), help="first seed")
+    parser.add_argument("-j", type=int, default=1, help="number of processes, each with its share of the subjects")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="time limit of all subjects together")
     options = parser.parse_args()
-    for name in options.names or SUBJECTS:
-        start, count, most = time.monotonic(), {"read": 0, "refused": 0, "failed": 0}, 0
-        done, end = options.s, options.s + options.n
-        while done < end:
-            for seed, outcome, memory in batch(name, done, min(done + BATCH, end)):
-                count[outcome if outcome in count else "failed"] += 1
-                most, done = max(most, memory), seed + 1
-                if outcome not in count or memory > MEMORY:
-                    print(f"{name}, seed {seed}, {memory >> 20} MB: {outcome[:500]}", flush=True)
-        print(f"{name}: {count}, at most {most >> 20} MB, {time.monotonic() - start:.0f} s", flush=True)
+    end = time.monotonic() + options.seconds
+    read_once()
+    jobs = []
+    for first in range(options.j):
+        jobs.append(os.fork())
+        if not jobs[-1]:
+            names = options.names[first :: options.j]
+            seeds = range(options.s, options.s + options.n)
+            # Each subject has an equal share of the time that is left, so that slow ones use what fast ones leave.
+            failed = sum(fuzz(name, seeds, _share(end, len(names) - k)) for k, name in enumerate(names))
+            os._exit(failed > 0)
+    sys.exit(max(os.waitstatus_to_exitcode(os.waitpid(job, 0)[1]) for job in jobs))
 
 
-def batch(name: str, first: int, last: int) -> Iterator[tuple[int, str, int]]:
-    """Seed, outcome and additional memory in bytes of each file, read in a child process; ends at the first crash."""
+def _share(end: float, subjects: int) -> float:
+    return time.monotonic() + (end - time.monotonic()) / subjects
+
+
+def fuzz(name: str, seeds: range, until: float) -> int:
+    """Read the damaged files of a subject in child processes and print the outcomes; returns the number of failures."""
+    start, counts, most, done = time.monotonic(), Counter[str](), 0, 0
+    while done < len(seeds) and time.monotonic() < until:
+        for outcome, memory in batch(name, seeds[done : done + BATCH], until):
+            failed = outcome not in ("read", "refused") or memory > MEMORY
+            if failed:
+                print(f"{name}, seed {seeds[done]}, {memory >> 20} MB: {outcome[:500]}", flush=True)
+            counts["failed" if failed else outcome] += 1
+            most, done = max(most, memory), done + 1
+    files = ", ".join(f"{count:,} {outcome}" for outcome, count in sorted(counts.items()))
+    took = time.monotonic() - start
+    print(f"{name}: {files}; at most {most >> 20} MB; {took:.0f} s, {done / took:.0f} per second", flush=True)
+    return counts["failed"]
+
+
+def batch(name: str, seeds: range, until: float) -> Iterator[tuple[str, int]]:
+    """Outcome and additional bytes of memory per seed, read in a child process; ends at the first crash or hang."""
     receive, send = os.pipe()
     with tempfile.TemporaryDirectory() as folder:
         child = os.fork()
-        if child == 0:
+        if not child:
             os.close(receive)
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            with os.fdopen(send, "w") as out:
-                child_main(name, Path(folder), range(first, last), out)
-            os._exit(0)
+            os.dup2(os.open(f"{folder}/stderr.txt", os.O_WRONLY | os.O_CREAT), 2)
+            try:
+                with os.fdopen(send, "w") as out:
+                    read_all(name, Path(folder, "example"), seeds, until, out)
+            finally:
+                os._exit(0 if not sys.exc_info()[0] else CRASHED)
         os.close(send)
-        seed = first - 1
         with os.fdopen(receive) as lines:
+            ready = lines.readline()
             for line in lines:
-                number, memory, outcome = line.rstrip("\n").split(" ", 2)
-                seed = int(number)
-                yield seed, outcome, int(memory)
-        _, status = os.waitpid(child, 0)
-    if status:
-        yield seed + 1, f"the process ended with {os.waitstatus_to_exitcode(status)}", 0
+                memory, outcome = line.rstrip("\n").split(" ", 1)
+                yield outcome, int(memory)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        messages = Path(folder, "stderr.txt").read_text(errors="replace")[-300:]
+        assert ready, f"{name}: the example cannot be read: {messages}"
+        if status:
+            kept = shutil.copytree(folder, tempfile.mkdtemp(prefix="crash-"), dirs_exist_ok=True)
+            problem = f"the process ended with {status}" if status != 1 else f"no answer after {2 * TIMEOUT} s"
+            yield f"{problem}: {' '.join(messages.split())}; the files are kept in {kept}", 0
 
 
-def child_main(name: str, folder: Path, seeds: range, out: Any) -> None:
+def read_all(name: str, folder: Path, seeds: range, until: float, out: Any) -> None:
+    """Runs in the child process; prints a line when it is ready, and one after each file."""
+    folder.mkdir()
     mutants = Mutants(name, folder)
-    with contextlib.suppress(AssertionError):
-        reads_or_refuses(mutants.subject.read, mutants.example, folder)  # loads all libraries
+    assert reads_or_refuses(mutants.subject.read, mutants.example, folder)  # loads all libraries, too
+    print("ready", file=out, flush=True)
     for seed in seeds:
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        if time.monotonic() > until:
+            break
+        faulthandler.dump_traceback_later(2 * TIMEOUT, exit=True)  # ends hangs in compiled code, too
+        before = memory(reset=True)
         try:
             outcome = "read" if mutants.read(seed) else "refused"
         except (AssertionError, Timeout) as error:
             outcome = " ".join(str(error).split())
-            for file, content in mutants.contents.items():
-                remove(file)
-                file.write_bytes(content)
-        more = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-        out.write(f"{seed} {more << 10} {outcome}\n")
-        out.flush()
+            mutants.restore()
+        print(memory() - before, outcome, file=out, flush=True)
+
+
+def memory(reset: bool = False) -> int:
+    """Bytes that this process has used at most, since the last reset if the system can forget what was before."""
+    with contextlib.suppress(OSError):
+        if reset:
+            Path("/proc/self/clear_refs").write_text("5")
+        status = Path("/proc/self/status").read_text()
+        return int(status.partition("VmHWM:")[2].split()[0]) << 10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

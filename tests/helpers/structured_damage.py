@@ -5,6 +5,7 @@ Random bytes rarely get past the parser of a format; these changes test what com
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import re
@@ -69,7 +70,7 @@ def json_values(content: bytes, random: Random) -> bytes:
         del node[key]
     elif change < 0.95:
         other, there = random.choice(places)
-        node[key] = other.get(there) if isinstance(other, dict) else 0
+        node[key] = copy.deepcopy(other[there]) if isinstance(other, dict) else 0
     elif isinstance(node, list):
         node.append(node[key])
     return json.dumps(tree).encode()

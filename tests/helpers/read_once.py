@@ -1,0 +1,39 @@
+"""Make what no damaged file changes once per process: it takes up to 50 times as long as reading a small file."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from typing import Any
+
+import typer.main
+from rosbags.highlevel import anyreader
+from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
+
+from dynaviz import registry
+
+
+def read_once() -> None:
+    """Keep the entry points of plug-ins, the tree of commands, and what rosbags makes of the same text.
+
+    Changes these libraries for the rest of the process. Other texts, such as damaged ones, are read as usual.
+    """
+    registry.handles = functools.cache(registry.handles)
+    typer.main.get_command = functools.cache(typer.main.get_command)  # type: ignore[assignment]
+    anyreader.get_types_from_msg = functools.lru_cache(1000)(anyreader.get_types_from_msg)  # type: ignore[assignment]
+
+    load = YAML.load
+    parsed = functools.lru_cache(1000)(lambda text: load(YAML(typ="safe"), text))
+    YAML.load = lambda self, text: copy.deepcopy(parsed(text))
+
+    register, known = Typestore.register, dict[str, dict[str, Any]]()
+
+    def register_once(store: Typestore, types: Any) -> None:
+        key = repr((store.fielddefs, types))
+        if key not in known:
+            register(store, types)
+            known[key] = vars(store).copy()
+        vars(store).update(known[key])  # with the code that was generated for its messages
+
+    Typestore.register = register_once  # type: ignore[method-assign]
