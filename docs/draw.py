@@ -45,6 +45,7 @@ STATES = {  # the state in a method's picture, and its frame: 24 unless another 
 CASES = 4  # failure cases on the page of a method
 OF_A_CASE = ("kind", "cost", "cause", "what", "frames", "moved", "range", "low", "high", "reasons")  # for its sentence
 HALF = (760, 620)  # pixels of each half of a method's picture
+CASE = (760, 480)  # pixels of the picture of a case
 GAP = 8  # white pixels between the halves
 TILE = (480, 330)  # pixels of a method in the overview of all states
 TILES = 3  # in a row
@@ -112,8 +113,10 @@ def of_demo(folder: Path) -> None:
     for name, recording in runs.items():
         dv.run(name, street, record=recording)
     octomap = runs["octomap"]
-    save(picture(octomap, folder, 41, None, WIDE), "recording.jpg")
-    save(picture(octomap, folder, 41, None, WINDOW), "pictures/window.jpg")
+    save(picture(octomap, folder, 41, None, WIDE, case=1), "recording.jpg")  # as it opens
+    save(picture(octomap, folder, 41, None, WINDOW, case=2), "pictures/window.jpg")
+    for name, recording in runs.items():
+        save(picture(recording, folder, 41, "case", CASE, case=1), f"pictures/case_{name}.jpg")
     save(picture(octomap, folder, 41, "frame", (1100, 640)), "pictures/frame.jpg")
     save(picture(octomap, folder, 41, "failures", (520, 740))[:LIST], "pictures/failures.jpg")
     save(picture(octomap, folder, 41, WRONG, (900, 400)), "pictures/wrong.jpg")
@@ -140,9 +143,14 @@ def overview(measured: dict[str, Any]) -> None:
     save(np.vstack([np.hstack(tiles[start : start + TILES]) for start in range(0, len(tiles), TILES)]), "states.jpg")
 
 
-def picture(recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int]) -> U8:
-    """One view of a recording, or the whole window if ``view`` is None: (rows, columns, 3) uint8, BGR."""
-    path = shot(recording, folder / "shot.png", (frame,), view, size)[0]
+def picture(
+    recording: Path, folder: Path, frame: int, view: str | None, size: tuple[int, int], case: int | None = None
+) -> U8:
+    """One view of a recording, or the whole window if ``view`` is None: (rows, columns, 3) uint8, BGR.
+
+    Shows a case instead of the frame if its number is given.
+    """
+    path = shot(recording, folder / "shot.png", (frame,) if case is None else (), view, size, case)[0]
     image = np.asarray(cv2.imread(str(path)), np.uint8)
     return image if view else image[BAR:]
 
