@@ -57,7 +57,7 @@ LIST = 612  # pixels of the list of failures; the viewer's time panel covers the
 JPEG = [
     *(cv2.IMWRITE_JPEG_QUALITY, 74),
     *(cv2.IMWRITE_JPEG_OPTIMIZE, 1),
-    *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),  # thin coloured lines stay sharp
+    *(cv2.IMWRITE_JPEG_PROGRESSIVE, 1),  # smaller by 6 %
 ]
 
 

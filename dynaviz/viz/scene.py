@@ -118,7 +118,7 @@ class MapDrawing:
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
         middle = (low + high) / 2
-        labelled = _labelled(cases.frames[order], case, middle)
+        labelled = with_labels(cases.frames[order], case, middle)
         columns = rr.Boxes3D.columns(
             centers=middle, half_sizes=(high - low) / 2, colors=shades[case],
             labels=np.where(labelled, labels[case], "").tolist(),
@@ -146,8 +146,14 @@ class MapDrawing:
         return rr.Points3D(xyz, class_ids=ids, radii=_radii(outcome), show_labels=False)
 
 
-def _labelled(frames: I64, cases: I64, middle: F32) -> Bool:
-    """(N,) whether a box gets a label: the costliest of each frame that are apart; cases ascend by their number."""
+def with_labels(frames: I64, cases: I64, middle: F32) -> Bool:
+    """(N,) whether a box gets a label: the costliest of its frame that are apart from each other.
+
+    Args:
+        frames: (N,) int64, ascending.
+        cases: (N,) int64, the case of each box, 0 for the costliest.
+        middle: (N, 3) metres.
+    """
     labelled = np.zeros(len(frames), np.bool_)
     for rows in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames)) + 1):
         mine: list[int] = []

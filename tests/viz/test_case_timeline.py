@@ -14,7 +14,7 @@ from helpers.worlds import InMemory, room
 from dynaviz.results.sections import FailureCase
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths, witnesses
-from dynaviz.viz.cases import DID, listed
+from dynaviz.viz.cases import DID, listed, suspicious
 from dynaviz.viz.reader import RunRecording
 
 
@@ -120,6 +120,9 @@ def test_without_ground_truth_nothing_is_called_right(tmp_path: Path) -> None:
     frames, values = recording.curve(f"{paths.REMOVED_POINTS}/removed")
     assert frames.tolist() == [0, 1, 2, 3]
     assert values.sum() == removed
+    assert recording.result is not None
+    sizes = [row["Scalars:scalars"][0] for row in at_cases(recording, f"{paths.CASE_COST}/points").values()]
+    assert sizes == [cluster.points for cluster in suspicious(recording.result)] != []
 
 
 def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:

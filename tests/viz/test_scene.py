@@ -1,4 +1,4 @@
-"""The downsampled map of a run."""
+"""The downsampled map of a run, and the labels of boxes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from dynaviz.spatial.grid import pack
 from dynaviz.viz.downsampling import DownsampledMap
+from dynaviz.viz.scene import APART, LABELS, with_labels
 
 
 @settings(deadline=None, max_examples=40)
@@ -29,3 +30,12 @@ def test_a_map_keeps_one_point_per_voxel_below_its_cap(seed: int, cap: int) -> N
     assert all(known[tuple(p)] == code for p, code in zip(few, some, strict=True))
     assert len(np.unique(pack(few - middle, 0.2))) == len(few)
     assert (np.diff(reasons.astype(int)) >= 0).all()
+
+
+def test_the_costliest_boxes_of_a_frame_have_labels_that_do_not_overlap() -> None:
+    frames = np.array([3, 3, 3, 7, 7, 7, 7, 7])
+    cases = np.array([5, 0, 1, 4, 2, 3, 0, 1])
+    along = np.array([0.0, 0.5, 2.0, 0.0, 1.0, 2.0, 3.0, 4.0]) * APART
+    labelled = with_labels(frames, cases, np.stack([along, 0 * along, 0 * along], 1).astype(np.float32))
+    assert labelled.tolist() == [False, True, True, False, True, False, True, True]
+    assert labelled[3:].sum() == LABELS
