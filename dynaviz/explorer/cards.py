@@ -20,6 +20,11 @@ THUMBNAIL = (112, 72)  # pixels
 AROUND = 1.5  # width of a thumbnail, in widths of the case
 SMALLEST = 5.0  # metres: width of the smallest thumbnail
 BOTH = 0.5  # share of a case's points that the other run gets wrong, too, from which both are wrong
+KINDS = {
+    Outcome.FALSE_NEGATIVE: "ghost",
+    Outcome.FALSE_POSITIVE: "hole",
+    Outcome.UNLABELLED_REMOVED: "removed",
+}
 OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
@@ -73,22 +78,23 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster) -> 
 
 def plain(run: ExploredRun, card: Card, other: ExploredRun | None) -> dict[str, Any]:
     """A card in plain types, as the page receives it."""
-    case, failure = card.case, card.case if isinstance(card.case, FailureCase) else None
+    case = card.case
+    failure = case if isinstance(case, FailureCase) else None
+    suspicion, why = (case.suspicion, case.why) if isinstance(case, RemovedCluster) else (None, ())
     return {
         "number": card.number,
         "title": card.title,
-        "kind": {Outcome.FALSE_NEGATIVE: "ghost", Outcome.FALSE_POSITIVE: "hole"}.get(card.outcome, "removed"),
+        "kind": KINDS[card.outcome],
         "cost": failure.cost if failure else None,
         "metric": failure.metric if failure else None,
-        "suspicion": None if isinstance(case, FailureCase) else case.suspicion,
+        "suspicion": suspicion,
         "points": case.points,
         "first": case.first_frame,
         "last": case.last_frame,
         "worst": case.worst_frame,
-        "frames": case.frames,
         "range": case.range.mean,
         "reasons": dict(case.reasons),
-        "cause": (failure.cause if failure else None) or (None if failure else ", ".join(_why(case)) or None),
+        "cause": (failure.cause if failure else ", ".join(why)) or None,
         "behaviour": failure.behaviour if failure else None,
         "what": case.what,
         "object": f"{case.what} {failure.instance}" if failure and failure.instance else None,
@@ -99,10 +105,6 @@ def plain(run: ExploredRun, card: Card, other: ExploredRun | None) -> dict[str, 
         "spark": spark(run, card),
         "by": by(run, card, other),
     }
-
-
-def _why(case: FailureCase | RemovedCluster) -> tuple[str, ...]:
-    return case.why if isinstance(case, RemovedCluster) else ()
 
 
 def spark(run: ExploredRun, card: Card) -> list[int]:

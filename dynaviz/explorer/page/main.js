@@ -105,7 +105,7 @@ function openViewer(letter) {
     click: item => clicked(letter, item),
     time: frame => moved(letter, frame),
     played: playing => {
-      for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.playing !== playing) viewer.seek(viewers[letter].time, false)
+      if (!playing) for (const viewer of Object.values(viewers)) if (viewer !== viewers[letter] && viewer.opened) viewer.follow(viewers[letter].time)
     },
   })
 }
@@ -122,7 +122,7 @@ async function opened(letter) {
 
 /** One cursor: the other viewer follows. */
 function moved(letter, frame) {
-  for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.opened && viewer.time !== frame && viewers[letter].opened) viewer.seek(frame)
+  for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.opened && viewer.time !== frame && viewers[letter].opened) viewer.follow(frame)
   if (viewers[letter].opened) change({ frame })
 }
 

@@ -11,7 +11,9 @@ export class Viewer {
    */
   constructor(element, url, on) {
     this.on = on
-    this.time = null
+    this.time = null // the frame under the cursor, as the viewer reports it
+    this.timeline = null
+    this.followed = new Set() // frames to which another viewer has led this one
     this.playing = false
     this.listeners = {}
     this.waiting = []
@@ -28,9 +30,13 @@ export class Viewer {
 
   /** Move the cursor. */
   seek(frame, play = false) {
-    this.time = frame
-    this.playing = play
     this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(frame), play })
+  }
+
+  /** Move the cursor as another viewer did, and report nothing. */
+  follow(frame) {
+    if (this.time !== frame) this.followed.add(frame)
+    this.seek(frame)
   }
 
   play(play) { this.seek(this.time ?? 0, play) }
@@ -45,16 +51,23 @@ export class Viewer {
 
   #hear(event) {
     if (event === 'ready') return
-    const told = JSON.parse(event)
-    if (told.type === 'recording_open') this.#open()
-    else if (told.type === 'selection_change') this.#click(told.items)
-    else if (told.type === 'time_update') {
-      this.time = Math.round(told.time)
-      this.on.time(this.time)
-    } else if (told.type === 'play' || told.type === 'pause') {
-      this.playing = told.type === 'play'
+    const message = JSON.parse(event)
+    if (message.type === 'recording_open') this.#open()
+    else if (message.type === 'selection_change') this.#click(message.items)
+    else if (message.type === 'timeline_change') {
+      this.timeline = message.timeline
+      this.#move(message.time)
+    } else if (message.type === 'time_update') this.#move(message.time)
+    else if (message.type === 'play' || message.type === 'pause') {
+      this.playing = message.type === 'play'
       this.on.played(this.playing)
     }
+  }
+
+  #move(time) {
+    if (this.timeline !== null && this.timeline !== 'frame') return
+    this.time = Math.round(time)
+    if (!this.followed.delete(this.time)) this.on.time(this.time)
   }
 
   #open() {
