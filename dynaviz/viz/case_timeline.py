@@ -109,7 +109,7 @@ class CaseTimeline:
             self._rays(evidence)
             self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{self._see(deciding[-1])}\n{HOW}")
             self._sink.chunks(
-                drawn.at_case(path, case.number, _near(path, row, (case.low + case.high) / 2))
+                drawn.at_case(path, case.number, near(path, row, (case.low + case.high) / 2))
                 for path, row in here.items()
                 if case.number <= PICTURES or path.startswith(paths.WORLD)
             )
@@ -117,15 +117,10 @@ class CaseTimeline:
         return deciding[0]
 
     def _deciding(self, here: dict[str, drawn.Row], place: witnesses.Place) -> str | None:
-        """The state with the largest share of its points or voxels at a place; None if none has any."""
-        best, most = None, 0.0
-        for state in self._info.emits:
-            row = here.get(paths.state(self._info.name, state), {})
-            if (xyz := drawn.positions(row)) is not None and len(xyz):
-                share = float(((xyz >= place.low) & (xyz <= place.high)).all(1).mean())
-                if share > most:
-                    best, most = state.name, share
-        return best
+        """The name of the state with the largest share of its points or voxels at a place."""
+        names = {paths.state(self._info.name, state): state.name for state in self._info.emits}
+        path = drawn.deciding(here, list(names), place.low, place.high)
+        return None if path is None else names[path]
 
     def _see(self, state: str | None) -> str:
         meaning = {known.name: known.meaning for known in self._info.emits}
@@ -141,9 +136,9 @@ class CaseTimeline:
         self._sink.log(paths.CASE_BOX, box)
         self._sink.log(
             paths.CASE_NAME,
-            rr.Points3D.from_fields(positions=_above(low[None], high[None]), labels=[label]),
+            rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[label]),
         )
-        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=_circles(low[None], high[None])))
+        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=circles(low[None], high[None])))
         self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
 
     def _styles(self) -> None:
@@ -176,12 +171,12 @@ class CaseTimeline:
             centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
             colors=[colours.BRIGHT[case.outcome] for case in cases],
         )  # fmt: skip
-        names = rr.Points3D.columns(positions=_above(low, high), labels=[case.label for case in cases])
+        names = rr.Points3D.columns(positions=above(low, high), labels=[case.label for case in cases])
         aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
         self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
         self._sink.columns(paths.CASE_NAME, frames.tolist(), [None], names)
         self._sink.columns(
-            paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=_circles(low, high))
+            paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=circles(low, high))
         )
         self._sink.columns(paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames)))
         last = None
@@ -192,14 +187,14 @@ class CaseTimeline:
                 last = case
 
 
-def _circles(low: F64, high: F64) -> F32:
+def circles(low: F64, high: F64) -> F32:
     """(N, 49, 3): a circle on the ground around each box."""
     centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
     circles: F32 = (centre[:, None] + _radius(low, high)[:, None, None] * CIRCLE).astype(np.float32)
     return circles
 
 
-def _above(low: F64, high: F64) -> F32:
+def above(low: F64, high: F64) -> F32:
     """(N, 3): the place of the label of each box."""
     places = np.concatenate([(low + high)[:, :2] / 2, high[:, 2:]], 1)
     places[:, 2] += LIFT * _radius(low, high)
@@ -231,7 +226,7 @@ def _place(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
     return witnesses.Place.of(corners.mean(0, keepdims=True))
 
 
-def _near(path: str, row: drawn.Row, middle: F64) -> drawn.Row:
+def near(path: str, row: drawn.Row, middle: F64) -> drawn.Row:
     """The part of an entity near a case."""
     xyz = drawn.positions(row)
     if xyz is None:

@@ -23,6 +23,11 @@ CHANGED = "compare/changed_frames"  # marks on these curves
 DISTANCE = "compare/error_distance"  # static: histograms of all runs, bars next to each other
 REPORT = "compare/report"  # Markdown
 
+CASE_BOX = "compare/case/box"  # on the timeline of cases: where one run is right and the other wrong
+CASE_AROUND = "compare/case/around"  # a circle around it, which the eye tracks
+CASE_TEXT = "compare/case_text"
+CASE_STATES = "world/case"  # of each run: the state that shows most of the case
+
 SIDES = "abcdefgh"  # roots of the runs
 COLOURS: tuple[tuple[str, Colour], ...] = (  # of the runs, on white and on black; none is the colour of an outcome
     ("green", (45, 165, 85)),
@@ -37,7 +42,7 @@ COLOURS: tuple[tuple[str, Colour], ...] = (  # of the runs, on white and on blac
 ABREAST = 4  # runs whose map and frame are both visible; with more, they share tabs
 
 
-def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
+def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Blueprint:
     """The layout for two runs.
 
     Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each run. Right: the
@@ -46,6 +51,7 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     Args:
         names: of the runs.
         places: (N, 3) metres, world frame: points to look at; None if nothing is drawn.
+        cases: whether there is a timeline of cases; the recording then opens at the first one.
     """
     gain = f"gain per frame: above 0 {names[1]} is better, below 0 {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
@@ -57,8 +63,14 @@ def two(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
-    world = rrb.Grid(where, who, *frames, grid_columns=2)
-    return blueprint(rrb.Horizontal(world, _column(numbers), column_shares=[5, 3]))
+    if not cases:
+        world: Any = rrb.Grid(where, who, *frames, grid_columns=2)
+        return blueprint(rrb.Horizontal(world, _column(numbers), column_shares=[5, 3]))
+    views = [_case(side, name) for side, name in zip(SIDES, names, strict=False)]
+    world = rrb.Grid(*views, rrb.Tabs(where, who), rrb.Tabs(*frames), grid_columns=2)
+    text = rrb.TextDocumentView(name="what and why", origin=CASE_TEXT, contents=[CASE_TEXT])
+    column = rrb.Vertical(text, _column(numbers), row_shares=[1, 3])
+    return blueprint(rrb.Horizontal(world, column, column_shares=[5, 3]), paths.CASE)
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
@@ -101,6 +113,13 @@ def _map(side: str, name: str, places: F64) -> Any:
 def _frame(side: str, name: str) -> Any:
     shown = [f"{side}/{path}" for path in (paths.SCAN, paths.MAP, paths.SENSOR, paths.RINGS, paths.TRAJECTORY)]
     return solid(name, shown, follow(f"{side}/{paths.RINGS}"), f"{side}/{paths.WORLD}")
+
+
+def _case(side: str, name: str) -> Any:
+    """The difference at the index, as a run drew it: its points, and the state that shows most."""
+    of_run = (paths.SCAN, paths.MAP, paths.SENSOR, paths.TRAJECTORY, f"{CASE_STATES}/**")
+    shown = [*(f"{side}/{path}" for path in of_run), CASE_BOX, paths.names(CASE_BOX), CASE_AROUND]
+    return solid(f"case: {name}", shown, follow(CASE_AROUND), f"{side}/{paths.WORLD}")
 
 
 def _curves(score: str, names: Sequence[str], key: str) -> Any:

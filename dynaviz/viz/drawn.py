@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -54,6 +54,17 @@ def positions(row: Row) -> F64 | None:
         centres: F64 = (values(row, VOXELS) + 0.5) * values(row, VOXEL_SIZE)[0].astype(np.float64)
         return centres
     return None
+
+
+def deciding(here: Mapping[str, Row], states: Iterable[str], low: F64, high: F64) -> str | None:
+    """The path of the state with the largest share of its points or voxels in a box; None if none has any."""
+    best, most = None, 0.0
+    for path in states:
+        if (xyz := positions(here.get(path, {}))) is not None and len(xyz):
+            share = float(((xyz >= low) & (xyz <= high)).all(1).mean())
+            if share > most:
+                best, most = path, share
+    return best
 
 
 def only(row: Row, chosen: Intp) -> Row:

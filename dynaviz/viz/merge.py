@@ -20,7 +20,7 @@ from dynaviz.comparison.pair import FrameChange, PlaceChange
 from dynaviz.comparison.summary import Comparison
 from dynaviz.io.atomic import atomic_file
 from dynaviz.progress import Progress, silent
-from dynaviz.viz import compare_layout, paths
+from dynaviz.viz import compare_layout, compared_cases, paths
 from dynaviz.viz.agreement import AgreementLegend, agreed_points
 from dynaviz.viz.compare_layout import (
     CHANGED,
@@ -92,7 +92,10 @@ def write(
         for root, run, colour, recording in zip(SIDES, comparison.runs, RUNS, recordings, strict=False)
     ]
     pair, drawn = len(sides) == 2, bool(fine)
-    with _stream(out, comparison.title, _layout(sides, fine)) as stream:
+    found: list[compared_cases.Difference] = []
+    if pair and drawn and all(recording.properties["has_labels"] for recording in recordings):
+        found = compared_cases.find((recordings[0], recordings[1]))
+    with _stream(out, comparison.title, _layout(sides, fine, bool(found))) as stream:
         if pair and drawn:  # first: the viewer reports a problem for views whose entities do not exist yet
             legend = _legend(sides)
             stream.log(COMPARE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -109,12 +112,16 @@ def write(
             _write_gains_by_frame(stream, sides, counts[0], comparison.pairs[0].frames)
         if pair and drawn:
             _write_agreement(stream, sides[0], sides[1], legend)
+        if found:
+            compared_cases.write(stream, SIDES[:2], (recordings[0], recordings[1]), found)
 
 
-def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains]) -> Any:
+def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains], cases: bool) -> Any:
     names = [side.name for side in sides]
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
-    return compare_layout.two(names, places) if len(sides) == 2 else compare_layout.many(names, places)
+    if len(sides) > 2:
+        return compare_layout.many(names, places)
+    return compare_layout.two(names, places, cases)
 
 
 def _bulk(gains: SpatialGains) -> F64:

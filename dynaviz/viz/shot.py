@@ -16,6 +16,7 @@ from dynaviz.errors import DynavizError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.viz import clip, paths, viewer
+from dynaviz.viz.compare_layout import CASE_TEXT
 from dynaviz.viz.reader import AnyRecording, RunRecording, read, viewable
 
 SIZE = (1600, 900)
@@ -65,7 +66,7 @@ def shot(
     if frames:
         raise UsageError("--case and --frame cannot be combined. Give one of them")
     if not isinstance(source, RunRecording):
-        raise UsageError(f"--case {case}: {source.path} contains a comparison, which has no cases. Give --frame")
+        return _difference(source, out, case, view, size)
     span = clip.case_span(source, case)
     if out.suffix.lower() != ".mp4":
         return _case(source, out, case, span, view, size)
@@ -149,6 +150,22 @@ def _case(
             _go_to(client, paths.CASE, case)
         else:
             _go_to(client, paths.FRAME, span.worst)
+        write_atomic(out, picture())
+    return [out]
+
+
+def _difference(source: AnyRecording, out: Path, case: int, view: str | None, size: tuple[int, int]) -> list[Path]:
+    """A picture of a case of a comparison."""
+    count = sum(1 for _ in source.rows(CASE_TEXT, paths.CASE))
+    if not count:
+        raise UsageError(f"--case {case}: {source.path} contains a comparison, which has no cases. Give --frame")
+    if not 1 <= case <= count:
+        raise UsageError(f"--case {case}: {source.path} has the cases 1 to {count}")
+    if out.suffix.lower() == ".mp4":
+        raise UsageError(f"--clip {out}: {source.path} contains a comparison. Give the run.rrd of a run")
+    with _window(source, size) as client:
+        picture = _picture(client, view)
+        _go_to(client, paths.CASE, case)
         write_atomic(out, picture())
     return [out]
 

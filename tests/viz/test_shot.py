@@ -75,7 +75,11 @@ def test_a_case_that_is_not_listed(runs: dict[str, Path], merged: dict[str, Path
     with pytest.raises(UsageError, match=r"--case 1: .*run.rrd lists no case$"):
         shot(recording, "no.png", case=1)
     with pytest.raises(UsageError, match=r"contains a comparison, which has no cases\. Give --frame"):
-        shot(merged["two"], "no.png", case=1)
+        shot(merged["scores"], "no.png", case=1)
+    with pytest.raises(UsageError, match=r"--case 99: .*two.rrd has the cases 1 to \d+$"):
+        shot(merged["two"], "no.png", case=99)
+    with pytest.raises(UsageError, match=r"--clip no.mp4: .* contains a comparison. Give the run.rrd of a run"):
+        shot(merged["two"], "no.mp4", case=1)
     with pytest.raises(UsageError, match=r"--case and --frame cannot be combined\. Give one"):
         shot(recording, "no.png", case=1, frames=(0,))
 
