@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.browser import CHROMIUM, measured
 from helpers.guessing_method import Guess, guess_run
 from helpers.html_pages import Page
 from helpers.made_results import result
@@ -23,9 +24,9 @@ from dynaviz.board.check import check_board
 from dynaviz.board.entries import read_board
 from dynaviz.board.sequences import SequenceFinder
 from dynaviz.board.write import write_board
-from dynaviz.errors import DataError
+from dynaviz.errors import DataError, UsageError
 from dynaviz.protocol import ProtocolScores
-from dynaviz.reporting import Study
+from dynaviz.reporting import Study, report
 from dynaviz.results.collect import collect
 from dynaviz.results.result import Result
 from dynaviz.results.sections import SequenceInfo
@@ -212,13 +213,14 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
 
 def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> None:
     runs = [result(m, s) for m in ("octomap", "erasor") for s in ("semantickitti_08", "hall")]
-    runs.append(result("removert", "hall"))
+    runs += [result("removert", "hall"), result("map", "hall", scoring="nn")]
     counts = {"TP": 30, "FP": 10, "FN": 20}
     study = made_study(tmp_path, *runs)
     scores = {run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs}
     text = registry.load("reports", "board")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
     page = Page(text)
-    rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos")}
+    assert not any(name.startswith("across") and name.endswith("nn") for name in page.tables)  # a single sequence
+    rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos-mask")}
     assert rows == {"octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["–", "50.00", "–"]} or rows == {
         "octomap": ["50.00"] * 3, "erasor": ["50.00"] * 3, "removert": ["50.00", "–", "–"],
     }  # fmt: skip
@@ -228,6 +230,15 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
     assert "00/result.json" in page.links
     assert not page.loaded
     assert not re.search(r"""(src|href|url\()\s*=?\s*["'(]?\s*(https?:)?//""", text)
+    if CHROMIUM:
+        (tmp_path / "index.html").write_text(text)
+        assert measured(tmp_path / "index.html", 390)["cut"] == []
+
+
+def test_only_the_command_writes_a_board(tmp_path: Path) -> None:
+    result("octomap").save(tmp_path / "result.json")
+    with pytest.raises(UsageError, match="dynaviz board FOLDER"):
+        report(tmp_path, format="board")
 
 
 def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from dynaviz.errors import UsageError
 from dynaviz.protocol import ProtocolInfo, ProtocolScores
 from dynaviz.reporting import Study
 from dynaviz_eval.protocols.moving import SemanticKittiMos
@@ -58,7 +59,13 @@ class Boards:
 
 
 def board_report(study: Study) -> str:
-    """The page of a board: methods by sequences by protocols, failure cases, and the digests of all entries."""
+    """The page of a board: methods by sequences by protocols, failure cases, and the digests of all entries.
+
+    Raises:
+        UsageError: without scores by protocol, which only ``dynaviz board`` computes.
+    """
+    if not study.protocols:
+        raise UsageError("a board needs the scores of every protocol. Write it with: dynaviz board FOLDER")
     content = Boards(study, boards(study), _ordered(study))
     parts = []
     for number, board in enumerate(content.boards, 1):
@@ -69,7 +76,7 @@ def board_report(study: Study) -> str:
         "board.html.jinja",
         headline=_headline(content),
         best=_best(content),
-        across=_across(content) if len(content.boards) > 1 else [],
+        across=_across(content),
         protocols=protocol_table(content.infos),
         parts=parts,
         entries=_entries(content),
@@ -176,21 +183,24 @@ def _all_scores(content: Boards, board: ScoreBoard, number: int) -> Table:
 
 
 def _across(content: Boards) -> list[Table]:
-    """A table for each protocol: methods by sequences, with the sequences combined as the protocol does."""
-    labels = list(dict.fromkeys(row.label for board in content.boards for row in board.rows))
-    tables = []
-    for info in content.infos:
-        main = info.scores[0]
-        columns = [Column("method", number=False), *(Column(board.title, f"{main} [%] ↑") for board in content.boards)]
-        columns.append(Column("all", f"{main} [%] ↑", main=True))
-        rows = []
-        for label in labels:
-            here = [(board, board.row(label)) for board in content.boards]
-            row = [content.value(board, r, info, main) if r else Value(ABSENT) for board, r in here]
-            rows.append([named(label), *row, _combined(content, [r for _, r in here], info)])
-        notes = [f"All: {info.combines}; only for methods with scores on every sequence."]
-        tables.append(Table(f"across-{info.name}", info.title, columns, rows, notes))
-    return tables
+    """A table for each scoring and protocol: methods by sequences, with the sequences combined as the protocol does."""
+    scorings = dict.fromkeys(board.scoring for board in content.boards)
+    groups = [[board for board in content.boards if board.scoring == scoring] for scoring in scorings]
+    return [_by_sequence(content, group, info) for group in groups if len(group) > 1 for info in content.infos]
+
+
+def _by_sequence(content: Boards, group: Sequence[ScoreBoard], info: ProtocolInfo) -> Table:
+    """Methods by sequences of one scoring, with the main score of a protocol."""
+    main, scoring = info.scores[0], group[0].scoring
+    columns = [Column("method", number=False), *(Column(board.title, f"{main} [%] ↑") for board in group)]
+    columns.append(Column("all", f"{main} [%] ↑", main=True))
+    rows = []
+    for label in dict.fromkeys(row.label for board in group for row in board.rows):
+        here = [(board, board.row(label)) for board in group]
+        row = [content.value(board, found, info, main) if found else Value(ABSENT) for board, found in here]
+        rows.append([named(label), *row, _combined(content, [found for _, found in here], info)])
+    notes = [f"All: {info.combines}; only for methods with scores on every sequence. Scoring: {scoring}."]
+    return Table(f"across-{info.name}-{scoring}", info.title, columns, rows, notes)
 
 
 def _combined(content: Boards, rows: Sequence[ScoreRow | None], info: ProtocolInfo) -> Value:
@@ -250,8 +260,8 @@ def _entries(content: Boards) -> Table:
                     Value(result.scoring, result.scoring),
                     count(result.sequence.frames),
                     *(Value((digest or NONE)[:DIGITS], digest) for digest in digests),
-                    Value(file, file, link=file),
-                    Value(path or "none", path, link=path),
+                    Value("result.json", file, link=file),
+                    Value("run.rrd" if path else "none", path, link=path),
                 ]
             )
     notes = [
