@@ -78,6 +78,7 @@ class Explored:
     def _facts(self, letter: str) -> dict[str, Any]:
         run = self.runs[letter]
         other = next((each for key, each in self.runs.items() if key != letter), None)
+        shared = None if other is None else run.wrong_too(other)
         seconds = run.result.runtime.mean_s
         return {
             "title": run.title,
@@ -89,7 +90,7 @@ class Explored:
             "truth": run.result.has_truth,
             "seconds": None if seconds is None else seconds * run.frames,
             "path": shlex.quote(str(run.path)),
-            "cases": [cards.plain(run, card, other) for card in self._cards[letter]],
+            "cases": [cards.plain(run, card, shared) for card in self._cards[letter]],
         }
 
     def _click(self, query: Query) -> dict[str, Any]:

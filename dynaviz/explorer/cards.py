@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz import colours
-from dynaviz.arrays import F64, I64
+from dynaviz.arrays import F64, I64, Bool
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.results.sections import FailureCase, RemovedCluster
 from dynaviz.scan import Outcome
@@ -76,8 +76,8 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster) -> 
     return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[middle]))
 
 
-def plain(run: ExploredRun, card: Card, other: ExploredRun | None) -> dict[str, Any]:
-    """A card in plain types, as the page receives it."""
+def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:
+    """A card in plain types, as the page receives it; ``shared`` as for ``by``."""
     case = card.case
     failure = case if isinstance(case, FailureCase) else None
     suspicion, why = (case.suspicion, case.why) if isinstance(case, RemovedCluster) else (None, ())
@@ -103,7 +103,7 @@ def plain(run: ExploredRun, card: Card, other: ExploredRun | None) -> dict[str, 
         "high": list(case.high),
         "point": card.point,
         "spark": spark(run, card),
-        "by": by(run, card, other),
+        "by": by(run, card, shared),
     }
 
 
@@ -115,17 +115,18 @@ def spark(run: ExploredRun, card: Card) -> list[int]:
     return counts
 
 
-def by(run: ExploredRun, card: Card, other: ExploredRun | None) -> str | None:
-    """Which run is wrong at the points of a case: ``both``, or ``one`` if the other gets most of them right."""
-    if other is None:
+def by(run: ExploredRun, card: Card, shared: Bool | None) -> str | None:
+    """Which run is wrong at the points of a case: ``both``, or ``one`` if the other gets most of them right.
+
+    Args:
+        run: of the case.
+        card: the case.
+        shared: for each of the run's ``wrong`` points, whether the other run is wrong there, too; None without one.
+    """
+    if shared is None:
         return None
-    wrong, total = 0, 0
-    frames, points, weights = run.wrong.frame[card.rows], run.wrong.point[card.rows], run.wrong.stands_for[card.rows]
-    for frame in np.unique(frames).tolist():
-        here = frames == frame
-        wrong += int(weights[here][other.wrong_at(frame, points[here])].sum())
-        total += int(weights[here].sum())
-    return "both" if total and wrong >= BOTH * total else "one"
+    weights = run.wrong.stands_for[card.rows]
+    return "both" if len(weights) and weights[shared[card.rows]].sum() >= BOTH * weights.sum() else "one"
 
 
 def thumbnail(run: ExploredRun, card: Card) -> bytes:

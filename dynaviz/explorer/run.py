@@ -79,10 +79,6 @@ class ExploredRun:
         """The drawn points of a frame."""
         return self._drawn.get(frame)
 
-    def answers(self, frame: int) -> Answers | None:
-        """Label, ground truth and reason of every point of a frame."""
-        return self._answers.get(frame)
-
     def clicked(self, entity: str, instance: int | None, frame: int, position: F64) -> tuple[int, int]:
         """Frame and row of a clicked point.
 
@@ -131,10 +127,12 @@ class ExploredRun:
             "sentence": _sentence(truth, removed, reason.meaning.partition(": ")[2] or reason.meaning),
         }
 
-    def wrong_at(self, frame: int, points: I64) -> Bool:
-        """(K,) whether the answers at some points of a frame are wrong."""
-        answers = self._answers[frame]
-        wrong: Bool = np.isin(answers.outcome[points], WRONG)
+    def wrong_too(self, other: ExploredRun) -> Bool:
+        """(N,) for each of the points in ``wrong``, whether another run on the same frames is wrong there, too."""
+        wrong = np.zeros(len(self.wrong.frame), np.bool_)
+        for frame in np.unique(self.wrong.frame).tolist():
+            here = self.wrong.frame == frame
+            wrong[here] = np.isin(other._answers[frame].outcome[self.wrong.point[here]], WRONG)
         return wrong
 
     def _position(self, frame: int, point: int) -> list[float] | None:

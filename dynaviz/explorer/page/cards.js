@@ -67,9 +67,9 @@ export function cardElement(card, frames, compared, open) {
   return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
     make('img', { src: `api/thumbnail?run=${card.of}&case=${card.number}`, width: 112, height: 72, alt: '', loading: 'lazy' }),
     make('div', {},
-      make('p', { class: 'head' }, make('b', {}, `${card.number} ${card.title}`), make('span', { class: 'cost' }, chip(card))),
-      make('p', { class: 'cause' }, card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')),
-      make('p', { class: 'where' }, `${card.range.toFixed(0)} m away, ${span(card)}, ${whole(card.points)} points`),
+      make('p', { class: 'head' }, `${card.number} ${card.title}`),
+      make('p', { class: 'cause' }, make('span', { class: 'cost' }, chip(card)), ` ${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),
+      make('p', { class: 'where', title: `${whole(card.points)} points` }, `${card.range.toFixed(0)} m away, ${span(card)}`),
       compared && make('p', { class: 'by' }, BY[card.by]),
       sparkline(card.spark, worst)))
 }

@@ -8,7 +8,7 @@ export function sparkline(counts, worst, width = 150, height = 18) {
     x: k * step, width: Math.max(step - 0.5, 0.5), y: height * (1 - Math.max(count / most, 0.08)), height: height * Math.max(count / most, 0.08),
     class: k === worst ? 'worst' : null,
   }))
-  return make('svg', { class: 'spark', viewBox: `0 0 ${width} ${height}`, role: 'img', 'aria-label': 'wrong points over the frames' }, bars.filter(Boolean))
+  return make('svg', { class: 'spark', viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: 'none', role: 'img', 'aria-label': 'wrong points over the frames' }, bars.filter(Boolean))
 }
 
 const W = 340, H = 110, L = 44, R = 8, T = 8, B = 18
