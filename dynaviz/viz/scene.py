@@ -38,9 +38,10 @@ SMALLEST = 1.2
 FEW = 500  # points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
 RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
 NUMBERED = 5  # cases with a number in the map; more would hide each other
-EDGES = rr.Radius.ui_points(1.2)  # of boxes
+EDGE = 1.2  # points on the screen: thickness of the edges of boxes
+EDGES = rr.Radius.ui_points(EDGE)
 ABOVE = 1.6  # metres: height of a label above its box, so that it hides nothing
-HAIRLINE = rr.Radius.ui_points(0.4)  # of the boxes of a frame without a label
+HAIRLINE = 0.4  # the same for the boxes of a frame without a label
 WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay visible
 NAME_STYLE = rr.Points3D.from_fields(
     colors=colours.LABEL, radii=rr.Radius.ui_points(0.0), show_labels=True
@@ -117,12 +118,12 @@ class MapDrawing:
         order = np.argsort(cases.frames, kind="stable")
         order = order[cases.case[order] < len(labels)]
         case, low, high = cases.case[order], cases.box_low[order], cases.box_high[order]
-        middle = (low + high) / 2
+        middle: F32 = ((low + high) / 2).astype(np.float32)
         labelled = with_labels(cases.frames[order], case, middle)
         columns = rr.Boxes3D.columns(
             centers=middle, half_sizes=(high - low) / 2, colors=shades[case],
             labels=np.where(labelled, labels[case], "").tolist(),
-            radii=[EDGES if firm else HAIRLINE for firm in labelled],
+            radii=-np.where(labelled, EDGE, HAIRLINE),  # negative: in screen units
         )  # fmt: skip
         frames = cases.frames[order]
         lengths = np.bincount(frames, minlength=len(self._trajectory))
