@@ -6,7 +6,7 @@ Percentages are None where undefined: without dynamic ground truth there is no D
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct, field
@@ -162,7 +162,7 @@ class FailureCase(Struct, frozen=True):
         ground: share of the points on the ground, 0 to 1; None if unknown.
     """
 
-    kind: str
+    kind: Literal["false_negative", "false_positive"]
     points: int
     cost: float
     first_frame: int

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.made_results import case
 
 from dynaviz.errors import DataError
 from dynaviz.results.result import Result
@@ -89,6 +90,17 @@ def test_a_value_of_the_wrong_type_is_rejected(change: dict[str, Any], says: str
     else:
         with pytest.raises(DataError, match=rf"result\.json: is not a valid result: Expected .*`{re.escape(says)}`"):
             Result.from_dict({**plain, **change}, "result.json")
+
+
+def test_a_failure_case_of_an_unknown_kind_is_rejected() -> None:
+    known = case("false_negative", 1.0, (0, 0, 0), (1, 1, 1))
+    for kind in ("false_negative", "removed"):
+        plain = {"method": "m", "parameters": {}, "sequence": {}, "failures": {"cases": [{**known, "kind": kind}]}}
+        if kind in known.values():
+            assert Result.from_dict(plain, "result.json").failures[0].kind == kind
+        else:
+            with pytest.raises(DataError, match=r"Invalid enum value 'removed' - at `.*kind`"):
+                Result.from_dict(plain, "result.json")
 
 
 def test_json_nested_without_end_is_rejected(tmp_path: Path) -> None:
