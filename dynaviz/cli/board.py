@@ -85,7 +85,7 @@ def _write(folder: Path, site: Path, finder: SequenceFinder) -> None:
             show(f"{entry.path}: not scored: {entry.remark}.")
     known = sum(bool(entry.protocols) for entry in entries) - written.rescored
     taken_over = f", {known} taken over from the earlier board" if known else ""
-    show(f"{written.rescored} runs scored{taken_over}.", f"Written to {written.page}.")
+    show(f"{_counted(written.rescored, 'run', 'runs')} scored{taken_over}.", f"Written to {written.page}.")
     show(f"Recompute the entries with: {program()} board {shlex.quote(str(folder))} --check")
 
 
@@ -97,9 +97,13 @@ def _check(folder: Path, site: Path, finder: SequenceFinder, rerun: bool) -> Non
     failed = [entry for entry in checked if not entry.passed]
     show(_table(checked), *(f"{entry.run.folder}: {entry.problem}." for entry in failed))
     if failed:
-        show(f"{len(failed)} of {len(checked)} entries differ or cannot be recomputed.")
+        show(f"{len(failed)} of {_counted(len(checked), 'entry', 'entries')}: different, or not recomputed.")
         raise typer.Exit(1)
-    show(f"All {len(checked)} entries were recomputed: digests and scores are the same.")
+    show(f"{_counted(len(checked), 'entry', 'entries')} recomputed: all digests and scores are the same.")
+
+
+def _counted(number: int, one: str, several: str) -> str:
+    return f"{number} {one if number == 1 else several}"
 
 
 def _table(checked: Several[CheckedEntry]) -> Table:

@@ -19,11 +19,11 @@ def test_write_and_recompute(run_command, tmp_path: Path) -> None:
     assert run_command(*words)[0] == 0
     code, out, _ = run_command("board", tmp_path / "runs")
     assert code == 0
-    assert "1 runs scored." in out
+    assert "1 run scored." in out
     assert (tmp_path / "runs/board/index.html").is_file()
     code, out, _ = run_command("board", tmp_path / "runs", "--check", "--rerun")
     assert code == 0
-    assert "All 1 entries were recomputed" in out
+    assert "1 entry recomputed: all digests and scores are the same." in out
     board = tmp_path / "runs/board/board.json"
     plain = json.loads(board.read_text())
     plain["entries"][0]["protocols"]["points"]["scores"]["SA"] = 1.0
