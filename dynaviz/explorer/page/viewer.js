@@ -19,7 +19,8 @@ export class Viewer {
     this.waiting = []
     this.isReady = false
     const dark = matchMedia('(prefers-color-scheme: dark)').matches
-    const values = { _width: 'auto', _height: 'auto', _url: new URL(url, location.href).href, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
+    const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
+    this.recording = fetch(url).then(answer => answer.arrayBuffer())
     const model = {
       get: name => values[name],
       on: (event, listener) => (this.listeners[event] ??= []).push(listener),
@@ -46,11 +47,20 @@ export class Viewer {
 
   #tell(message, buffers = []) {
     if (!this.isReady) this.waiting.push([message, buffers])
-    else for (const listener of this.listeners['msg:custom'] ?? []) listener(message, buffers)
+    else this.#send(message, buffers)
+  }
+
+  #send(message, buffers) {
+    for (const listener of this.listeners['msg:custom'] ?? []) listener(message, buffers)
   }
 
   #hear(event) {
-    if (event === 'ready') return
+    if (event === 'ready') {
+      // Through the same channel as layouts: they replace that of the recording only if they arrive later.
+      this.recording.then(content => this.#send({ type: 'rrd' }, [new DataView(content)]))
+      this.recording = null
+      return
+    }
     const message = JSON.parse(event)
     if (message.type === 'recording_open') this.#open()
     else if (message.type === 'selection_change') this.#click(message.items)
@@ -75,7 +85,7 @@ export class Viewer {
     this.isReady = true
     // Not in the listener itself: the viewer must not be called while it reports an event.
     setTimeout(() => {
-      for (const [message, buffers] of this.waiting.splice(0)) this.#tell(message, buffers)
+      for (const [message, buffers] of this.waiting.splice(0)) this.#send(message, buffers)
       this.on.ready()
     })
   }
