@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, Bool
+from dynaviz.arrays import F32, F64, Bool, Intp
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import PluginError, UsageError
@@ -313,7 +313,10 @@ def _closeness(terms: Sequence[TermValue]) -> tuple[int, float]:
     return len(terms) - len(failing), -sum(gaps)
 
 
-def _geometry(scan: Scan, ends: Any, passes: Any, point: F32, normal: F64 | None) -> tuple[Any, ...]:
+_Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
+
+
+def _geometry(scan: Scan, ends: Intp, passes: Intp, point: F32, normal: F64 | None) -> _Geometry:
     """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
     touching = np.append(ends, passes)
     one = len(scan.origins) == 1 or not len(touching)

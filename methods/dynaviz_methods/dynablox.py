@@ -209,8 +209,8 @@ class Dynablox:
             Quantity("clear", known(clear, voxels), threshold=cubes.shape[1]),
             Quantity("ever-free", known(free, voxels), total=True, threshold=1),
         )
-        index, *judged = self._judged
-        rules = (self._rule(asked, *judged),) if index == asked.scan.index else ()
+        index, *_ = self._judged
+        rules = (self._rule(asked),) if index == asked.scan.index else ()
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules, final=bool(rules))
 
     def _judge(self, scan: Scan, inside: Bool, voxels: I64) -> U8:
@@ -238,8 +238,9 @@ class Dynablox:
         merged = kernels.clusters.merge(scan.points[members], clusters[members], self.params.cluster_distance)
         return members, np.bincount(merged)[merged]
 
-    def _rule(self, asked: Asked, voxels: I64, free: Bool) -> Rule:
-        """What decided the labels of the scan that was observed last; its voxels and whether they were ever-free."""
+    def _rule(self, asked: Asked) -> Rule:
+        """What decided the labels of the scan that was observed last."""
+        _, voxels, free = self._judged
         if not self.params.clusters:
             return Rule("ever-free", (Term("ever-free when it came", free[asked.rows], ">=", 1),))
         size = np.full(len(free), np.nan)

@@ -299,7 +299,8 @@ class SeeThrough:
         )
         counts = {"hit": hits, "passed": passed, "clear": clear}
         quantities = tuple(Quantity(name, values, total=True) for name, values in counts.items())
-        judged, rules = self._judged, ()
+        judged = self._judged
+        rules: tuple[Rule, ...] = ()
         if judged.index == asked.scan.index:
             rules = (*self._object_rules(asked, judged), *self._point_rules(asked, judged, hits, passed, clear))
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
