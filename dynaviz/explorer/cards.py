@@ -80,21 +80,21 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:
     """A card in plain types, as the page receives it; ``shared`` as for ``by``."""
     case = card.case
     failure = case if isinstance(case, FailureCase) else None
-    suspicion, why = (case.suspicion, case.why) if isinstance(case, RemovedCluster) else (None, ())
+    cluster = case if isinstance(case, RemovedCluster) else None
     return {
         "number": card.number,
         "title": card.title,
         "kind": KINDS[card.outcome],
         "cost": failure.cost if failure else None,
         "metric": failure.metric if failure else None,
-        "suspicion": suspicion,
+        "suspicion": cluster.suspicion if cluster else None,
         "points": case.points,
         "first": case.first_frame,
         "last": case.last_frame,
         "worst": case.worst_frame,
         "range": case.range.mean,
         "reasons": dict(case.reasons),
-        "cause": (failure.cause if failure else ", ".join(why)) or None,
+        "cause": _cause(case),
         "behaviour": failure.behaviour if failure else None,
         "what": case.what,
         "object": f"{case.what} {failure.instance}" if failure and failure.instance else None,
@@ -105,6 +105,11 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:
         "spark": spark(run, card),
         "by": by(run, card, shared),
     }
+
+
+def _cause(case: FailureCase | RemovedCluster) -> str | None:
+    """The cause of a failure, or what makes a cluster most suspicious."""
+    return case.cause if isinstance(case, FailureCase) else ", ".join(case.why[:2]) or None
 
 
 def spark(run: ExploredRun, card: Card) -> list[int]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, F64
 from dynaviz.explanation import Why, why
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.viz.focus import CROSSED, HIT
@@ -67,7 +67,9 @@ class Ledgers:
         future = job.future if job else None
         if future is None or not future.done() or future.cancelled() or future.exception() is not None:
             return np.zeros((0, 2, 3), np.float32), []
-        ledger, strips, kinds = future.result().ledger, [], []
+        ledger = future.result().ledger
+        strips: list[list[F64]] = []
+        kinds: list[int] = []
         for entry in ledger.entries:
             start, end = np.array(entry.sensor), np.array(ledger.position)
             if entry.hits:

@@ -138,8 +138,10 @@ class ExploredRun:
     def _position(self, frame: int, point: int) -> list[float] | None:
         """Metres, world frame; None if the point was not drawn."""
         drawn = self._drawn.get(frame)
-        rows = np.flatnonzero(drawn.point == point) if drawn is not None else []
-        return drawn.xyz[rows[0]].astype(float).tolist() if drawn is not None and len(rows) else None
+        if drawn is None or not (drawn.point == point).any():
+            return None
+        place: list[float] = drawn.xyz[np.argmax(drawn.point == point)].astype(float).tolist()
+        return place
 
 
 class WrongPoints:

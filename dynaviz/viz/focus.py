@@ -60,7 +60,7 @@ class Focus:
         """
         stream, sink = self._open()
         if colour is not None:
-            look = {"colors": [colours.BRIGHT[colour]], "radii": EDGES, "fill_mode": WIRES}
+            look: dict[str, Any] = {"colors": [colours.BRIGHT[colour]], "radii": EDGES, "fill_mode": WIRES}
             stream.log(BOX, rr.Boxes3D(mins=[low], sizes=[high - low], **look), static=True)
         body = self._body(kind, title, frame, low, high)
         stream.send_blueprint(blueprint(body), make_active=True, make_default=False)

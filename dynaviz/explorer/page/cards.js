@@ -25,8 +25,7 @@ export function allCards(runs) {
   return list.map(card => ({ ...card, by: card.by === 'both' ? 'both' : card.of })).filter(card => !(card.of === 'b' && card.by === 'both'))
 }
 
-const costOf = card => card.cost ?? card.suspicion ?? 0
-const ORDER = { cost: (a, b) => costOf(b) - costOf(a), size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
+const ORDER = { cost: (a, b) => (b.cost ?? 0) - (a.cost ?? 0) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
 
 /** The cards that pass the filters of a state, in its order. */
 export function chosen(cards, state) {

@@ -14,7 +14,7 @@ export function showCase(element, card, run, buttons) {
   }
   const total = Object.values(card.reasons).reduce((sum, count) => sum + count, 0)
   const reasons = Object.entries(card.reasons).slice(0, 3).map(([name, count]) => `${words(name)} ${Math.round(100 * count / total)} %`).join(', ')
-  const facts = { Cause: card.cause, Behaviour: card.behaviour, Reasons: reasons, 'Worst frame': String(card.worst) }
+  const facts = { Cause: card.cost === null ? null : card.cause, Behaviour: card.behaviour, Reasons: reasons, 'Worst frame': String(card.worst) }
   element.replaceChildren(
     make('h2', { class: card.kind }, `${card.number} ${card.title}`),
     make('p', { class: 'sentence' }, card.sentence),
