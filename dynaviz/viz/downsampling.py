@@ -8,9 +8,10 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8
+from dynaviz.kernels.keys import REACH
 from dynaviz.metric import Labelled
 from dynaviz.scan import Outcome
-from dynaviz.spatial.grid import REACH, KeySet, voxel_downsample
+from dynaviz.spatial.grid import KeySet, voxel_downsample
 
 VOXEL = 0.2  # metres: edge of the voxels used to downsample the map and the false positives of a frame
 FINE = 0.1  # metres: the same for dynamic points, which are few
