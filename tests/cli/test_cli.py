@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
+from dynaviz import __main__ as start
 from dynaviz import cli
 from dynaviz.cli import app
 from dynaviz.io.pcd import write_pcd
@@ -183,6 +184,22 @@ def test_help_begins_with_examples(run_command: Command) -> None:
         code, out, _ = run_command(verb, "--help")
         assert code == 0
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
+
+
+def test_an_interrupt_while_the_command_line_is_imported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupt:
+        @staticmethod
+        def find_spec(name: str, *_: object) -> None:
+            if name == "dynaviz.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "meta_path", [Interrupt, *sys.meta_path])
+    monkeypatch.delitem(sys.modules, "dynaviz.cli")
+    with pytest.raises(SystemExit) as end:
+        start.main()
+    assert (end.value.code, capsys.readouterr().err) == (130, "dynaviz: interrupted.\n")
 
 
 def test_an_interrupt_while_an_extension_module_is_imported(
