@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F32, F64
+from dynaviz.errors import UsageError
 from dynaviz.explanation import Why, why
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.viz.focus import CROSSED, HIT
@@ -22,16 +23,26 @@ Key = tuple[str, int, int]
 class Job:
     """A ledger that is being computed.
 
+    Args:
+        closed: set when the explorer closes, which ends the replay.
+
     Attributes:
         phase, done, total: progress.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, closed: threading.Event) -> None:
+        self._closed = closed
         self.phase, self.done, self.total = "waiting", 0, 0
         self.future: Future[Why] | None = None
 
     def progress(self, phase: str, done: int, total: int) -> None:
-        """Keep the progress of the replay."""
+        """Keep the progress of the replay.
+
+        Raises:
+            UsageError: if the explorer was closed meanwhile.
+        """
+        if self._closed.is_set():
+            raise UsageError("the explorer was closed")
         self.phase, self.done, self.total = phase, done, total
 
 
@@ -44,6 +55,7 @@ class Ledgers:
 
     def __init__(self, runs: dict[str, ExploredRun]) -> None:
         self._runs, self._jobs, self._lock = runs, dict[Key, Job](), threading.Lock()
+        self._closed = threading.Event()
         self._worker = ThreadPoolExecutor(1, "ledger")
 
     def ask(self, letter: str, frame: int, point: int) -> dict[str, Any]:
@@ -82,7 +94,8 @@ class Ledgers:
         return np.array(strips, np.float32).reshape(-1, 2, 3), kinds
 
     def close(self) -> None:
-        """Start no more replays."""
+        """End the replay that is running, and start no other."""
+        self._closed.set()
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def _job(self, key: Key) -> Job:
@@ -92,7 +105,7 @@ class Ledgers:
                 for (_, *asked), other in self._jobs.items():
                     if asked != [*key[1:]] and other.future is not None:
                         other.future.cancel()  # if it still waits: the user has clicked elsewhere since
-                job = self._jobs[key] = Job()
+                job = self._jobs[key] = Job(self._closed)
                 run = self._runs[key[0]].path
                 job.future = self._worker.submit(why, run, key[1], key[2], progress=job.progress)
                 while len(self._jobs) > MOST:

@@ -138,7 +138,9 @@ class Explorer:
             self._socket.close()
             raise DynavizError(f"--port {port}: {error.strerror}. Give another port") from None
         self.url = f"http://{HOME}:{self._socket.getsockname()[1]}/{token}/"
-        self._server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
+        self._server = uvicorn.Server(
+            uvicorn.Config(app, log_level="error", lifespan="off", timeout_graceful_shutdown=1)
+        )
         self._thread = threading.Thread(target=self._server.run, args=([self._socket],), name="explorer", daemon=True)
         self._thread.start()
         end = time.monotonic() + SECONDS_TO_START
