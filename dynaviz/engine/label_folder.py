@@ -42,7 +42,8 @@ class LabelFolder:
         key: name of the array in ``.npz`` files with several.
 
     Raises:
-        DataError: if there are no such files, files of several formats, two for one frame, or none for any frame.
+        DataError: if there are no such files, two for one frame, none for any frame, or if the first or the last frame
+            cannot be read.
     """
 
     scoring = "mask"
@@ -51,11 +52,14 @@ class LabelFolder:
         self.path, self.params, self._key = _folder(path, sequence.name), NoParams(), key
         self.files = _numbered(self.path)
         self.info = MethodInfo(name, f"{name} (labels)", f"another program, which wrote {path.name}", _REASONS)
-        first, last = sequence[0].index, sequence[len(sequence) - 1].index
+        ends = sequence[0], sequence[len(sequence) - 1]
+        first, last = (scan.index for scan in ends)
         if not any(first <= number <= last for number in self.files):
             numbers = f"{min(self.files)} to {max(self.files)}"
             problem = f"labels the frames {numbers}, but {sequence.name} has the frames {first} to {last}"
             raise DataError(self.path, problem, hint="Name each file by the number of its frame")
+        for scan in ends:  # before anything is written: most mistakes are in every file
+            self.label(scan)
 
     def begin(self, context: Context) -> None:
         """Nothing to prepare."""
