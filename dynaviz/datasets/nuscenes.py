@@ -28,6 +28,7 @@ _TYPES: dict[str, tuple[type, str]] = {  # of the values in a record, and their 
     "is_key_frame": (bool, "true or false"),
     **dict.fromkeys(("translation", "rotation", "size"), (list, "a list of numbers")),
 }
+_FARTHEST = 1e9  # metres, of positions
 _LATEST = (1 << 63) // 1000  # microseconds, whose nanoseconds have 64 bits
 
 Record = dict[str, Any]
@@ -233,6 +234,8 @@ def _transform(tables: Path, table: str, row: Record) -> F64:
     """(4, 4) float64, metres: a record's translation and rotation."""
     try:
         T = geometry.pose(row["translation"], row["rotation"])
+        if np.abs(T[:3, 3]).max() >= _FARTHEST:
+            raise ValueError("too far")
     except (ValueError, TypeError, OverflowError):
         at = f"token {row['token']}"
         raise DataError(tables / f"{table}.json", "no valid translation and rotation", at=at, hint=_HINT) from None

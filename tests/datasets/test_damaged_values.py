@@ -97,6 +97,7 @@ def change_table(root: Path, table: str, **values: Any) -> Path:
         ("ego_pose", "rotation", [10**400, 0, 0, 0], "no valid translation and rotation"),
         ("ego_pose", "rotation", [float("nan"), 0, 0, 0], "no valid translation and rotation"),
         ("ego_pose", "translation", [0, float("inf"), 0], "no valid translation and rotation"),
+        ("ego_pose", "translation", [0, 1e200, 0], "no valid translation and rotation"),
         ("calibrated_sensor", "translation", 5, "translation is not a list of numbers"),
         ("sample_annotation", "size", [1, 10**400, 1], "no valid size"),
         ("sample_annotation", "size", [1, float("nan"), 1], "no valid size"),

@@ -128,7 +128,7 @@ def main() -> None:
     for first in range(options.j):
         jobs.append(os.fork())
         if not jobs[-1]:
-            names = options.names[first :: options.j]
+            names = options.names[first :: options.j][::-1]  # the fast ones are at the end
             seeds = range(options.s, options.s + options.n)
             # Each subject has an equal share of the time that is left, so that slow ones use what fast ones leave.
             failed = sum(fuzz(name, seeds, _share(end, len(names) - k)) for k, name in enumerate(names))
