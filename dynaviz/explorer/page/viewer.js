@@ -31,6 +31,7 @@ export class Viewer {
 
   /** Move the cursor. */
   seek(frame, play = false) {
+    this.time ??= frame
     this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(frame), play })
   }
 
