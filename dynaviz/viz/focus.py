@@ -90,7 +90,7 @@ class Focus:
         stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
-        return stream, stream.binary_stream()
+        return stream, rr.binary_stream(stream)
 
     def _body(self, kind: str, title: str, frame: int, low: F64, high: F64) -> Any:
         common = [paths.SENSOR, paths.TRAJECTORY, *MARKS]

@@ -63,8 +63,8 @@ export class Viewer {
       return
     }
     const message = JSON.parse(event)
-    if (message.type === 'recording_open') this.#open()
-    else if (message.type === 'selection_change') this.#click(message.items)
+    if (['recording_open', 'timeline_change', 'time_update'].includes(message.type)) this.#open() // whichever comes first
+    if (message.type === 'selection_change') this.#click(message.items)
     else if (message.type === 'timeline_change') {
       this.timeline = message.timeline
       this.#move(message.time)
