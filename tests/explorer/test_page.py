@@ -1,8 +1,12 @@
-"""The page of the explorer in Chromium: real clicks, keys and addresses."""
+"""The page of the explorer in Chromium: real clicks, keys and addresses.
+
+Without a graphics card the viewer draws in software, which takes minutes on a busy machine: set DYNAVIZ_BROWSER=1.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +18,8 @@ import dynaviz as dv
 from dynaviz.explorer.server import Explorer
 from dynaviz.results.result import Result
 from dynaviz.viz.reader import RunRecording
+
+pytestmark = pytest.mark.skipif("DYNAVIZ_BROWSER" not in os.environ, reason="set DYNAVIZ_BROWSER=1 to run in Chromium")
 
 SECONDS = 90_000  # ms; drawing in software on a busy machine
 STATE = "() => JSON.stringify(explorer.current())"
