@@ -16,9 +16,11 @@ def add_to(app: typer.Typer) -> None:
 def explore(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or its run.rrd.")],
     other: Annotated[
-        Path | None, typer.Argument(metavar="[OTHER]", help="Another run on the same frames, to compare.")
+        Path | None, typer.Argument(metavar="OTHER", help="Another run on the same frames, to compare.")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine. [default: any free one]")] = 0,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, show_default=False, help="Port on this machine. [default: any free one]")
+    ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in a browser if there is a screen.")] = True,
 ) -> None:
     """Explore a run in a browser: its failures, and why any clicked point got its label.
