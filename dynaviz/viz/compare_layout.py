@@ -18,7 +18,7 @@ GROUND = "compare/ground"  # static: the first run's map, darker
 SCAN = "compare/scan"  # the frame's points by agreement
 WHERE = "compare/where"  # static: cells of the whole run in the colour of the better run; area = gain
 PLACES = "compare/places"  # static: the places in the report, numbered
-GAIN = "compare/gain"  # curves: the gain of each frame, above 0 if the second run is better
+GAIN = "compare/gain"  # curves: the gain of each frame, or in each case, above 0 if the second run is better
 CHANGED = "compare/changed_frames"  # marks on these curves
 DISTANCE = "compare/error_distance"  # static: histograms of all runs, bars next to each other
 REPORT = "compare/report"  # Markdown
@@ -53,7 +53,7 @@ def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Bl
         places: (N, 3) metres, world frame: points to look at; None if nothing is drawn.
         cases: whether there is a timeline of cases; the recording then opens at the first one.
     """
-    gain = f"gain per frame: above 0 {names[1]} is better, below 0 {names[0]}"
+    gain = f"gain per {'case or frame' if cases else 'frame'}: above 0 {names[1]} is better, below 0 {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
         return blueprint(_column(numbers))

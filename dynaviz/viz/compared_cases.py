@@ -17,7 +17,7 @@ from dynaviz.results.sections import FailureCase, Sections
 from dynaviz.scan import Label, Outcome, Scan
 from dynaviz.viz import cases, drawn, paths
 from dynaviz.viz.case_timeline import HOW, above, circles, near
-from dynaviz.viz.compare_layout import CASE_AROUND, CASE_BOX, CASE_STATES, CASE_TEXT
+from dynaviz.viz.compare_layout import CASE_AROUND, CASE_BOX, CASE_STATES, CASE_TEXT, GAIN
 from dynaviz.viz.reader import DrawnPoints, RunRecording
 from dynaviz.viz.scene import EDGES, WIRES
 
@@ -112,8 +112,25 @@ def write(
         title = f"#### {number} of {len(found)}: {difference.title}, {difference.case.cost:.2f} % of"
         text = f"{title} {difference.case.metric}\n\n{texts[number - 1]}\n\n{HOW}"
         stream.log(CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    _write_curves(stream, sides, runs, found)
     for root, run in zip(sides, runs, strict=True):
         _copy(stream, root, run, found)
+
+
+def _write_curves(
+    stream: rr.RecordingStream, sides: Sequence[str], runs: tuple[RunRecording, RunRecording], found: list[Difference]
+) -> None:
+    """What each difference costs the run that is wrong, and its scores if this one and all before it were fixed."""
+    numbers = rr.TimeColumn(paths.CASE, sequence=np.arange(1, len(found) + 1))
+    for i, (root, run, sign) in enumerate(zip(sides, runs, (-1, 1), strict=True)):
+        gain = [sign * difference.case.cost * (difference.wrong != i) for difference in found]
+        stream.send_columns(f"{GAIN}/{root}", indexes=[numbers], columns=rr.Scalars.columns(scalars=gain))
+        for name in ("SA", "DA"):
+            score = run.result.metrics.get(name) if run.result else None
+            if score is not None:
+                lost = [d.case.cost * (d.wrong == i and d.case.metric == name) for d in found]
+                path, fixed = f"{root}/{paths.SCORES}/{name}/so_far", score + np.cumsum(lost)
+                stream.send_columns(path, indexes=[numbers], columns=rr.Scalars.columns(scalars=fixed))
 
 
 def _style(stream: rr.RecordingStream) -> None:

@@ -38,6 +38,11 @@ def test_each_case_shows_where_only_one_run_is_wrong(runs: dict[str, Path], merg
         assert alone[points.point[inside.all(1)]].any()
         costs.append(float(cost))
     assert costs == sorted(costs, reverse=True)
+    gains = [
+        [row["Scalars:scalars"][0] for _, row in recorded.rows(f"{compare_layout.GAIN}/{side}", paths.CASE)]
+        for side in "ab"
+    ]
+    np.testing.assert_allclose(np.abs(gains).sum(0), costs, atol=0.005)
     for side in "ab":
         assert [number for number, _ in recorded.rows(f"{side}/{paths.SCAN}", paths.CASE)] == list(boxes)
     states = [path for path in recorded.entities() if f"/{compare_layout.CASE_STATES}/" in path]
