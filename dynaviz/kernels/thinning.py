@@ -26,7 +26,7 @@ def mark(points, corner, edge, interest):
                    (points[i, 2] - corner[2]) * inverse)  # fmt: skip
         if not (0.0 <= x < done.shape[0] and 0.0 <= y < done.shape[1] and 0.0 <= z < done.shape[2]):
             continue
-        a, b, c = np.int64(x), np.int64(y), np.int64(z)
+        a, b, c = int(x), int(y), int(z)
         if done[a, b, c]:
             continue
         done[a, b, c] = True
