@@ -19,7 +19,7 @@ from dynaviz.viz import cases, drawn, paths
 from dynaviz.viz.case_timeline import HOW, above, circles, near
 from dynaviz.viz.compare_layout import CASE_AROUND, CASE_BOX, CASE_STATES, CASE_TEXT, GAIN
 from dynaviz.viz.reader import DrawnPoints, RunRecording
-from dynaviz.viz.scene import EDGES, WIRES
+from dynaviz.viz.scene import EDGES, NAME_STYLE, WIRES
 
 LETTERS = "AB"
 COPIED = (paths.SCAN, paths.SENSOR)
@@ -106,8 +106,9 @@ def write(
         centre, half = [(low + high) / 2], [(high - low) / 2]
         name = f"{number} {difference.title}"
         stream.log(CASE_BOX, rr.Boxes3D.from_fields(centers=centre, half_sizes=half, labels=[name], colors=[colour]))
-        label = rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[name], colors=[colour])
-        stream.log(paths.names(CASE_BOX), label)
+        stream.log(
+            paths.names(CASE_BOX), rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[name])
+        )
         stream.log(CASE_AROUND, rr.LineStrips3D.from_fields(strips=circles(low[None], high[None])))
         title = f"#### {number} of {len(found)}: {difference.title}, {difference.case.cost:.2f} % of"
         text = f"{title} {difference.case.metric}\n\n{texts[number - 1]}\n\n{HOW}"
@@ -136,9 +137,7 @@ def _write_curves(
 def _style(stream: rr.RecordingStream) -> None:
     """What is the same for all differences."""
     stream.log(CASE_BOX, rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False), static=True)
-    stream.log(
-        paths.names(CASE_BOX), rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), show_labels=True), static=True
-    )
+    stream.log(paths.names(CASE_BOX), NAME_STYLE, static=True)
     thin = rr.LineStrips3D.from_fields(colors=[90, 90, 100], radii=rr.Radius.ui_points(0.5))
     stream.log(CASE_AROUND, thin, static=True)
 
