@@ -24,9 +24,9 @@ from dynaviz.board.check import check_board
 from dynaviz.board.entries import read_board
 from dynaviz.board.sequences import SequenceFinder
 from dynaviz.board.write import write_board
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError
 from dynaviz.protocol import ProtocolScores
-from dynaviz.reporting import Study, report
+from dynaviz.reporting import Study
 from dynaviz.results.collect import collect
 from dynaviz.results.result import Result
 from dynaviz.results.sections import SequenceInfo
@@ -198,7 +198,7 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
     study = made_study(
         tmp_path, result("dufomap", KITTI), result("erasor", KITTI), benchmark={"AA": 12.34, "SA": 23.45, "DA": 34.56}
     )
-    page = Page(registry.load("reports", "board")(study))
+    page = Page(registry.load("boards", "html")(study))
     rows = {row[0]["text"]: [cell["text"] for cell in row] for row in page.body("published-1")}
     assert rows["DUFOMap"][1:9] == ["97.96", "98.72", "98.34", "98.34", "23.45", "34.56", "12.34", "n/a"]
     assert rows["DOR fusion"][5:9] == ["–"] * 4
@@ -217,7 +217,7 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
     counts = {"TP": 30, "FP": 10, "FN": 20}
     study = made_study(tmp_path, *runs)
     scores = {run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs}
-    text = registry.load("reports", "board")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
+    text = registry.load("boards", "html")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
     page = Page(text)
     assert not any(name.startswith("across") and name.endswith("nn") for name in page.tables)  # a single sequence
     rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos-mask")}
@@ -233,12 +233,6 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
     if CHROMIUM:
         (tmp_path / "index.html").write_text(text)
         assert measured(tmp_path / "index.html", 390)["cut"] == []
-
-
-def test_only_the_command_writes_a_board(tmp_path: Path) -> None:
-    result("octomap").save(tmp_path / "result.json")
-    with pytest.raises(UsageError, match="dynaviz board FOLDER"):
-        report(tmp_path, format="board")
 
 
 def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:

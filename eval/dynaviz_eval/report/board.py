@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from dynaviz.errors import UsageError
 from dynaviz.protocol import ProtocolInfo, ProtocolScores
 from dynaviz.reporting import Study
 from dynaviz_eval.protocols.moving import SemanticKittiMos
@@ -59,13 +58,7 @@ class Boards:
 
 
 def board_report(study: Study) -> str:
-    """The page of a board: methods by sequences by protocols, failure cases, and the digests of all entries.
-
-    Raises:
-        UsageError: without scores by protocol, which only ``dynaviz board`` computes.
-    """
-    if not study.protocols:
-        raise UsageError("a board needs the scores of every protocol. Write it with: dynaviz board FOLDER")
+    """The page of a board: methods by sequences by protocols, failure cases, and the digests of all entries."""
     content = Boards(study, boards(study), _ordered(study))
     parts = []
     for number, board in enumerate(content.boards, 1):
