@@ -28,7 +28,7 @@ _TYPES: dict[str, tuple[type, str]] = {  # of the values in a record, and their 
     "is_key_frame": (bool, "true or false"),
     **dict.fromkeys(("translation", "rotation", "size"), (list, "a list of numbers")),
 }
-_FARTHEST = 1e9  # metres, of positions
+_FARTHEST = 1e9  # metres, of positions and sizes
 _LATEST = (1 << 63) // 1000  # microseconds, whose nanoseconds have 64 bits
 
 Record = dict[str, Any]
@@ -308,8 +308,8 @@ def _keyframes(tables: Path, times: dict[str, int], names: list[str], start: F64
         T_world_box, track = _transform(tables, "sample_annotation", row), numbers[row["instance_token"]]
         try:
             width, length, height = (float(x) for x in row["size"])
-            if not np.isfinite([width, length, height]).all():
-                raise ValueError("not finite")
+            if not (np.abs([width, length, height]) < _FARTHEST).all():
+                raise ValueError("not finite, or too large")
         except (ValueError, TypeError, OverflowError):
             at = f"token {row['token']}"
             raise DataError(tables / "sample_annotation.json", "no valid size", at=at, hint=_HINT) from None

@@ -101,6 +101,7 @@ def change_table(root: Path, table: str, **values: Any) -> Path:
         ("calibrated_sensor", "translation", 5, "translation is not a list of numbers"),
         ("sample_annotation", "size", [1, 10**400, 1], "no valid size"),
         ("sample_annotation", "size", [1, float("nan"), 1], "no valid size"),
+        ("sample_annotation", "size", [1, 1, 1e200], "no valid size"),
         ("category", "name", None, "name is not text"),
     ],
 )
