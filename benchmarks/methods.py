@@ -13,7 +13,6 @@ sums all calls of each kernel while scans are observed and labelled.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import pkgutil
 import time
@@ -24,7 +23,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from scenes import SENSOR, read, street
+from scenes import SENSOR, arguments_parser, read, street
 
 from dynaviz import kernels, registry
 from dynaviz.engine.loop import peak_rss_mb
@@ -113,12 +112,7 @@ def measure(name: str, preset: str | None, folder: Path | None, frames: int) -> 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("methods", nargs="*")
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--preset")
-    arguments = parser.parse_args()
+    arguments = arguments_parser(__doc__, FRAMES).parse_args()
     for name in arguments.methods or [handle.name for handle in registry.handles("methods")]:
         task = (name, arguments.preset, arguments.folder, arguments.frames)
         process = multiprocessing.get_context("spawn").Process(target=measure, args=task)

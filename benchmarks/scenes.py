@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,6 +17,16 @@ from dynaviz.sensors import Sensor, load_sensor
 SENSOR = load_sensor("hdl64e")
 KINDS = ("points", "T_world_sensor", "labels")
 BLOCK, SCANS = 18.0, 24  # metres after which the street repeats, and scans in that distance
+
+
+def arguments_parser(description: str | None, frames: int, methods: str = "*") -> argparse.ArgumentParser:
+    """The arguments of a benchmark of methods: which, with which preset, and on how many frames of which folder."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("methods", nargs=methods)
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--frames", type=int, default=frames)
+    parser.add_argument("--preset")
+    return parser
 
 
 def street(frames: int, azimuths: int = 1900, step: float = 0.8) -> list[Scan]:

@@ -7,7 +7,6 @@ indented what they call. The profiler adds a few percent. Processor time depends
 
 from __future__ import annotations
 
-import argparse
 import cProfile
 import pstats
 import time
@@ -15,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from scenes import SENSOR, read, street
+from scenes import SENSOR, arguments_parser, read, street
 
 from dynaviz import kernels, registry
 from dynaviz.method import Context
@@ -62,12 +61,7 @@ def steps(name: str, preset: str | None, scans: list[Scan]) -> Iterator[tuple[in
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("methods", nargs="+")
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--preset")
-    arguments = parser.parse_args()
+    arguments = arguments_parser(__doc__, FRAMES, "+").parse_args()
     kernels.set_threads(1)
     scans = read(arguments.folder, arguments.frames) if arguments.folder else street(arguments.frames)
     for name in arguments.methods:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
@@ -12,7 +13,7 @@ from dynaviz.metric import Labelled
 from dynaviz.protocol import ProtocolInfo, ProtocolScores
 from dynaviz.results.scores import percent
 from dynaviz.scan import Label, Scan
-from dynaviz_eval.protocols import defined, summed
+from dynaviz_eval.protocols import Counted
 
 IGNORED = ("unlabelled", "outlier")  # names of the classes 0 and 1 of SemanticKITTI
 SCORES = ("IoU", "precision", "recall")
@@ -32,7 +33,14 @@ def scored_points(scan: Scan) -> Bool:
     return scored
 
 
-class SemanticKittiMos:
+def moving_counts(labelled: Labelled, scored: Bool) -> tuple[int, int, int]:
+    """True positives, false positives and false negatives of the moving class among the (N,) scored points."""
+    moving, predicted = scored & (labelled.scan.labels == Label.DYNAMIC), scored & labelled.dynamic
+    true_positives = int((moving & predicted).sum())
+    return true_positives, int(predicted.sum()) - true_positives, int(moving.sum()) - true_positives
+
+
+class SemanticKittiMos(Counted):
     """IoU of the moving points as in the SemanticKITTI-MOS benchmark (Chen et al., RA-L 2021)."""
 
     info: ClassVar = ProtocolInfo(
@@ -55,21 +63,20 @@ class SemanticKittiMos:
 
     def update(self, labelled: Labelled) -> None:
         """Add one scan."""
-        if labelled.scan.labels is None:
-            return
-        scored, moving = scored_points(labelled.scan), labelled.scan.labels == Label.DYNAMIC
-        self._tp += int((scored & moving & labelled.dynamic).sum())
-        self._fp += int((scored & ~moving & labelled.dynamic).sum())
-        self._fn += int((scored & moving & ~labelled.dynamic).sum())
+        tp, fp, fn = moving_counts(labelled, scored_points(labelled.scan))
+        self._tp += tp
+        self._fp += fp
+        self._fn += fn
 
-    def finish(self) -> ProtocolScores:
-        """The scores."""
-        return _of_counts({"TP": self._tp, "FP": self._fp, "FN": self._fn})
+    def counts(self) -> Mapping[str, int]:
+        """True positives, false positives and false negatives."""
+        return {"TP": self._tp, "FP": self._fp, "FN": self._fn}
 
     @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Add counts."""
-        return _of_counts(summed(parts))
+    def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
+        """IoU, precision and recall."""
+        tp, fp, fn = (counts.get(name, 0) for name in ("TP", "FP", "FN"))
+        return {name: float(percent(tp, whole)) for name, whole in _denominators(tp, fp, fn).items()}
 
 
 class Helimos(SemanticKittiMos):
@@ -85,13 +92,13 @@ class Helimos(SemanticKittiMos):
         scores=SCORES,
     )
 
-    @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
+    @classmethod
+    def combine(cls, parts: Sequence[ProtocolScores]) -> ProtocolScores:
         """Mean over the lidars; None if undefined for one of them."""
         return ProtocolScores({name: _mean([part.scores[name] for part in parts]) for name in SCORES})
 
 
-class Doals:
+class Doals(Counted):
     """IoU of the moving points in each labelled scan of DOALS, within 0.5 to 20 m, and its mean over the scans.
 
     As in the evaluation of Dynablox (Schmid et al., RA-L 2023). A scan without moving points in which none is
@@ -122,35 +129,24 @@ class Doals:
         low, high = (np.float32(limit**2) for limit in self.range_limits)
         squared = scan.squared_ranges()
         scored &= (squared >= low) & (squared <= high)
-        moving = scored & (scan.labels == Label.DYNAMIC)
-        tp, fp, fn = (
-            int(each.sum())
-            for each in (moving & labelled.dynamic, scored & ~moving & labelled.dynamic, moving & ~labelled.dynamic)
-        )
-        wholes = {"IoU": tp + fp + fn, "precision": tp + fp, "recall": tp + fn}
-        for name, whole in wholes.items():
+        tp, fp, fn = moving_counts(labelled, scored)
+        for name, whole in _denominators(tp, fp, fn).items():
             self._sums[name] += 100.0 * tp / whole if whole else 100.0
         self._scans += 1
 
-    def finish(self) -> ProtocolScores:
-        """The scores."""
-        return self._of_sums({"scans": self._scans, **self._sums})
-
-    @classmethod
-    def combine(cls, parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Mean over the scans of all sequences."""
-        return cls._of_sums(summed(parts))
+    def counts(self) -> Mapping[str, float]:
+        """The number of scans, and the sum of each score over them."""
+        return {"scans": self._scans, **self._sums}
 
     @staticmethod
-    def _of_sums(sums: Mapping[str, float]) -> ProtocolScores:
-        scans = sums.get("scans", 0)
-        return ProtocolScores({name: sums[name] / scans if scans else None for name in SCORES}, sums)
+    def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
+        """Means of IoU, precision and recall over the scans."""
+        scans = counts.get("scans", 0)
+        return {name: counts[name] / scans if scans else math.nan for name in SCORES}
 
 
-def _of_counts(counts: Mapping[str, float]) -> ProtocolScores:
-    tp, fp, fn = (counts.get(name, 0) for name in ("TP", "FP", "FN"))
-    wholes = {"IoU": tp + fp + fn, "precision": tp + fp, "recall": tp + fn}
-    return ProtocolScores(defined({name: float(percent(tp, whole)) for name, whole in wholes.items()}), counts)
+def _denominators(tp: float, fp: float, fn: float) -> dict[str, float]:
+    return {"IoU": tp + fp + fn, "precision": tp + fp, "recall": tp + fn}
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -2,24 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from dynaviz.arrays import F32, U8
 from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolInfo, ProtocolScores
+from dynaviz.protocol import ProtocolInfo
 from dynaviz.results.scores import SCORES, accuracies
 from dynaviz.scan import Label, outcomes
 from dynaviz.spatial.nearest import Nearest
 from dynaviz_eval.confusion import Counts
-from dynaviz_eval.protocols import defined, summed
+from dynaviz_eval.protocols import Counted
 
 RADIUS = 0.05  # metres: half of the benchmark's 0.1 m voxel
+_COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
 
 
-class Points:
+class _Accuracy(Counted):
+    """SA, DA, AA and HA of the points that were counted."""
+
+    def __init__(self, scoring: str) -> None:
+        self._counts = Counts()
+
+    def counts(self) -> Mapping[str, int]:
+        """Points by truth and answer."""
+        return {name: getattr(self._counts, name) for name in _COUNTS}
+
+    @staticmethod
+    def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
+        """SA, DA, AA and HA."""
+        static_kept, static_removed, dynamic_removed, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
+        found = accuracies(static_kept, static_kept + static_removed, dynamic_removed, dynamic_removed + dynamic_kept)
+        return {name: float(found[name]) for name in SCORES}
+
+
+class Points(_Accuracy):
     """SA, DA, AA and HA over all labelled points, by index: the main metric of dynaviz."""
 
     info: ClassVar = ProtocolInfo(
@@ -32,24 +51,12 @@ class Points:
         scores=("AA", "SA", "DA", "HA"),
     )
 
-    def __init__(self, scoring: str) -> None:
-        self._counts = Counts()
-
     def update(self, labelled: Labelled) -> None:
         """Add one scan."""
         self._counts += Counts.of(labelled.outcome)
 
-    def finish(self) -> ProtocolScores:
-        """The scores."""
-        return _accuracy(self._counts)
 
-    @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Add counts."""
-        return _of_sums(summed(parts))
-
-
-class PublicBenchmark:
+class PublicBenchmark(_Accuracy):
     """SA, DA, AA and HA as the scripts of the public benchmark count: by nearest neighbour in the cleaned map.
 
     The cleaned map is all points that the run keeps. A point counts as removed if no point of that map lies within
@@ -68,8 +75,8 @@ class PublicBenchmark:
     )
 
     def __init__(self, scoring: str) -> None:
+        super().__init__(scoring)
         self._nearest = scoring == "nn"
-        self._counts = Counts()
         self._kept: list[F32] = []
         self._removed: list[F32] = []
         self._truth: list[U8] = []
@@ -89,28 +96,10 @@ class PublicBenchmark:
         self._truth.append(truth[asked])
         self._counts += Counts.of(labelled.outcome[~asked])  # kept points are in the map
 
-    def finish(self) -> ProtocolScores:
-        """Search the removed points in the map of the kept ones."""
+    def counts(self) -> Mapping[str, int]:
+        """Points by truth and answer; searches the removed points in the map of the kept ones."""
         if self._truth:
             tree = Nearest(np.concatenate(self._kept))
             near = tree.within(np.concatenate(self._removed), RADIUS)
             self._counts += Counts.of(outcomes(np.concatenate(self._truth), ~near))
-        return _accuracy(self._counts)
-
-    @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Add counts."""
-        return _of_sums(summed(parts))
-
-
-_COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept")
-
-
-def _accuracy(counts: Counts) -> ProtocolScores:
-    return _of_sums({name: getattr(counts, name) for name in _COUNTS})
-
-
-def _of_sums(counts: Mapping[str, float]) -> ProtocolScores:
-    static_kept, static_removed, dynamic_removed, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
-    found = accuracies(static_kept, static_kept + static_removed, dynamic_removed, dynamic_removed + dynamic_kept)
-    return ProtocolScores(defined({name: float(found[name]) for name in SCORES}), counts)
+        return super().counts()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -10,18 +10,29 @@ import numpy as np
 from dynaviz.arrays import F32, F64, Bool
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolInfo, ProtocolScores
+from dynaviz.protocol import ProtocolInfo
 from dynaviz.results.scores import harmonic_mean, percent
 from dynaviz.scan import Label
 from dynaviz.spatial.grid import in_key_range, pack
-from dynaviz_eval.protocols import defined, summed
+from dynaviz_eval.protocols import Counted
 from dynaviz_eval.voxelwise import EDGE, Voxelwise
 
 SCORES = ("F1", "PR", "RR")
 _COUNTS = ("static", "static_kept", "dynamic", "dynamic_kept")
 
 
-class Freedom:
+class _Voxels(Counted):
+    """PR, RR and F1 of the voxels that were counted."""
+
+    @staticmethod
+    def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
+        """F1, PR and RR."""
+        static, static_kept, dynamic, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
+        PR, RR = float(percent(static_kept, static)), float(percent(dynamic - dynamic_kept, dynamic))
+        return {"F1": float(harmonic_mean(PR, RR)), "PR": PR, "RR": RR}
+
+
+class Freedom(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as FreeDOM counts them (Li et al., RA-L 2025).
 
     A voxel is static if it contains any static point, else dynamic. It is kept if it contains a kept point.
@@ -45,15 +56,10 @@ class Freedom:
         """Add one scan."""
         self._voxels.update(labelled)
 
-    def finish(self) -> ProtocolScores:
-        """The scores."""
+    def counts(self) -> Mapping[str, int]:
+        """Voxels by truth, and those of them that are kept."""
         found = self._voxels.finish()["voxelwise"]
-        return _of_counts({name: found[name] for name in _COUNTS})
-
-    @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Add counts."""
-        return _of_counts(summed(parts))
+        return {name: found[name] for name in _COUNTS}
 
 
 class FreedomIndoor(Freedom):
@@ -71,7 +77,7 @@ class FreedomIndoor(Freedom):
     edge: ClassVar[float] = 0.1
 
 
-class Erasor:
+class Erasor(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as ERASOR's script counts them (Lim et al., RA-L 2021).
 
     Both the map of all points and the map of the kept ones are reduced to one point per voxel: the mean of its points,
@@ -104,12 +110,12 @@ class Erasor:
             self._dynamic.append(truth[chosen] == Label.DYNAMIC)
             self._kept.append(~labelled.dynamic[chosen])
 
-    def finish(self) -> ProtocolScores:
+    def counts(self) -> Mapping[str, int]:
         """Reduce both maps to voxel points and match them."""
         from scipy.spatial import cKDTree
 
         if not self._points:
-            return _of_counts(dict.fromkeys(_COUNTS, 0))
+            return dict.fromkeys(_COUNTS, 0)
         points: F32 = np.concatenate(self._points)
         dynamic: Bool = np.concatenate(self._dynamic)
         kept: Bool = np.concatenate(self._kept)
@@ -123,12 +129,7 @@ class Erasor:
             found = distance < reach
             same[found] = map_moving[nearest[found]] == moving[found]
         numbers = (~moving).sum(), (same & ~moving).sum(), moving.sum(), (same & moving).sum()
-        return _of_counts({name: int(number) for name, number in zip(_COUNTS, numbers, strict=True)})
-
-    @staticmethod
-    def combine(parts: Sequence[ProtocolScores]) -> ProtocolScores:
-        """Add counts."""
-        return _of_counts(summed(parts))
+        return {name: int(number) for name, number in zip(_COUNTS, numbers, strict=True)}
 
 
 def voxel_points(points: F32, dynamic: Bool) -> tuple[F64, Bool]:
@@ -149,9 +150,3 @@ def voxel_points(points: F32, dynamic: Bool) -> tuple[F64, Bool]:
     order = np.lexsort((squared, voxel))
     first = order[np.concatenate([[0], np.cumsum(number)[:-1]]).astype(np.intp)] if len(order) else order
     return means, dynamic[first]
-
-
-def _of_counts(counts: Mapping[str, float]) -> ProtocolScores:
-    static, static_kept, dynamic, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
-    PR, RR = float(percent(static_kept, static)), float(percent(dynamic - dynamic_kept, dynamic))
-    return ProtocolScores(defined({"F1": float(harmonic_mean(PR, RR)), "PR": PR, "RR": RR}), counts)
