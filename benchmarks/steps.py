@@ -11,7 +11,6 @@ import cProfile
 import pstats
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from scenes import SENSOR, arguments_parser, read, street
