@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from dynaviz.benchmarking import search
+from dynaviz.benchmarking.cells import CellTask
 from dynaviz.benchmarking.leaderboard import Leaderboard
-from dynaviz.benchmarking.local import LocalExecutor
 from dynaviz.benchmarking.plan import BenchPlan
 from dynaviz.benchmarking.plan_file import plan_of, read
 from dynaviz.benchmarking.runner import BenchCallbacks, CellRunner, Executor
 from dynaviz.benchmarking.source import open_source
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
+from dynaviz.tasks.local import LocalExecutor
 
 
 def bench(
@@ -81,10 +82,13 @@ def bench(
 
 @contextlib.contextmanager
 def _executor(out: Path, scheduler: str | None, plan: BenchPlan, callbacks: BenchCallbacks) -> Iterator[Executor]:
-    if not scheduler:
-        yield LocalExecutor(out, plan.workers, callbacks.running)
-        return
-    from dynaviz.benchmarking.cluster import DaskExecutor
+    def report(task: CellTask, phase: str, done: int, total: int) -> None:
+        callbacks.running(task.cell, phase, done, total)
 
-    with contextlib.closing(DaskExecutor(out, scheduler, callbacks.running)) as cluster:
+    if not scheduler:
+        yield LocalExecutor(out, plan.workers, report)
+        return
+    from dynaviz.tasks.cluster import DaskExecutor
+
+    with contextlib.closing(DaskExecutor(out, scheduler, report)) as cluster:
         yield cluster

@@ -1,11 +1,11 @@
-"""One cell of a bench: run it, store its error, and check whether it is finished."""
+"""One cell of a bench as a task: run it, and check whether it is finished."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import shlex
-import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,45 +16,62 @@ from dynaviz.benchmarking.plan import BenchCell, settings
 from dynaviz.benchmarking.source import open_source
 from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
-from dynaviz.io.atomic import sha256, write_atomic
+from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import Result, environment
 
-ALL_FILES = (*FILES, "run.rrd", "config.toml", "result.json", "error.json", "error.log")
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
 
 
-def run(cell: BenchCell, folder: Path, threads: int | None, progress: Progress = silent) -> Result:
-    """Run a cell in this process. The folder must not contain files of an earlier run.
+@dataclass(frozen=True)
+class CellTask:
+    """A cell of a bench, as a ``dynaviz.tasks.task.Task``; its last file is ``result.json``."""
 
-    Raises:
-        DynavizError: as ``dynaviz.run``, or if the data changed since the bench started.
-    """
-    result = api.run(
-        cell.parameter_set.method,
-        open_source(cell.source),
-        out=folder,
-        record=cell.record,
-        settings=settings(cell.parameter_set.parameters),
-        online=cell.parameter_set.online,
-        seed=cell.parameter_set.seed,
-        variant=cell.parameter_set.variant,
-        threads=threads,
-        command=command(cell),
-        progress=progress,
-    )
-    if problem := difference(cell, result, folder):
-        raise DynavizError(f"the result does not match the cell: {problem}. Run the bench again.")
-    return result
+    cell: BenchCell
+    kind = "cell"
+    smaller = "Use --record errors or scores, or run it without --scheduler."
+    files = (*FILES, "run.rrd", "config.toml", "result.json")
+
+    @property
+    def path(self) -> Path:
+        """Its folder, relative to the folder of the bench."""
+        return self.cell.path
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What identifies the cell."""
+        chosen = self.cell.parameter_set
+        return {"method": chosen.method, "sequence": self.cell.source.name, "variant": chosen.variant}
+
+    def run(self, folder: Path, threads: int | None, progress: Progress = silent) -> None:
+        """Run the cell in this process.
+
+        Raises:
+            DynavizError: as ``dynaviz.run``, or if the data changed since the bench started.
+        """
+        cell, chosen = self.cell, self.cell.parameter_set
+        result = api.run(
+            chosen.method,
+            open_source(cell.source),
+            out=folder,
+            record=cell.record,
+            settings=settings(chosen.parameters),
+            online=chosen.online,
+            seed=chosen.seed,
+            variant=chosen.variant,
+            threads=threads,
+            command=command(cell),
+            progress=progress,
+        )
+        if problem := difference(cell, result, folder):
+            raise DynavizError(f"the result does not match the cell: {problem}. Run the bench again.")
+
+    def finished(self, folder: Path) -> bool:
+        """Whether its result is complete and has the same data, parameters and versions."""
+        return result_of(self.cell, folder) is not None
 
 
-def clear(folder: Path) -> None:
-    """Remove the files of a run; ``result.json`` first, because its presence marks the others as complete."""
-    for name in ("result.json", *ALL_FILES):
-        (folder / name).unlink(missing_ok=True)
-
-
-def finished(cell: BenchCell, folder: Path) -> Result | None:
+def result_of(cell: BenchCell, folder: Path) -> Result | None:
     """The result of a finished cell, if it is complete and has the same data, parameters and versions; else None."""
     try:
         result = Result.load(folder / "result.json")
@@ -105,32 +122,6 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
                 return None
         return "run.rrd is missing or was changed"
     return None
-
-
-def fail(cell: BenchCell, folder: Path, error: str) -> None:
-    """Write ``error.json`` in place of a result."""
-    (folder / "result.json").unlink(missing_ok=True)
-    facts = {
-        "method": cell.parameter_set.method,
-        "sequence": cell.source.name,
-        "variant": cell.parameter_set.variant,
-        "error": error,
-    }
-    write_atomic(folder / "error.json", json.dumps(facts, indent=1).encode())
-
-
-def error_of(folder: Path) -> str | None:
-    """The error in the ``error.json`` of a folder, or None."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        return str(json.loads((folder / "error.json").read_bytes())["error"])
-    return None
-
-
-def sentence(error: BaseException) -> str:
-    """An error in one line; errors other than ``DynavizError`` with their type."""
-    if isinstance(error, DynavizError):
-        return str(error)
-    return " ".join("".join(traceback.format_exception_only(error)).split())
 
 
 def command(cell: BenchCell) -> str:

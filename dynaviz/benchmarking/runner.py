@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from dynaviz.benchmarking import cells
+from dynaviz.benchmarking.cells import CellTask, result_of
 from dynaviz.benchmarking.leaderboard import BenchRow
 from dynaviz.benchmarking.plan import BenchCell, BenchPlan, ParameterSet, SequenceSpec
 from dynaviz.benchmarking.source import open_source, placed, simulated
 from dynaviz.errors import DynavizError
+from dynaviz.tasks.task import clear, error_of, fail
 
 
 class BenchCallbacks:
@@ -34,7 +35,7 @@ class BenchCallbacks:
 class Executor(Protocol):
     """Runs cells, on this machine or elsewhere."""
 
-    def run(self, todo: list[BenchCell]) -> Iterator[BenchCell]:
+    def run(self, todo: list[CellTask]) -> Iterator[CellTask]:
         """Run cells and yield each when it has ended."""
         ...
 
@@ -61,23 +62,23 @@ class CellRunner:
         for cell in new.values():
             folder, problem = self.out / cell.path, self._digests[cell.source]
             if isinstance(problem, DynavizError):
-                cells.clear(folder)
-                cells.fail(cell, folder, str(problem))
+                clear(CellTask(cell), folder)
+                fail(CellTask(cell), folder, str(problem))
                 self._end(cell)
-            elif result := None if self.fresh else cells.finished(cell, folder):
+            elif result := None if self.fresh else result_of(cell, folder):
                 self._end(cell, BenchRow(cell, folder, result, kept=True))
             else:
-                todo.append(cell)
+                todo.append(CellTask(cell))
         with contextlib.closing(self.executor.run(todo)) as ended:  # type: ignore[type-var]
-            for cell in ended:
-                self._end(cell)
+            for task in ended:
+                self._end(task.cell)
         return [self._ended[cell.path] for cell in wanted]
 
     def _end(self, cell: BenchCell, row: BenchRow | None = None) -> None:
         folder = self.out / cell.path
         if row is None:
-            result = cells.finished(cell, folder)
-            error = None if result else cells.error_of(folder) or "its files disappeared. Run the bench again."
+            result = result_of(cell, folder)
+            error = None if result else error_of(folder) or "its files disappeared. Run the bench again."
             row = BenchRow(cell, folder, result, error)
         self._ended[cell.path] = row
         self.callbacks.ended(row)

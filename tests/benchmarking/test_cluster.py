@@ -66,7 +66,7 @@ def test_a_killed_worker_loses_nothing(cluster, rooms: list[Path], tmp_path: Pat
 
 
 def test_an_absent_scheduler_is_an_error(rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynaviz.benchmarking.cluster.CONNECT_TIMEOUT", 1)
+    monkeypatch.setattr("dynaviz.tasks.cluster.CONNECT_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler answers"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path, scheduler="tcp://127.0.0.1:9")
     with pytest.raises(UsageError, match="Leave out --scheduler"):

@@ -62,7 +62,7 @@ def test_the_command_line_imports_without_unix_modules() -> None:
     code = (
         "import sys\n"
         "for name in ('fcntl', 'termios', 'resource', 'pwd', 'grp'): sys.modules[name] = None\n"
-        "import dynaviz.cli, dynaviz.cli.bench_progress, dynaviz.benchmarking.bench, dynaviz.benchmarking.worker\n"
+        "import dynaviz.cli, dynaviz.cli.bench_progress, dynaviz.benchmarking.bench, dynaviz.tasks.worker\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -10,9 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from dynaviz.benchmarking import cells
-from dynaviz.benchmarking.plan import BenchCell
+from dynaviz.benchmarking.cells import CellTask
 from dynaviz.io.pcd import write_pcd
+from dynaviz.tasks.task import clear, fail, sentence
 from helpers.worlds import room
 
 TOY = '''
@@ -81,15 +81,15 @@ class InProcessExecutor:
     def __init__(self, out: Path, workers: int, report: object):
         self._out, InProcessExecutor.ran = out, []
 
-    def run(self, todo: Sequence[BenchCell]) -> Iterator[BenchCell]:
-        for cell in todo:
-            InProcessExecutor.ran.append(cell.path.as_posix())
-            cells.clear(self._out / cell.path)
+    def run(self, todo: Sequence[CellTask]) -> Iterator[CellTask]:
+        for task in todo:
+            InProcessExecutor.ran.append(task.path.as_posix())
+            clear(task, self._out / task.path)
             try:
-                cells.run(cell, self._out / cell.path, 1)
+                task.run(self._out / task.path, 1)
             except Exception as error:
-                cells.fail(cell, self._out / cell.path, cells.sentence(error))
-            yield cell
+                fail(task, self._out / task.path, sentence(error))
+            yield task
 
 
 def has_ended(pid: int) -> bool:

@@ -1,4 +1,4 @@
-"""Runs cells on this machine, each in its own process, so that a crash affects no other cell."""
+"""Runs tasks on this machine, each in its own process, so that a crash affects no other task."""
 
 from __future__ import annotations
 
@@ -9,46 +9,44 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
+from typing import Generic
 
-from dynaviz.benchmarking import cells
-from dynaviz.benchmarking.plan import BenchCell
+from dynaviz.tasks.task import AnyTask, TaskProgress, clear, error_of, fail
 
-CellProgress = Callable[[BenchCell, str, int, int], None]
-"""Called with a cell, a phase of its run, the number of frames done and their total."""
 END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is killed
 
 
-# A separate session (on Windows a process group): Ctrl-C reaches only the bench, which then ends its processes.
+# A separate session (on Windows a process group): Ctrl-C reaches only this process, which then ends the others.
 if sys.platform == "win32":
     DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP
 else:
     DETACHED = 0
 
 
-class LocalExecutor:
-    """Runs several cells at a time and divides the cores among them.
+class LocalExecutor(Generic[AnyTask]):
+    """Runs several tasks at a time and divides the cores among them.
 
     Args:
-        out: folder of the bench.
-        workers: number of cells that run at a time.
-        report: called with the progress of the cells, from other threads.
+        out: folder of the whole work.
+        workers: number of tasks that run at a time.
+        report: called with the progress of the tasks, from other threads.
     """
 
-    def __init__(self, out: Path, workers: int, report: CellProgress):
+    def __init__(self, out: Path, workers: int, report: TaskProgress[AnyTask]):
         self._out, self._workers, self._report = out, workers, report
         self._threads = None if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
 
-    def run(self, todo: Sequence[BenchCell]) -> Iterator[BenchCell]:
-        """Run cells and yield each when it has ended, also if it failed; closing the iterator ends all processes."""
+    def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
+        """Run tasks and yield each when it has ended, also if it failed; closing the iterator ends all processes."""
         processes = WorkerProcesses()
         pool = ThreadPoolExecutor(self._workers)
         try:
             ended = {
-                pool.submit(processes.run, cell, self._out / cell.path, self._threads, self._report): cell
-                for cell in todo
+                pool.submit(processes.run, task, self._out / task.path, self._threads, self._report): task
+                for task in todo
             }
             for future in as_completed(ended):
                 future.result()
@@ -60,30 +58,30 @@ class LocalExecutor:
 
 
 class WorkerProcesses:
-    """The processes that run cells, one process per cell."""
+    """The processes that run tasks, one process per task."""
 
     def __init__(self) -> None:
         self._alive: set[subprocess.Popen[bytes]] = set()
         self._lock, self._ending = threading.Lock(), False
 
-    def run(self, cell: BenchCell, folder: Path, threads: int | None, report: CellProgress) -> None:
-        """Run a cell in a process and wait for it; its folder then contains the files of a run, or ``error.json``."""
+    def run(self, task: AnyTask, folder: Path, threads: int | None, report: TaskProgress[AnyTask]) -> None:
+        """Run a task in a process and wait for it; its folder then contains its files, or ``error.json``."""
         folder.mkdir(parents=True, exist_ok=True)
-        cells.clear(folder)
+        clear(task, folder)
         with (folder / "error.log").open("wb") as log, self._child(log.fileno()) as child:
             assert child.stdin
             assert child.stdout
             with contextlib.suppress(BrokenPipeError):  # the process died; its exit code is checked below
-                child.stdin.write(pickle.dumps((cell, folder, threads)))
+                child.stdin.write(pickle.dumps((task, folder, threads)))
                 child.stdin.flush()
             for line in child.stdout:
                 phase, done, total = line.decode().rsplit(maxsplit=2)
-                report(cell, phase, int(done), int(total))
+                report(task, phase, int(done), int(total))
             code = child.wait()
         if code == 0:
             (folder / "error.log").unlink(missing_ok=True)
-        elif not self._ending and cells.error_of(folder) is None:
-            cells.fail(cell, folder, death(code))
+        elif not self._ending and error_of(folder) is None:
+            fail(task, folder, death(code))
 
     def end(self) -> None:
         """End all processes, and start no more."""
@@ -104,7 +102,7 @@ class WorkerProcesses:
             if self._ending:
                 raise KeyboardInterrupt
             child = subprocess.Popen(
-                [sys.executable, "-P", "-m", "dynaviz.benchmarking.worker"],
+                [sys.executable, "-P", "-m", "dynaviz.tasks.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -1,8 +1,8 @@
-"""The process that runs one cell: ``python -m dynaviz.benchmarking.worker``, started by ``dynaviz.benchmarking.local``.
+"""The process that runs one task: ``python -m dynaviz.tasks.worker``, started by ``dynaviz.tasks.local``.
 
-It reads a pickled (cell, folder, threads) from standard input, writes lines ``PHASE DONE TOTAL`` to standard output,
+It reads a pickled (task, folder, threads) from standard input, writes lines ``PHASE DONE TOTAL`` to standard output,
 and exits with 0, or with 1 and ``error.json`` in the folder. It exits at once if its parent dies, so that it never
-writes into a folder that another bench uses.
+writes into a folder that another program uses.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ INTERVAL = 0.2  # seconds between two lines of a phase
 
 
 def main() -> int:
-    """Run the cell."""
+    """Run the task."""
     progress_lines = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # a method's own output goes to the log
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    cell, folder, threads = pickle.load(sys.stdin.buffer)
+    task, folder, threads = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    from dynaviz.benchmarking import cells
+    from dynaviz.tasks.task import fail, sentence
 
     try:
-        cells.run(cell, folder, threads, _ProgressReporter(progress_lines))
+        task.run(folder, threads, _ProgressReporter(progress_lines))
     except Exception as error:
         traceback.print_exc()
-        cells.fail(cell, folder, cells.sentence(error))
+        fail(task, folder, sentence(error))
         return 1
     return 0
 
