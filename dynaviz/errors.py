@@ -41,6 +41,10 @@ class DataError(DynavizError):
         super().__init__(f"{place}: {problem}." + (f" {hint}." if hint else ""))
 
 
+class NoPoses(DataError):
+    """Scans without poses; an odometry can estimate them."""
+
+
 class PluginError(DynavizError):
     """A plug-in whose code cannot be loaded or violates its contract."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, I64
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.datasets.files import has_files, numbered_files, only
 from dynaviz.datasets.truth import Truth, scan_fields
@@ -145,6 +146,11 @@ class Argoverse2Sequence:
     def scan_file(self, index: int) -> Path | None:
         """The file of the frame with this number."""
         return list(self.scans.values())[index] if 0 <= index < len(self) else None
+
+    def attributes(self, position: int) -> Attributes:
+        """Intensity, number of the laser, and offset of the time from that of the sweep, nanoseconds."""
+        sweep = _read(list(self.scans.values())[position], ("intensity", "laser_number", "offset_ns"))
+        return dict(sweep)
 
     def __getitem__(self, position: int) -> Scan:
         stamp = list(self.scans)[position]

@@ -5,15 +5,18 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, single
+from dynaviz.attributes import Attributes, far_origin
 from dynaviz.datasets.files import has_files, numbered_files
 from dynaviz.datasets.truth import GroundTruth
 from dynaviz.errors import DataError
+from dynaviz.io.fields import columns_of, coordinates, without_axes
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
 from dynaviz.io.poses import find_poses
 from dynaviz.scan import Scan
@@ -83,6 +86,16 @@ class BenchmarkSequence:
         source = "rows of gt_cloud.pcd" if self.truth.by_index else "coordinates in gt_cloud.pcd"
         return {"ground truth by": source, "unmatched points": f"{sum(self.unmatched.values()):,}"}
 
+    @cached_property
+    def origin(self) -> F64:
+        """(3,) float64, metres: what is subtracted from all positions."""
+        header = read_header(path := next(iter(self.scans.values())))
+        return far_origin(_pose(Pcd(path, header, np.empty(0, header.row)))[:3, 3])
+
+    def attributes(self, position: int) -> Attributes:
+        """All fields of the file besides the coordinates, as they are in the file."""
+        return without_axes(columns_of(read_pcd(list(self.scans.values())[position]).rows))
+
     def __len__(self) -> int:
         return len(self.scans)
 
@@ -97,9 +110,12 @@ class BenchmarkSequence:
         truth = self.truth.for_scan(position % len(self), pcd.xyz) if self.truth else None
         if truth:
             self.unmatched[index] = truth.unmatched
+        if self.origin.any():
+            T_world_sensor = T_world_sensor.copy()
+            T_world_sensor[:3, 3] -= self.origin
         return Scan(
             index=index,
-            points=pcd.xyz,
+            points=single(coordinates(columns_of(pcd.rows)) - self.origin) if self.origin.any() else pcd.xyz,
             T_world_sensor=T_world_sensor,
             stamp_ns=round(index / self.rate * 1e9) if self.rate else None,
             labels=truth.labels if truth else None,

@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynaviz.arrays import I64
+from dynaviz.arrays import F64, I64
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.rosbag import CLOUD, RosBagSequence
 from dynaviz.datasets.scan_folder import ScanFolderSequence
 from dynaviz.errors import DataError
@@ -87,6 +88,15 @@ class DoalsSequence:
 
     def __len__(self) -> int:
         return len(self.inner)
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the bag or folder."""
+        return self.inner.attributes(position)
+
+    @property
+    def origin(self) -> F64:
+        """That of the bag or folder."""
+        return self.inner.origin
 
     def __getitem__(self, position: int) -> Scan:
         scan = self.inner[position]

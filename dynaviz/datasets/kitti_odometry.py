@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from dynaviz.arrays import F32, F64
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.files import has_files, numbered_files, only
 from dynaviz.errors import DataError
 from dynaviz.io.calib import calib_transform, read_calib
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.text import read_table
-from dynaviz.io.velodyne import read_velodyne
+from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
@@ -107,6 +108,10 @@ class KittiOdometrySequence:
             stamp_ns=None if self.times is None else round(self.times[index] * 1e9),
             **self.truth(index, xyz),
         )
+
+    def attributes(self, position: int) -> Attributes:
+        """The intensity."""
+        return velodyne_attributes(read_velodyne(self.scans[list(self.scans)[position]]))
 
     def sweep(self, index: int) -> F32:
         """Points of a frame: (N, 3) float32, metres, sensor frame."""

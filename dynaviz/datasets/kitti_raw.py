@@ -9,6 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.datasets.camera import Camera
 from dynaviz.datasets.files import has_files, numbered_files, only
@@ -19,7 +20,7 @@ from dynaviz.io.atomic import open_file
 from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.tracklets import Tracklet, read_tracklets
-from dynaviz.io.velodyne import read_velodyne
+from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
@@ -103,6 +104,10 @@ class KittiRawSequence:
     def scan_file(self, index: int) -> Path | None:
         """The file of the frame with this number."""
         return self.scans.get(index)
+
+    def attributes(self, position: int) -> Attributes:
+        """The intensity."""
+        return velodyne_attributes(read_velodyne(self.scans[list(self.scans)[position]]))
 
     def __getitem__(self, position: int) -> Scan:
         index = list(self.scans)[position]

@@ -10,12 +10,13 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64, Bool
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.datasets.files import has_files, is_file, only
 from dynaviz.datasets.truth import scan_fields
 from dynaviz.errors import DataError
 from dynaviz.io.records import read_records
-from dynaviz.io.velodyne import read_velodyne
+from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
@@ -129,6 +130,10 @@ class NuScenesSequence:
 
     def __len__(self) -> int:
         return len(self.sweeps)
+
+    def attributes(self, position: int) -> Attributes:
+        """Intensity and ring."""
+        return velodyne_attributes(read_velodyne(self.sweeps[position].path, 5))
 
     def __getitem__(self, position: int) -> Scan:
         sweep = self.sweeps[position]

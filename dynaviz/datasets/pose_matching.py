@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from dynaviz.arrays import F64, I64
+from dynaviz.attributes import far_origin
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.poses import PoseFile, read_poses
 from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
 
 STAMP_TOLERANCE = 1_000_000  # nanoseconds a scan may lie outside the poses, because stamps are rounded
+NO_POSES = "none"  # as the source of poses: each scan stays in its own frame, for odometries
 FRAMES = ("sensor", "world")  # frames that points may be in
 
 
@@ -27,6 +29,7 @@ class MatchedPoses:
         stamps: (M,) int64, nanoseconds, of the scans or otherwise of their poses; None if neither has stamps.
         description: source of the poses in a few words, for ``dynaviz info``.
         trajectory: T_world_sensor over time; None if poses are not matched by stamp.
+        origin: (3,) float64, metres: what was subtracted from all positions.
     """
 
     positions: I64
@@ -34,6 +37,22 @@ class MatchedPoses:
     stamps: I64 | None
     description: str
     trajectory: Trajectory | None = None
+    origin: F64 = field(default_factory=lambda: np.zeros(3))
+
+    def near_zero(self) -> MatchedPoses:
+        """The poses in a world whose origin is near the first of them; see ``dynaviz.attributes.far_origin``."""
+        origin = far_origin(self.poses[0, :3, 3])
+        if not origin.any():
+            return self
+        trajectory = self.trajectory and Trajectory(self.trajectory.times, moved(self.trajectory.poses, -origin))
+        return replace(self, poses=moved(self.poses, -origin), trajectory=trajectory, origin=origin)
+
+
+def moved(poses: F64, offset: F64) -> F64:
+    """(N, 4, 4) poses, with (3,) added to their positions."""
+    poses = poses.copy()
+    poses[:, :3, 3] += offset
+    return poses
 
 
 def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> MatchedPoses:

@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32, F64, I64
-from dynaviz.datasets.pose_matching import covered_scans, match_poses, parse_points_in
+from dynaviz.arrays import F32, F64, I64, single
+from dynaviz.attributes import Attributes, far_origin
+from dynaviz.datasets.pose_matching import NO_POSES, covered_scans, match_poses, parse_points_in
 from dynaviz.datasets.transforms import Chain, TransformTree, frame_name
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError, NoPoses, UsageError
+from dynaviz.io.fields import columns_of, coordinates, without_axes
 from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
 from dynaviz.io.rosbag import Bag, is_bag
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial import geometry
-from dynaviz.spatial.trajectory import FIELDS, PosesOverTime, Trajectory, deskew, point_times, unit_of
+from dynaviz.spatial.trajectory import FIELDS, Moved, PosesOverTime, Trajectory, deskew, point_times, unit_of
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 SAMPLES = 5  # clouds used to determine the unit of the point times
-_POSES_HINT = "Give a trajectory of the lidar with --poses FILE, written by any LiDAR odometry such as KISS-ICP"
+_POSES_HINT = "Estimate the poses with --poses kiss-icp, or give a trajectory of the lidar with --poses FILE"
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class RosBagSequence:
     points_in: str
     time_field: tuple[str, float] | None
     facts: dict[str, str]
+    origin: F64 = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def matches(cls, path: Path) -> bool:
@@ -90,7 +93,7 @@ class RosBagSequence:
 
         Args:
             path: the bag, with ``#/topic`` appended if it has several cloud topics.
-            poses: a topic, a TF frame or a file.
+            poses: a topic, a TF frame or a file; ``none`` leaves each cloud in its own frame.
             points_in: ``sensor`` (default) or ``world``.
             deskew: False disables motion compensation of sweeps whose points have times.
 
@@ -103,7 +106,11 @@ class RosBagSequence:
             raise DataError(file, "does not exist", hint="Give a .bag, .mcap, .db3 or a folder with metadata.yaml")
         bag = Bag(file)
         clouds, odometries, transforms = _read_index(bag, _cloud_topic(bag, topic))
-        if poses is not None and poses not in odometries and Path(poses).is_file():
+        if poses == NO_POSES:
+            positions, description = np.arange(len(clouds.stamps)), "none"
+            trajectory = Trajectory(clouds.stamps[:1], np.eye(4)[None])
+            T = trajectory.at(clouds.stamps)
+        elif poses is not None and poses not in odometries and Path(poses).is_file():
             matched = match_poses(Path(poses).absolute(), file, clouds.stamps, np.arange(len(clouds.stamps)))
             positions, T, description = matched.positions, matched.poses, matched.description
             trajectory: PosesOverTime = matched.trajectory or Trajectory.of(clouds.stamps[positions], T)
@@ -111,13 +118,17 @@ class RosBagSequence:
             trajectory, description = _pose_source(bag, clouds, odometries, transforms, poses, frame)
             positions = covered_scans(trajectory, clouds.stamps, description, file)
             T = trajectory.at(clouds.stamps[positions])
+        origin = far_origin(T[0, :3, 3])
+        if origin.any():
+            trajectory = Moved(trajectory, -origin)
+            T = trajectory.at(clouds.stamps[positions])
         if (np.diff(clouds.stamps) < 0).any():
             position = int(np.argmax(np.diff(clouds.stamps) < 0)) + 1
             warnings.warn(f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2)
         time_field = None if frame == "world" or deskew is False else _time_field(bag, clouds, positions)
         facts = {"topic": f"{clouds.topic} (frame {clouds.frame})", "poses": description, "points in": f"{frame} frame",
                  "deskewed": f"with the field {time_field[0]}" if time_field else "no"}  # fmt: skip
-        return cls(file.stem, Sensor(), bag, clouds, positions, T, trajectory, frame, time_field, facts)
+        return cls(file.stem, Sensor(), bag, clouds, positions, T, trajectory, frame, time_field, facts, origin)
 
     @property
     def has_labels(self) -> bool:
@@ -139,7 +150,13 @@ class RosBagSequence:
             offsets = ((times - stamp) * 1e-9).astype(np.float32)
         elif self.points_in == "sensor":
             points = geometry.transform(T_world_sensor, points)
+        elif self.origin.any():
+            points = single(coordinates(columns_of(rows)) - self.origin)
         return Scan(k, points, T_world_sensor, stamp, origins=origins, times=offsets)  # type: ignore[arg-type]  # None: sensor
+
+    def attributes(self, position: int) -> Attributes:
+        """All fields of the message besides the coordinates, as they are in the message."""
+        return without_axes(columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position]))))
 
 
 def _split(path: Path) -> tuple[Path, str | None]:
@@ -269,7 +286,7 @@ def _pose_source(
         raise DataError(bag.path, problem, hint=f"If both frames coincide, add --poses {topic}")
     problem = "has no poses: no nav_msgs/Odometry, no geometry_msgs/PoseStamped"
     hint = _POSES_HINT
-    raise DataError(bag.path, f"{problem}, and no TF from {clouds.frame or 'the clouds'} to a world frame", hint=hint)
+    raise NoPoses(bag.path, f"{problem}, and no TF from {clouds.frame or 'the clouds'} to a world frame", hint=hint)
 
 
 def _requested_source(

@@ -14,16 +14,18 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynaviz.arrays import F32, I32, I64, U8, U16
-from dynaviz.datasets.pose_matching import MatchedPoses, match_poses, parse_points_in
+from dynaviz.arrays import F32, F64, I32, I64, U8, U16, single
+from dynaviz.attributes import Attributes
+from dynaviz.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
 from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
-from dynaviz.errors import DataError
+from dynaviz.errors import DataError, NoPoses
+from dynaviz.io.fields import coordinates, read_fields, without_axes
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import find_poses, nanoseconds
 from dynaviz.io.semantic_label import read_semantic_labels
-from dynaviz.io.velodyne import read_velodyne
+from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
 from dynaviz.scan import Label, Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial import geometry
@@ -32,8 +34,8 @@ SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
 # Folder names that do not identify a sequence.
 _GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
 _NO_POSES = (
-    "Give a pose file with --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy qz qw) or CSV with a "
-    "header, written by any LiDAR odometry such as KISS-ICP"
+    "Estimate them with --poses kiss-icp, or give --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy "
+    "qz qw) or CSV with a header"
 )
 
 
@@ -55,6 +57,7 @@ class ScanFolderSequence:
     indices: tuple[int, ...]
     matched: MatchedPoses
     points_in: str
+    columns: tuple[str, ...] = ()
 
     @classmethod
     def matches(cls, path: Path) -> bool:
@@ -67,7 +70,7 @@ class ScanFolderSequence:
 
         Args:
             path: folder of the scans, or the parent of the only folder with scans.
-            poses: pose file; None searches next to the scans.
+            poses: pose file; None searches next to the scans; ``none`` leaves each scan in its own frame.
             points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
 
         Raises:
@@ -81,11 +84,16 @@ class ScanFolderSequence:
             raise DataError(path, _describe_missing_scans(path), hint=hint)
         scans, numbers, stamps = _sorted_scans(folder)
         sequence_folder = folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
-        file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
-        matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+        if poses == NO_POSES:
+            matched = MatchedPoses(np.arange(len(scans)), np.tile(np.eye(4), (len(scans), 1, 1)), stamps, "none")
+        else:
+            file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
+            matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+        matched = matched.near_zero()
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
-        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame)
+        columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
+        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame, columns)
 
     @property
     def name(self) -> str:
@@ -100,7 +108,17 @@ class ScanFolderSequence:
     @property
     def facts(self) -> dict[str, str]:
         """Source and matching of the poses, and frame of the points."""
-        return {"poses": self.matched.description, "points in": f"{self.points_in} frame"}
+        facts = {"poses": self.matched.description, "points in": f"{self.points_in} frame"}
+        if self.columns not in ((), FIELDS[:4]):
+            facts["columns"] = " ".join(self.columns)
+        if self.origin.any():
+            facts["origin"] = " ".join(f"{x:.0f}" for x in self.origin) + " m, subtracted here and added in maps"
+        return facts
+
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: what was subtracted from all positions."""
+        return self.matched.origin
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -111,7 +129,7 @@ class ScanFolderSequence:
 
     def __getitem__(self, position: int) -> Scan:
         path, T_world_sensor = self.scans[position], self.matched.poses[position]
-        xyz = _points(path)
+        xyz = self._points(path)
         labels, classes, instances = self._labels(path, len(xyz))
         stamps = self.matched.stamps
         return Scan(
@@ -124,6 +142,21 @@ class ScanFolderSequence:
             instances=instances,
             class_names=CLASS_NAMES if classes is not None else {},
         )
+
+    def attributes(self, position: int) -> Attributes:
+        """All fields of the file besides the coordinates, as they are in the file."""
+        path = self.scans[position]
+        if self.columns:
+            return velodyne_attributes(read_velodyne(path, len(self.columns)), self.columns)
+        return without_axes(read_fields(path))
+
+    def _points(self, path: Path) -> F32:
+        """(N, 3) float32, metres, in the file's frame, or in the world moved by the origin."""
+        if self.columns:
+            return read_velodyne(path, len(self.columns))[:, :3]
+        if self.points_in == "world" and self.origin.any():
+            return single(coordinates(read_fields(path)) - self.origin)
+        return _npz(path) if path.suffix.lower() == ".npz" else read_points(path)
 
     def _label_file(self, scan: Path) -> Path | None:
         for folder in (self.folder / "labels", self.folder.parent / "labels"):
@@ -225,19 +258,11 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
         header = read_header(path) if path.suffix.lower() == ".pcd" else None
         T_world_sensor = None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
         if T_world_sensor is None:
-            raise DataError(folder, "has no poses", hint=_NO_POSES)
+            raise NoPoses(folder, "has no poses", hint=_NO_POSES)
         poses.append(T_world_sensor)
     if all(np.array_equal(T, np.eye(4)) for T in poses):
-        raise DataError(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
+        raise NoPoses(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
     return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
-
-
-def _points(path: Path) -> F32:
-    """(N, 3) float32, metres, in the file's frame."""
-    suffix = path.suffix.lower()
-    if suffix == ".bin":
-        return read_velodyne(path)[:, :3]
-    return _npz(path) if suffix == ".npz" else read_points(path)
 
 
 def _npz(path: Path) -> F32:

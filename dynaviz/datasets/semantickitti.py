@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, U8
+from dynaviz.arrays import F32, F64, U8, Bool
+from dynaviz.attributes import Attributes
 from dynaviz.datasets.files import has_files
 from dynaviz.datasets.kitti_odometry import KittiOdometrySequence, find_sequences
 from dynaviz.errors import DataError
@@ -128,9 +129,20 @@ class SemanticKitti50mSequence(SemanticKittiSequence):
 
     def __getitem__(self, position: int) -> Scan:
         scan = super().__getitem__(position)
-        near = _squared_norms(geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points)) < CROP_RADIUS**2
+        near = _near(scan)
         fields = {field: getattr(scan, field) for field in ("points", "labels", "classes", "instances")}
         return replace(scan, **{field: array[near] for field, array in fields.items() if array is not None})
+
+    def attributes(self, position: int) -> Attributes:
+        """The intensity of the points within the range."""
+        near = _near(super().__getitem__(position))
+        return {name: array[near] for name, array in super().attributes(position).items()}
+
+
+def _near(scan: Scan) -> Bool:
+    """(N,) bool: which points are within the range."""
+    near: Bool = _squared_norms(geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points)) < CROP_RADIUS**2
+    return near
 
 
 def _labels(classes: np.ndarray[tuple[int], np.dtype[np.uint16]], xyz: F32) -> U8:

@@ -20,6 +20,8 @@ from dynaviz.method import Context, Labeller, Labels, Method
 from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.progress import Progress, silent
+from dynaviz.results.answers import RunAnswers
+from dynaviz.results.labels import RunLabels
 from dynaviz.results.result import Result, environment
 from dynaviz.results.sections import Runtime, Sections, SequenceInfo, Source
 from dynaviz.scan import Scan, Sequence, stream
@@ -139,6 +141,7 @@ def execute(
         DataError: for data that cannot be read.
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
+    counts: list[int] = []
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
     summary = summarize(run.sequence, lambda done: progress("survey", done, total))
     if method:
@@ -160,6 +163,7 @@ def execute(
         labels = clock.timed(frame, labeller.label, scan.without_truth())
         _check(labeller.info.name, labels, len(scan))
         answer.append(labels.dynamic)
+        counts.append(len(scan))
         labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
@@ -176,6 +180,8 @@ def execute(
     sections = _sections(run.metrics, source)
     instrumented = method is not None and probe is not SILENT
     result = _result(run, summary, sections, runtime, answer.sha256(), instrumented)
+    labels = RunLabels(answer.packed(), np.array(counts, np.int64))
+    result = dataclasses.replace(result, answers=RunAnswers(run.sequence, labels))
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import struct
+from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import open_file
+
+T = TypeVar("T")
 
 _HINT = "Write or copy the file again"
 _CHUNK = 100_000  # points; laspy allocates memory for as many points as requested
@@ -29,13 +33,48 @@ def read_las(path: str | os.PathLike[str]) -> F32:
         DataError: if the file cannot be read, is corrupt or too short.
         MissingDependency: if laspy is not installed.
     """
-    path = Path(path)
+    parts = _read_chunks(Path(path), lambda p: np.column_stack([p.x, p.y, p.z]))
+    return single(np.concatenate([np.empty((0, 3)), *parts]))
+
+
+def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Read all dimensions.
+
+    Returns:
+        (N,) by name, in the types of the file: x, y and z in float64, metres, with scale and offset applied; and the
+        other dimensions, of the standard and extra.
+
+    Raises:
+        DataError, MissingDependency: as ``read_las``.
+    """
+
+    def fields(p: Any) -> dict[str, NDArray[Any]]:
+        names = [name for name in p.point_format.dimension_names if name not in ("X", "Y", "Z")]
+        return {axis: np.asarray(p[axis], np.float64) for axis in "xyz"} | {name: np.array(p[name]) for name in names}
+
+    parts = _read_chunks(Path(path), fields)
+    empty = {axis: np.empty(0) for axis in "xyz"}
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else empty
+
+
+def import_laspy(path: Path) -> Any:
+    """The module laspy.
+
+    Raises:
+        MissingDependency: if it is not installed.
+    """
     try:
         import laspy
     except ModuleNotFoundError:
         raise MissingDependency(
             f"{path}: LAS and LAZ files need laspy. Install it with: pip install 'dynaviz[las]'"
         ) from None
+    return laspy
+
+
+def _read_chunks(path: Path, take: Callable[[Any], T]) -> list[T]:
+    """What ``take`` gives for the points of each chunk of a file."""
+    laspy = import_laspy(path)
     with open_file(path, _HINT) as file:
         try:
             size = _checked_size(file)
@@ -49,13 +88,12 @@ def read_las(path: str | os.PathLike[str]) -> F32:
                         f"too short: the header states {header.point_count} points, the file has {available}"
                     )
                 with np.errstate(over="ignore", invalid="ignore"):  # a damaged scale or offset
-                    parts = [np.column_stack([p.x, p.y, p.z]) for p in las.chunk_iterator(_CHUNK)]
+                    return [take(chunk) for chunk in las.chunk_iterator(_CHUNK)]
         # laspy and its decompressor raise many types of errors for corrupt files; PanicException is not an Exception.
         except BaseException as error:
             if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
                 raise
             raise DataError(path, f"not a valid LAS file ({str(error)[:80]})", hint=_HINT) from None
-    return single(np.concatenate([np.empty((0, 3)), *parts]))
 
 
 def _checked_size(file: IO[bytes]) -> int:

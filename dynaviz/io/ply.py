@@ -56,6 +56,19 @@ def read_ply(path: str | os.PathLike[str]) -> F32:
     Raises:
         DataError: if the file cannot be read, is corrupt or too short, or its vertices have no x, y or z.
     """
+    rows = read_ply_rows(path)
+    return np.stack([single(rows[axis]) for axis in "xyz"], 1)
+
+
+def read_ply_rows(path: str | os.PathLike[str]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """Read the vertices with all properties.
+
+    Returns:
+        (N,) of a structured dtype with the properties of the file.
+
+    Raises:
+        DataError: as ``read_ply``.
+    """
     path = Path(path)
     with open_file(path, "Give a PLY file") as file:
         order, elements, lines = _read_header(path, file)
@@ -64,8 +77,7 @@ def read_ply(path: str | os.PathLike[str]) -> F32:
             raise DataError(path, "the header has no element 'vertex'", hint="Write the points as vertices")
         before, vertex = elements[: names.index("vertex")], elements[names.index("vertex")]
         _check_properties(path, [*before, vertex])
-        rows = (_read_ascii if order == "=" else _read_binary)(path, file, order, before, vertex, lines)
-        return np.stack([single(rows[axis]) for axis in "xyz"], 1)
+        return (_read_ascii if order == "=" else _read_binary)(path, file, order, before, vertex, lines)
 
 
 def _read_header(path: Path, file: IO[bytes]) -> tuple[str, list[_Element], int]:

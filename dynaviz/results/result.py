@@ -13,13 +13,17 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from dynaviz.errors import DataError
+from dynaviz.arrays import F64
+from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
+from dynaviz.results.answers import Answers, SavedAnswers
+from dynaviz.results.labels import RunLabels
 from dynaviz.results.sections import (
     CaseTotals,
     Environment,
@@ -37,6 +41,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SCHEMA = 1
+_NOT_IN_FILE = {"sections", "answers"}  # sections are spread over the top level
 RecordMode = Literal["full", "errors", "scores"]  # how much a recording contains
 _REASONS = 3  # in a row of a table
 _HINT = "Give the result.json of a run"
@@ -61,6 +66,7 @@ class Result:
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
         environment: package versions and machine.
         command: what the user typed.
+        answers: where ``labels`` and ``static_map`` come from (``dynaviz.results.answers``); not in the file.
     """
 
     method: str
@@ -80,6 +86,7 @@ class Result:
     instrumented: bool = False
     environment: Environment = field(default_factory=Environment)
     command: str = ""
+    answers: Any = field(default=None, repr=False, compare=False)
 
     @property
     def metrics(self) -> Mapping[str, float | None]:
@@ -117,9 +124,33 @@ class Result:
         """Clusters of removed points, most suspicious first; empty for runs with ground truth."""
         return self.sections.removals.clusters if self.sections.removals else ()
 
+    @property
+    def labels(self) -> RunLabels:
+        """Labels by position of the frame: ``labels[i]`` is (N,) bool, True for points that the method removed.
+
+        Raises:
+            UsageError: for a result that was loaded without the ``labels.npz`` of its run.
+        """
+        return self._answers.labels
+
+    def static_map(self) -> F64:
+        """(M, 3) float64, metres: the points that the method kept, in the coordinates of the source.
+
+        Raises:
+            UsageError: for a result that was loaded without the files of its run.
+        """
+        return self._answers.static_map()
+
+    @property
+    def _answers(self) -> Answers:
+        if self.answers is None:
+            raise UsageError("this result has no labels. Run the method, or load the result.json in the run's folder")
+        found: Answers = self.answers
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """The content of ``result.json``."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sections"}
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in _NOT_IN_FILE}
         plain: dict[str, Any] = msgspec.to_builtins(fields)
         return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **self.sections.plain()}
 
@@ -134,7 +165,7 @@ class Result:
         Raises:
             DataError: if the file is not a result, or was written by a newer dynaviz.
         """
-        return cls.from_dict(read_json(path, _HINT), path)
+        return dataclasses.replace(cls.from_dict(read_json(path, _HINT), path), answers=SavedAnswers(Path(path).parent))
 
     @classmethod
     def from_dict(cls, plain: Any, path: str | os.PathLike[str]) -> Result:
@@ -148,9 +179,9 @@ class Result:
         schema = plain.get("schema", 0)
         if isinstance(schema, int) and schema > SCHEMA:
             raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
-        names = {f.name for f in dataclasses.fields(cls)} - {"sections"}
+        names = {f.name for f in dataclasses.fields(cls)} - _NOT_IN_FILE
         fields = {key: value for key, value in plain.items() if key in names}
-        rest = {key: value for key, value in plain.items() if key not in {*names, "schema", "n_parameters", "sections"}}
+        rest = {k: v for k, v in plain.items() if k not in {*names, *_NOT_IN_FILE, "schema", "n_parameters"}}
         try:
             result = msgspec.convert(fields, cls)
             return dataclasses.replace(result, sections=Sections.of(rest))

@@ -37,6 +37,30 @@ class PosesOverTime(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Moved:
+    """Poses over time, with an offset added to their positions.
+
+    Attributes:
+        poses: the poses.
+        offset: (3,) float64, metres.
+    """
+
+    poses: PosesOverTime
+    offset: F64
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, nanoseconds."""
+        return self.poses.span
+
+    def at(self, times: ArrayLike) -> F64:
+        """(N, 4, 4) float64, metres: the poses at (N,) int64 nanoseconds."""
+        poses = np.array(self.poses.at(times))
+        poses[:, :3, 3] += self.offset
+        return poses
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses at some times, with interpolation: constant rotation rate about one axis, positions along a line.
 

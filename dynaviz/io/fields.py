@@ -1,0 +1,120 @@
+"""Read all fields of a point cloud, in the types of the file: coordinates, and attributes such as intensity."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.arrays import F64
+from dynaviz.errors import DataError
+from dynaviz.io.las import read_las_fields
+from dynaviz.io.npy import open_npy
+from dynaviz.io.pcd import read_pcd
+from dynaviz.io.ply import read_ply_rows
+
+Fields = dict[str, NDArray[Any]]
+
+AXES = ("x", "y", "z")
+
+
+def read_fields(path: str | os.PathLike[str]) -> Fields:
+    """Read all fields of a PCD, PLY, LAS, LAZ, NPY or NPZ file.
+
+    Args:
+        path: the file; its suffix selects the format.
+
+    Returns:
+        (N,) integers or floats by name: x, y and z in metres, and the attributes, unchanged. A field with several
+        values per point is split: ``normal_0``, ``normal_1``.
+
+    Raises:
+        DataError: for an unknown suffix, or if the file cannot be read, is corrupt or has no x, y or z.
+        MissingDependency: for LAS and LAZ if laspy is not installed.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        hint = f"Give a file with one of the suffixes {', '.join(sorted(_READERS))}"
+        raise DataError(path, "unknown point cloud format", hint=hint)
+    fields = reader(path)
+    if missing := [axis for axis in AXES if axis not in fields]:
+        hint = "Write the cloud with x, y and z"
+        raise DataError(path, f"has no {', '.join(missing)} (found: {', '.join(fields)})", hint=hint)
+    return fields
+
+
+def without_axes(fields: Mapping[str, NDArray[Any]]) -> Fields:
+    """The attributes among the fields."""
+    return {name: array for name, array in fields.items() if name not in AXES}
+
+
+def coordinates(fields: Mapping[str, NDArray[Any]]) -> F64:
+    """(N, 3) float64, metres."""
+    return np.column_stack([fields[axis].astype(np.float64) for axis in AXES])
+
+
+def columns_of(rows: NDArray[Any]) -> Fields:
+    """The fields of a structured array, (N,) each; padding (``_``) is left out."""
+    fields: Fields = {}
+    for name in rows.dtype.names or ():
+        column = rows[name]
+        if name.strip("_") == "" or column.dtype.kind not in "fiub":
+            continue
+        if column.ndim == 1:
+            fields[name] = column
+        else:
+            flat = column.reshape(len(rows), -1)
+            fields |= {f"{name}_{k}" if flat.shape[1] > 1 else name: flat[:, k] for k in range(flat.shape[1])}
+    return fields
+
+
+def _pcd(path: Path) -> Fields:
+    return columns_of(read_pcd(path).rows)
+
+
+def _ply(path: Path) -> Fields:
+    return columns_of(read_ply_rows(path))
+
+
+def _npy(path: Path) -> Fields:
+    hint = "Save (N, 3 or more) float32, metres, or a structured array with x, y and z, with numpy.save"
+    with open_npy(path, "NPY file", hint) as array:
+        rows = np.array(array) if isinstance(array, np.ndarray) else np.empty(0)
+    if rows.dtype.names:
+        return columns_of(rows)
+    if rows.ndim != 2 or rows.shape[1] < 3:
+        raise DataError(path, f"contains an array {rows.shape} of {rows.dtype}", hint=hint)
+    names = [*AXES, "intensity", *(f"column_{k}" for k in range(4, rows.shape[1]))]
+    return {name: rows[:, k] for k, name in zip(range(rows.shape[1]), names, strict=False)}
+
+
+def _npz(path: Path) -> Fields:
+    """The arrays of an NPZ file with a value per point, and the columns of ``points`` or ``xyz``."""
+    hint = "Save points = (N, 3) float32, metres, and arrays of N values, with numpy.savez"
+    with open_npy(path, "NPZ file", hint) as arrays:
+        loaded = {name: arrays[name] for name in arrays}
+    if all(axis in loaded for axis in AXES):
+        return {name: array for name, array in loaded.items() if array.shape == loaded["x"].shape}
+    clouds = [name for name, array in loaded.items() if array.ndim == 2 and array.shape[1] >= 3]
+    name = next((name for name in ("points", "xyz") if name in clouds), clouds[0] if clouds else None)
+    if name is None:
+        raise DataError(path, "has no array (N, 3 or more)", hint=hint)
+    points = loaded.pop(name)
+    more = ["intensity", *(f"column_{k}" for k in range(4, points.shape[1]))][: points.shape[1] - 3]
+    fields = {field: points[:, k] for k, field in enumerate([*AXES, *more])}
+    return fields | {key: array for key, array in loaded.items() if array.shape == (len(points),)}
+
+
+_READERS: dict[str, Callable[[Path], Fields]] = {
+    ".pcd": _pcd,
+    ".ply": _ply,
+    ".npy": _npy,
+    ".npz": _npz,
+    ".las": read_las_fields,
+    ".laz": read_las_fields,
+}
