@@ -154,7 +154,9 @@ def _choose(found: Witnesses, offered: list[_Strips]) -> None:
 
 def _evenly(count: int, most: int) -> Intp:
     """At most ``most`` indices below ``count``, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
+    if count <= most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, most).round().astype(np.intp)  # more than 1 apart: all differ
 
 
 def _origins(scan: Scan, rays: Intp) -> F64:
