@@ -20,6 +20,7 @@ class Cause(StrEnum):
     SPARSE_RINGS = "sparse rings"  # the sensor's rings are too far apart at that range
     NOTHING_BEHIND = "nothing behind"  # no surface behind the object returned a ray through it
     STANDING = "standing too long"  # hit more often than crossed by rays
+    OCCUPIED = "mostly occupied"  # the same, though the object moved on
     HEIGHT_LIMIT = "height limit"  # outside the height band that the method judges
     OUT_OF_RANGE = "out of range"  # outside the range or field of view that the method judges
     NOT_YET_FREE = "not yet known free"  # the space was not observed as free before the object arrived
@@ -142,4 +143,13 @@ class Method(Labeller, Protocol):
 
     def observe(self, scan: Scan) -> None:
         """Learn from one scan."""
+        ...
+
+
+@runtime_checkable
+class Tileable(Protocol):
+    """A method whose label of a point depends on the map around it only, so that it can run on tiles of a map."""
+
+    def halo(self) -> float:
+        """Metres around a tile within which points can decide the labels in it; infinite if all points can."""
         ...

@@ -13,15 +13,18 @@ from dynaviz.method import Cause, Reason
 from dynaviz.results.behaviour import Behaviour
 
 SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apart
-STATIONARY = 1.0  # metres: a case that moves less ...
-LONG = 10  # frames: ... in at least this many frames is stationary
+STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
+SLOW = 0.1  # metres per frame: slower than anyone walks in front of most sensors
+LONG = 10  # frames: what is slow in at least this many frames stands for long
 FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surface
 WIDE = 1.5  # metres
 
-_VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cause.STANDING)
+_VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cause.STANDING, Cause.OCCUPIED)
+_OCCUPIED = "The method observed its place more often as occupied than as free."
 _EXPLANATIONS: dict[str, dict[str, str]] = {  # by kind and cause
     "false_negative": {
-        Cause.STANDING: "The method observed its place more often as occupied than as free.",
+        Cause.STANDING: _OCCUPIED,
+        Cause.OCCUPIED: _OCCUPIED,
         Cause.NOTHING_BEHIND: "The method needs rays through its place, and found too few.",
         Cause.SPARSE_RINGS: "The method needs rays through its place, and the sensor's rings are too sparse there.",
         Cause.NOT_YET_FREE: "The method had not observed its place as free for long enough before it arrived.",
@@ -71,9 +74,10 @@ def _refine_removed(case: np.void, cause: Cause) -> Cause:
 
 
 def _refine_kept(case: np.void, cause: Cause) -> Cause:
-    """Why no ray, or too few, passed through the place of dynamic points."""
-    if case["frames"] >= LONG and case["moved"] < STATIONARY:
-        return Cause.STANDING
+    """Why rays did not show that the place of dynamic points is free: hits outweigh them, or too few passed."""
+    if cause in (Cause.STANDING, Cause.OCCUPIED):
+        long = case["frames"] >= LONG and case["moved"] < SLOW * case["frames"]
+        return Cause.STANDING if long else Cause.OCCUPIED
     return Cause.SPARSE_RINGS if cause is Cause.SPARSE_RINGS or _is_sparse(case) else Cause.NOTHING_BEHIND
 
 

@@ -16,6 +16,7 @@ REASONS = (
     Reason("few_rays", "few rays", Cause.SPARSE_RINGS),
     Reason("too_high", "height", Cause.HEIGHT_LIMIT),
     Reason("mystery", "unknown"),
+    Reason("hit_more", "hits", Cause.STANDING),
 )
 CASE = summed(np.empty(0, Cases(len(REASONS) + 1, np.inf).kind)).dtype
 
@@ -51,16 +52,20 @@ def test_the_cause_of_a_removed_case_depends_on_its_shape(looks, expected):
 @pytest.mark.parametrize(
     ("reason", "looks", "expected"),
     [
-        (0, {"frames": 10, "moved": 0.99}, Cause.STANDING),
-        (0, {"frames": 9, "moved": 0.99}, Cause.NOTHING_BEHIND),
-        (0, {"frames": 10, "moved": 1.0}, Cause.NOTHING_BEHIND),
+        (6, {"frames": 10, "moved": 0.99}, Cause.STANDING),
+        (6, {"frames": 49, "moved": 1.4}, Cause.STANDING),
+        (6, {"frames": 9, "moved": 0.0}, Cause.OCCUPIED),
+        (6, {"frames": 10, "moved": 1.0}, Cause.OCCUPIED),
+        (6, {"frames": 40, "moved": 23.2, "cells": 100}, Cause.OCCUPIED),
+        (2, {"frames": 50, "moved": 0.0}, Cause.NOTHING_BEHIND),
+        (0, {"frames": 10, "moved": 0.99}, Cause.NOTHING_BEHIND),
         (0, {"cells": 51}, Cause.SPARSE_RINGS),
         (0, {"cells": 50}, Cause.NOTHING_BEHIND),
         (3, {}, Cause.SPARSE_RINGS),
         (0, {"size": (9, 9, 0.1)}, Cause.NOTHING_BEHIND),
     ],
 )
-def test_the_cause_of_a_kept_case_depends_on_its_motion(reason, looks, expected):
+def test_the_cause_of_a_kept_case_follows_its_reasons_and_motion(reason, looks, expected):
     assert cause("false_negative", reason, **looks) is expected
 
 
@@ -74,9 +79,9 @@ def test_shape_and_motion_only_refine_causes_of_visibility(kind):
 def test_the_cause_of_most_points_wins_over_the_most_frequent_reason():
     total = np.zeros(1, CASE)
     total["points"], total["cells"], total["high"] = 100, 10, (9, 9, 0.1)
-    total["reasons"] = [30, 30, 0, 0, 40, 0, 0]
+    total["reasons"] = [30, 30, 0, 0, 40, 0, 0, 0]
     assert causes_of("false_positive", total, REASONS) == [Cause.GRAZING_RAYS]
-    total["reasons"] = [20, 20, 0, 0, 60, 0, 0]
+    total["reasons"] = [20, 20, 0, 0, 60, 0, 0, 0]
     assert causes_of("false_positive", total, REASONS) == [Cause.HEIGHT_LIMIT]
 
 

@@ -95,9 +95,10 @@ def test_one_object_is_followed_through_its_frames():
     assert found["others"] == {"cases": 0, "points": 0}
 
 
-def test_an_object_that_stays_is_reported_as_such():
-    (case,) = section(*(labelled(f, cube(seed=f), 1, False, 1) for f in range(12)))["cases"]
-    assert case["cause"] == "standing too long"
+@pytest.mark.parametrize(("reason", "cause"), [(4, "standing too long"), (1, "nothing behind")])
+def test_an_object_that_stays_is_reported_as_such(reason, cause):
+    (case,) = section(*(labelled(f, cube(seed=f), 1, False, reason) for f in range(12)))["cases"]
+    assert case["cause"] == cause
     assert case["behaviour"] == "parked until the end"
     assert "parked until the end" in case["sentence"]
 

@@ -21,6 +21,7 @@ INFO = MethodInfo(
         Reason("never_crossed", "no rays", Cause.NOTHING_BEHIND),
         Reason("too_high", "height", Cause.HEIGHT_LIMIT),
         Reason("mystery", "unknown"),
+        Reason("hit_more", "hits", Cause.STANDING),
     ),
 )
 
