@@ -1,24 +1,23 @@
 """Does the ranking of the methods by implants agree with the ranking by true labels? ``python benchmarks/implants.py``.
 
-    python benchmarks/implants.py [--frames N] [--stride N] [--seeds N] [--methods A,B | --grid] [-o FOLDER] [SEQUENCE]
+    python benchmarks/implants.py [--frames N] [--stride N] [--seeds A,B] [--methods A,B | --grid] [-o OUT] [SEQUENCE]
 
 SEQUENCE is a path with ground truth, or ``simulate:PRESET[:SEED]``. Every registered method, or with ``--grid``
 DUFOMap and OctoMap with several parameters each, runs on the sequence, and on the sequence with implants for each
 seed. The implants are planned without the sequence's labels. Three scores are compared, by Spearman's rank correlation
-of SA, DA and AA:
+of SA, DA and AA (``benchmarks/agreement.py`` describes all figures):
 
 true      the sequence's own labels
 implants  DA of the implants alone, SA of the points labelled static; counts of all seeds are added
 panel     as above, but SA of the points that most methods of the default panel keep: needs no labels
 
-DA is averaged in two ways, on both sides:
+DA is averaged in three ways, on both sides:
 
 points    each point counts once, as in the protocol: one large mover near the sensor decides
 movers    each mover counts once in each band of range (``BANDS``), with its share of removed points
+matched   as ``movers``, but the implants are weighted: for each true mover and band, those of its kind in this band
 
-Movers are few, so both rankings depend on which movers there are. They are drawn again with replacement: the interval
-of each correlation contains 90 % of the draws. ``itself`` is the correlation of the true ranking with that of drawn
-movers of the same sequence: other movers cannot be expected to agree better.
+Finished runs are kept in OUT; delete the folder after changes of methods or implants.
 """
 
 from __future__ import annotations
@@ -26,20 +25,21 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import math
+import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from agreement import AVERAGES, Scores, agreement, compared
 
 from dynaviz import api, params, registry
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.implants.lidar import LidarModel
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.panel import Votes, default_panel, votes
+from dynaviz.implants.panel import default_panel, votes
 from dynaviz.implants.scene import CLASSES
 from dynaviz.implants.sequence import ImplantedSequence, planned
 from dynaviz.implants.survey import Survey
@@ -48,15 +48,13 @@ from dynaviz.simulate import simulate
 
 DEFAULT = ("simulate:demo", "simulate:street_hdl64")
 KINDS = ("true", "implants", "panel")
-AVERAGES = ("points", "movers")
 BANDS = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0)  # metres from the sensor
-FEW = 20  # points of a mover in a band; fewer do not count in the average over movers
-DRAWS = 500
-MOVERS = ImplantOptions(cars=6, cyclists=6, persons=6)  # as many of each kind, so that none decides
+MOVERS = ImplantOptions(cars=4, cyclists=4, persons=4)  # as many of each kind, so that none decides
 GRID = {
     "dufomap": {"resolution": (0.1, 0.2, 0.3), "unknown_margin": (0, 1)},
     "octomap": {"resolution": (0.1, 0.2, 0.3), "prob_miss": (0.3, 0.4)},
 }
+Entry = tuple[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -84,57 +82,44 @@ class Cached:
         return self.scans[position]
 
 
-@dataclass
-class Score:
-    """Static points, and those kept; for each mover and band of range its points, and those removed."""
-
-    static: np.ndarray = field(default_factory=lambda: np.zeros(2, np.int64))
-    movers: dict[Any, np.ndarray] = field(default_factory=dict)
-
-    def add(self, scan: Scan, moving: np.ndarray, removed: np.ndarray, seed: int) -> None:
-        """Count a frame."""
-        static = scan.labels == Label.STATIC
-        self.static += static.sum(), (static & ~removed).sum()
-        band = np.digitize(np.sqrt(scan.squared_ranges()), BANDS)
-        for mover in np.unique(scan.instances[moving]):
-            own = moving & (scan.instances == mover)
-            counts = self.movers.setdefault((seed, int(mover)), np.zeros((2, len(BANDS) + 1), np.int64))
-            counts += [np.bincount(band[chosen], minlength=len(BANDS) + 1) for chosen in (own, own & removed)]
-
-    def percent(self, average: str, drawn: list[Any] | None = None) -> tuple[float, float, float]:
-        """SA, DA and AA; with drawn movers only those count, as often as they were drawn."""
-        chosen = np.array([self.movers[mover] for mover in (self.movers if drawn is None else drawn)])
-        points, removed = chosen.sum(0).sum(1) if average == "points" and len(chosen) else (0, 0)
-        da = removed / max(points, 1)
-        if average == "movers" and len(chosen):
-            points, removed = chosen[:, 0], chosen[:, 1]
-            da = float(np.mean(removed[points >= FEW] / points[points >= FEW]))
-        sa, da = 100 * self.static[1] / max(self.static[0], 1), 100 * da
-        return float(sa), float(da), math.sqrt(sa * da)
-
-
 class Count(Listener):
-    """Counts the frames of a run; ``truth`` has one labelled sequence for each kind of score."""
+    """Counts a run, for each kind of score by the labels of one sequence.
 
-    def __init__(self, scores: dict[str, Score], truth: Mapping[str, Sequence], seed: int) -> None:
-        self.scores, self.truth, self.seed = scores, truth, seed
+    ``static`` has static points and those kept, ``movers`` for each instance its kind, and for each band of range its
+    points and those removed.
+    """
+
+    def __init__(self, truth: Mapping[str, Sequence]) -> None:
+        self.truth = truth
+        self.found: dict[str, dict[str, Any]] = {
+            kind: {"static": np.zeros(2, np.int64), "movers": {}} for kind in truth
+        }
 
     def labelled(self, labelled: Any, curves: Any) -> None:
         """Count a frame."""
+        removed = labelled.dynamic
         for kind, sequence in self.truth.items():
-            scan = sequence[labelled.frame]
+            scan, found = sequence[labelled.frame], self.found[kind]
+            static = scan.labels == Label.STATIC
+            found["static"] += static.sum(), (static & ~removed).sum()
             implanted = np.isin(scan.classes, list(CLASSES.values()))
             moving = (scan.labels == Label.DYNAMIC) & (implanted if kind != "true" else ~implanted)
-            self.scores[kind].add(scan, moving, labelled.dynamic, self.seed)
+            band = np.digitize(np.sqrt(scan.squared_ranges()), BANDS)
+            for mover in np.unique(scan.instances[moving]).tolist():
+                own = moving & (scan.instances == mover)
+                name = scan.class_names.get(int(scan.classes[own][0]), "")
+                counts = found["movers"].setdefault(str(mover), (group(name), np.zeros((2, len(BANDS) + 1), np.int64)))
+                counts[1][:] += [np.bincount(band[chosen], minlength=len(BANDS) + 1) for chosen in (own, own & removed)]
 
 
-def run(method: str, settings: Mapping[str, Any], sequence: Sequence, count: Count) -> None:
-    kind = registry.load("methods", method)
-    resolved = params.resolve(kind, settings=[f"{key}={value}" for key, value in settings.items()])
-    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [count])
+def group(name: str) -> str:
+    """Vehicle, cyclist or person, from the name of a class."""
+    if re.search("person|pedestrian|animal", name.lower()):
+        return "person"
+    return "cyclist" if "cycl" in name.lower() else "vehicle"
 
 
-def opened(text: str, frames: int, folder: Path, stride: int = 1) -> Cached:
+def opened(text: str, frames: int, stride: int, folder: Path) -> Cached:
     if text.startswith("simulate:"):
         preset, _, seed = text.removeprefix("simulate:").partition(":")
         path = folder / "-".join(filter(None, [preset, str(frames), seed]))
@@ -142,112 +127,140 @@ def opened(text: str, frames: int, folder: Path, stride: int = 1) -> Cached:
             simulate(preset, path, frames=frames, seed=int(seed or 0))
         text = str(path)
     sequence = api.open(text, frames=f":{frames}", stride=stride)
-    return Cached.of(sequence, sequence.name)
+    return Cached.of(sequence, f"{sequence.name}-stride{stride}" if stride > 1 else sequence.name)
 
 
-def implanted(base: Cached, agreed: Votes, seed: int) -> dict[str, Cached]:
-    """The same implants in the sequence, with the labels of the sequence, and with those of the panel."""
-    blind, lidar = base.blind(), LidarModel.measure(base)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # movers that find no place
-        scene = planned("", replace(MOVERS, seed=seed), lidar, Survey.of(blind, moving=agreed.dynamic))
-    return {
-        "implants": Cached.of(ImplantedSequence(base, scene, lidar, ""), base.name),
-        "panel": Cached.of(ImplantedSequence(blind, scene, lidar, "", ("panel",), agreed.static), base.name),
-    }
+class Implanter:
+    """Puts movers into a sequence, by seed."""
+
+    def __init__(self, base: Cached) -> None:
+        self.base, self.blind = base, base.blind()
+        self.agreed = votes(self.blind, default_panel())
+        self.lidar = LidarModel.measure(base)
+        self.survey = Survey.of(self.blind, moving=self.agreed.dynamic)
+
+    def sequences(self, seed: int) -> dict[str, Cached]:
+        """The same implants in the sequence, with the labels of the sequence, and with those of the panel."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # movers that find no place
+            scene = planned("", replace(MOVERS, seed=seed), self.lidar, self.survey)
+        kinds = [mover.kind for mover in scene.implants]
+        print(f"{self.base.name} seed {seed}:", {kind: kinds.count(kind) for kind in kinds}, flush=True)
+        panel = ImplantedSequence(self.blind, scene, self.lidar, "", ("panel",), self.agreed.static)
+        return {
+            "implants": Cached.of(ImplantedSequence(self.base, scene, self.lidar, ""), self.base.name),
+            "panel": Cached.of(panel, self.base.name),
+        }
 
 
-def compare(base: Cached, seeds: int, entries: list[tuple[str, dict[str, Any]]]) -> list[dict[str, Score]]:
-    """The scores of each method with its settings, by kind."""
-    agreed = votes(base.blind(), default_panel())
-    scores = [{kind: Score() for kind in KINDS} for _ in entries]
-    for seed in range(-1, seeds):  # -1: without implants
-        truth = {"true": base} if seed < 0 else implanted(base, agreed, seed)
-        sequence = next(iter(truth.values()))
-        for (method, settings), found in zip(entries, scores, strict=True):
-            run(method, settings, sequence, Count(found, truth, seed))
-            done = " ".join(f"{kind} {found[kind].percent('points')[2]:.2f}" for kind in truth)
-            print(f"{base.name} seed {seed} {method} {settings or ''}: AA {done}", flush=True)
-    return scores
+def measured(base: Cached, seeds: list[int], entries: list[Entry], folder: Path) -> list[list[dict[str, Any]]]:
+    """For each entry the counts on the sequence itself, and on that with each seed's implants."""
+    folder.mkdir(parents=True, exist_ok=True)
+    implanter: Implanter | None = None
+    results: list[list[dict[str, Any]]] = [[] for _ in entries]
+    for seed in (None, *seeds):
+        truth: dict[str, Cached] = {}
+        for entry, found in zip(entries, results, strict=True):
+            stored = folder / f"{'itself' if seed is None else f'seed{seed}'}-{title(entry).replace(' ', '-')}.json"
+            if not stored.exists():
+                if not truth and seed is None:
+                    truth = {"true": base}
+                elif not truth:
+                    implanter = implanter or Implanter(base)
+                    truth = implanter.sequences(int(seed or 0))
+                stored.write_text(json.dumps(run(entry, truth), default=lambda array: array.tolist()))
+                print(f"{base.name}: {stored.stem}", flush=True)
+            found.append(json.loads(stored.read_text()))
+    return results
 
 
-def rank_correlation(a: list[float], b: list[float]) -> float:
-    from scipy.stats import spearmanr
-
-    return float(spearmanr(a, b).statistic)
-
-
-def correlations(scores: list[dict[str, Score]], average: str) -> dict[str, Any]:
-    """Spearman's correlation of SA, DA and AA with the true ones, and intervals of that of AA over drawn movers."""
-    rng = np.random.default_rng(0)
-    whole = {kind: np.array([score[kind].percent(average) for score in scores]) for kind in KINDS}
-    movers = {kind: list(scores[0][kind].movers) for kind in KINDS}
-    draws: dict[str, list[float]] = {"implants": [], "panel": [], "itself": []}
-    for _ in range(DRAWS):
-        chosen = {kind: [names[k] for k in rng.integers(len(names), size=len(names))] for kind, names in movers.items()}
-        aa = {kind: [score[kind].percent(average, chosen[kind])[2] for score in scores] for kind in KINDS}
-        for kind in ("implants", "panel"):
-            draws[kind].append(rank_correlation(aa["true"], aa[kind]))
-        draws["itself"].append(rank_correlation(whole["true"][:, 2], aa["true"]))
-    facts: dict[str, Any] = {}
-    for kind, values in draws.items():
-        low, middle, high = np.nanquantile(values, [0.05, 0.5, 0.95]).round(2).tolist()
-        facts[kind] = {"AA": round(middle, 2), "interval": [low, high]}
-        if kind != "itself":
-            found = [rank_correlation(whole["true"][:, k], whole[kind][:, k]) for k in range(3)]
-            facts[kind] |= dict(zip(("SA", "DA", "AA"), np.round(found, 2).tolist(), strict=True))
-    return facts
+def run(entry: Entry, truth: Mapping[str, Cached]) -> dict[str, Any]:
+    kind = registry.load("methods", entry[0])
+    resolved = params.resolve(kind, settings=[f"{key}={value}" for key, value in entry[1].items()])
+    count, sequence = Count(truth), next(iter(truth.values()))
+    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [count])
+    return count.found
 
 
-def grid() -> list[tuple[str, dict[str, Any]]]:
-    found: list[tuple[str, dict[str, Any]]] = []
+def scores(results: list[list[dict[str, Any]]], kind: str) -> Scores:
+    """The counts of one kind of score."""
+    chosen = [[run[kind] for run in runs if kind in run] for runs in results]
+    static = np.array([np.sum([run["static"] for run in runs], axis=0) for runs in chosen])
+    cells: list[tuple[int, int, str, int]] = []
+    counts: list[np.ndarray] = []
+    movers = 0
+    for seed, runs in enumerate(zip(*chosen, strict=True)):
+        for instance, (name, own) in runs[0]["movers"].items():
+            removed = np.array([run["movers"][instance][1][1] for run in runs])
+            present = np.flatnonzero(own[0])
+            cells += [(movers, seed, name, int(band)) for band in present]
+            counts += [np.append(own[0][band], removed[:, band]) for band in present]
+            movers += 1
+    mover, seeds, kinds, bands = (np.array(column) for column in zip(*cells, strict=True))
+    table = np.array(counts).T
+    return Scores(100 * static[:, 1] / static[:, 0], mover, seeds, kinds, bands, table[0], table[1:])
+
+
+def title(entry: Entry) -> str:
+    return " ".join([entry[0], *(f"{key}={value}" for key, value in entry[1].items())])
+
+
+def grid() -> list[Entry]:
+    found: list[Entry] = []
     for method, axes in GRID.items():
         found += [(method, dict(zip(axes, values, strict=True))) for values in itertools.product(*axes.values())]
     return found
 
 
-def report(base: Cached, entries: list[tuple[str, dict[str, Any]]], scores: list[dict[str, Score]]) -> dict[str, Any]:
-    """Print the scores and the correlations; with a grid one per method."""
-    gridded = any(settings for _, settings in entries)
-    facts: dict[str, Any] = {"sequence": base.name, "frames": len(base), "rows": {}, "correlations": {}}
+def report(name: str, entries: list[Entry], results: list[list[dict[str, Any]]]) -> dict[str, Any]:
+    """Print the scores and how the rankings agree."""
+    by_kind = {kind: scores(results, kind) for kind in KINDS}
+    true, names = by_kind["true"], [title(entry) for entry in entries]
+    facts: dict[str, Any] = {"movers": {kind: len(found) for kind, found in by_kind.items()}, "rows": {}}
+    print(f"{name}: movers {facts['movers']}")
     for average in AVERAGES:
-        rows = [
-            {
-                "name": " ".join([method, *(f"{key}={value}" for key, value in settings.items())]),
-                **{kind: score[kind].percent(average) for kind in KINDS},
+        das = {kind: compared(average, true, by_kind[kind], true.once(), by_kind[kind].once()) for kind in KINDS[1:]}
+        columns = {"true": (true.sa, das["implants"][0])}
+        columns |= {kind: (by_kind[kind].sa, das[kind][1]) for kind in KINDS[1:]}
+        aa = {kind: np.sqrt(sa * da) for kind, (sa, da) in columns.items()}
+        facts["rows"][average] = rows = {}
+        for k in np.argsort(-aa["true"]):
+            rows[names[k]] = {
+                kind: [float(sa[k]), float(da[k]), float(aa[kind][k])] for kind, (sa, da) in columns.items()
             }
-            for (method, settings), score in zip(entries, scores, strict=True)
-        ]
-        facts["rows"][average] = rows = sorted(rows, key=lambda row: -row["true"][2])
-        for row in rows:
-            cells = "  ".join(f"{kind} " + " / ".join(f"{v:6.2f}" for v in row[kind]) for kind in KINDS)
-            print(f"{base.name:20} {average:6} {row['name']:40} SA / DA / AA: {cells}", flush=True)
-        for group in dict.fromkeys(method for method, _ in entries) if gridded else ("methods",):
-            own = [score for (method, _), score in zip(entries, scores, strict=True) if group in (method, "methods")]
-            facts["correlations"].setdefault(group, {})[average] = found = correlations(own, average)
-            for kind, fact in found.items():
-                print(f"{base.name}: {group}, average over {average}: {kind}: Spearman {fact}", flush=True)
+            cells = "  ".join(f"{kind} " + " / ".join(f"{v:6.2f}" for v in row) for kind, row in rows[names[k]].items())
+            print(f"{name:20} {average:7} {names[k]:40} SA / DA / AA: {cells}", flush=True)
+        for kind in KINDS[1:]:
+            found = agreement(average, true, by_kind[kind])
+            found["wrong"] = [" - ".join(names[k] for k in pair) for pair in found["wrong"]]
+            facts.setdefault(kind, {})[average] = found
+            print(f"{name}, average over {average}, {kind}: {json.dumps(found)}", flush=True)
     return facts
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", nargs="*", default=list(DEFAULT), metavar="SEQUENCE")
-    parser.add_argument("--frames", type=int, default=24, metavar="N")
-    parser.add_argument("--stride", type=int, default=1, metavar="N", help="use every N-th of these frames")
-    parser.add_argument("--seeds", type=int, default=2, metavar="N")
+    parser.add_argument("--frames", type=int, default=60, metavar="N")
+    parser.add_argument("--stride", type=int, default=3, metavar="N", help="use every N-th of these frames")
+    parser.add_argument("--seeds", default="0,1", metavar="A,B")
     parser.add_argument("--methods", metavar="A,B", help="methods to compare; default: all")
     parser.add_argument("--grid", action="store_true", help="compare parameters instead of methods")
     parser.add_argument("-o", "--out", type=Path, default=Path("build/benchmarks/implants"))
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     names = arguments.methods.split(",") if arguments.methods else [known.name for known in registry.handles("methods")]
-    entries = grid() if arguments.grid else [(name, {}) for name in names]
+    seeds = [int(seed) for seed in arguments.seeds.split(",")]
     for text in arguments.sequences:
-        base = opened(text, arguments.frames, arguments.out, arguments.stride)
-        facts = report(base, entries, compare(base, arguments.seeds, entries))
-        name = f"{base.name}{'-grid' if arguments.grid else ''}.json"
-        (arguments.out / name).write_text(json.dumps(facts, indent=1))
+        base = opened(text, arguments.frames, arguments.stride, arguments.out)
+        entries = grid() if arguments.grid else [(name, {}) for name in names]
+        results = measured(base, seeds, entries, arguments.out / "runs" / base.name)
+        groups = dict.fromkeys(method for method, _ in entries) if arguments.grid else (None,)
+        for group_name in groups:
+            rows = [k for k, (method, _) in enumerate(entries) if group_name in (None, method)]
+            facts = report(base.name, [entries[k] for k in rows], [results[k] for k in rows])
+            file = "-".join(filter(None, [base.name, group_name, "seeds", arguments.seeds])) + ".json"
+            (arguments.out / file).write_text(json.dumps(facts, indent=1))
 
 
 if __name__ == "__main__":

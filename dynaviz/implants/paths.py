@@ -13,7 +13,6 @@ SPACING = 0.5  # metres between points of a path
 ARCS, FOLLOWED = 300, 120  # paths to choose from
 NEAREST = 4.0  # metres from the sensor
 WITHIN = 0.3  # share of the wanted distance to the sensor
-ASIDE = 9.0  # metres from the trajectory
 LANE = 3.5  # metres, width of a lane
 LANES = (-1, 0, 1, 1, 1, 2)  # lanes to the left of the sensor's: most movers come towards it on the next lane
 AHEAD = 60.0  # metres by which the trajectory is extended at both ends
@@ -62,17 +61,15 @@ def road(positions: F64) -> Route | None:
     return Route(np.concatenate([[first], middle, [last]]), rounds=2)
 
 
-def followed(
-    route: Route, sensor: F64, away: float, longest: float, lanes: bool, rng: np.random.Generator
-) -> list[Path]:
-    """Paths parallel to a road, about ``away`` metres ahead of or behind the sensor, (2,) metres.
+def followed(route: Route, sensor: F64, away: float, longest: float, rng: np.random.Generator) -> list[Path]:
+    """Paths in the lanes of a road, about ``away`` metres ahead of or behind the sensor, (2,) metres.
 
-    Those on its left lead mostly in the opposite direction. With ``lanes``, all are a whole number of lanes aside.
+    Those on its left lead mostly in the opposite direction.
     """
     station = route.distance[np.hypot(*(route.xy - sensor).T).argmin()]
     found = []
     for ahead in _around(away, FOLLOWED, rng) * rng.choice((-1, 1), FOLLOWED):
-        left, along = _aside(lanes, rng), station + ahead
+        left, along = float(rng.choice(LANES) * LANE + rng.normal(0, 0.3)), station + ahead
         opposite = (left > 0) == (rng.random() < 0.8)
         line = route.shifted(left)
         at = float(np.interp(along, route.distance, line.distance))
@@ -84,13 +81,6 @@ def followed(
         xy, anchor = np.stack([x, y], axis=1), int(np.clip((at - low) / SPACING, 0, len(s) - 1))
         found.append(Path(xy[::-1], len(s) - 1 - anchor) if opposite else Path(xy, anchor))
     return found
-
-
-def _aside(lanes: bool, rng: np.random.Generator) -> float:
-    """Metres to the left of the trajectory."""
-    if not lanes:
-        return float(rng.uniform(-ASIDE, ASIDE))
-    return float(rng.choice(LANES) * LANE + rng.normal(0, 0.3))
 
 
 def paced(path: Path, before: float, after: float) -> Path:

@@ -26,7 +26,7 @@ LONG = 4.0  # seconds; in a shorter recording, a mover that waits would hardly m
 STEEPEST = 0.15  # metres per metre
 STANDING = 8.0  # metres from the sensor to vehicles that wait or park: nearer, one of them returns most points
 FADED = 50.0  # metres from the sensor; farther away, few rays hit a mover. Less if the ground is not visible as far
-IN_LANE = 0.8  # share of vehicles that keep to a lane along the trajectory; the others cross
+IN_LANE = 0.8  # share of vehicles and cyclists that keep to a lane along the trajectory; the others cross
 APART = 0.4  # metres to dynamic points and other movers
 TRIPS = 3  # times and speeds to try
 TRIED = 60  # best paths for which a schedule is checked
@@ -66,8 +66,8 @@ class Kind:
 KINDS = {
     "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 45.0, 2.0),
     "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 45.0, 5.0, "high"),
-    "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 30.0, 1.6),
-    "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 25.0, 1.4),
+    "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 40.0, 1.6),
+    "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 35.0, 1.4),
 }
 ORDER = {"trucks": "truck", "cars": "car", "parks": "car", "cyclists": "cyclist", "persons": "person"}
 """Kind of each option; the largest are placed first."""
@@ -200,13 +200,13 @@ class _Planner:
         return Trip("parks" if parks else "waits" if waits else "cruise", frame, speed, wait, stop, away)
 
     def _best_paths(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[Path]:
-        """Free parts of random paths, the best first; for vehicles those in lanes before those that cross, or after."""
+        """Free parts of random paths, the best first; for vehicles and cyclists, lanes first or crossings first."""
         anchor, parks = self._survey.positions[trip.frame, :2], trip.behaviour == "parks"
-        vehicle, keeps_lane = kind.radius > 1, bool(rng.random() < IN_LANE)
+        walks, keeps_lane = kind.radius < 0.4, bool(rng.random() < IN_LANE)
         candidates = [*arcs(anchor, trip.away, kind.bend, kind.lengths[1], rng)]
         crossing = len(candidates)
-        if kind.radius > 0.4 and self._road:
-            candidates += followed(self._road, anchor, trip.away, kind.lengths[1], vehicle, rng)
+        if self._road and not walks:
+            candidates += followed(self._road, anchor, trip.away, kind.lengths[1], rng)
         scored: list[tuple[bool, float, int, Path]] = []
         for number, candidate in enumerate(candidates):
             path = self._trimmed(candidate, kind)
@@ -219,10 +219,10 @@ class _Planner:
             score += 0.5 * self._in_sight(anchor, path.xy[path.anchor])
             score += 1.5 * float((clear < TIGHT).mean()) if brushes else 0.0
             score -= float(clear[-1]) / 4 if parks else 0.0
-            if kind.radius < 0.4 and self._pace > DRIVING and self._road:  # persons do not walk on the road
+            if walks and self._pace > DRIVING and self._road:  # persons do not walk on the road
                 apart, _ = self._lane.query(path.xy)
                 score -= float(np.mean(apart < ROADWAY))
-            second = vehicle and keeps_lane != (number >= crossing)
+            second = not walks and keeps_lane != (number >= crossing)
             scored.append((second, -score, number, path))
         tried: Counter[bool] = Counter()
         for second, _, _, path in sorted(scored):
