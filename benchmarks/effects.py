@@ -122,9 +122,17 @@ def table(results: Mapping[str, Any]) -> str:
         cells = []
         for method, (sa, da) in base.items():
             now = row["scores"].get(method, (np.nan, np.nan))
-            cells.append(f"{sa:.1f} / {da:.1f}" if name == "none" else f"{now[0] - sa:+.1f} / {now[1] - da:+.1f}")
+            cells.append(
+                f"{sa:.1f} / {da:.1f}" if name == "none" else f"{_change(now[0] - sa)} / {_change(now[1] - da)}"
+            )
         lines.append(f"| {name} | {row['dynamic']:,} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _change(points: float) -> str:
+    """A change with its sign, 0 if it is that when rounded, and bold from 5 points."""
+    text = f"{points:+.1f}" if round(abs(points), 1) else "0"
+    return f"**{text}**" if abs(points) >= 5 else text
 
 
 def main(out: Path, methods: list[str]) -> None:
