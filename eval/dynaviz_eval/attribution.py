@@ -123,13 +123,19 @@ def extent(case: Mapping[str, Any]) -> str:
     return " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True)) + " m"
 
 
-def sentence(case: Mapping[str, Any]) -> str:
-    """Describe a failure case in two short sentences: what the object did, and what the method did."""
+def sentence(case: Mapping[str, Any], patches: bool = False) -> str:
+    """Describe a failure case in two short sentences: what the object did, and what the method did.
+
+    Args:
+        case: its plain values.
+        patches: whether it consists of several patches of ground.
+    """
     name = " ".join(str(part) for part in (case["what"], case.get("instance")) if part is not None)
     if case["kind"] == "false_negative":
         moved = f"moved {case['moved']:.0f} m" if case["moved"] >= STATIONARY else "moved less than 1 m"
         fact = f"Kept: {name}, {when_and_where(case)}" + ("." if case.get("behaviour") else f", {moved}.")
     else:
-        fact = f"Removed: {name}, {extent(case)}, {when_and_where(case)}."
+        name += " in patches within" if patches else ","
+        fact = f"Removed: {name} {extent(case)}, {when_and_where(case)}."
     own = f"The method gives the reason {next(iter(case['reasons']))}."
     return f"{fact} {_EXPLANATIONS[case['kind']].get(case['cause'], own)}"

@@ -194,6 +194,38 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     return total
 
 
+def gathered(rows: NDArray[np.void], span: float) -> tuple[NDArray[np.void], dict[int, float]]:
+    """Make one case of patches of ground of one group that are near each other, such as the arcs of one scan pattern.
+
+    From the largest one on, each case of ground takes in the others that fit into the same ``span`` metres along each
+    axis and were seen at most ``GAP`` frames before or after it.
+
+    Returns:
+        The rows, and by case that took in others the share of its points in its largest patch.
+    """
+    total = summed(rows)
+    ground = total[2 * total["ground"] > total["points"]]
+    ground = ground[np.argsort(-ground["points"], kind="stable")]
+    into, largest = {}, {}
+    while len(ground):
+        first, rest = ground[0], np.ones(len(ground), np.bool_)
+        rest[0], low, high, points = False, first["low"], first["high"], int(first["points"])
+        near = (ground["group"] == first["group"]) & (ground["first"] <= first["last"] + GAP)
+        near &= (ground["last"] >= first["first"] - GAP) & rest
+        for i in np.flatnonzero(near).tolist():
+            both = np.minimum(low, ground["low"][i]), np.maximum(high, ground["high"][i])
+            if (both[1] - both[0] <= span).all():
+                (low, high), rest[i] = both, False
+                points += int(ground["points"][i])
+                into[int(ground["case"][i])] = int(first["case"])
+        if points > first["points"]:
+            largest[int(first["case"])] = float(first["points"]) / points
+        ground = ground[rest]
+    rows = rows.copy()
+    rows["case"] = [into.get(case, case) for case in rows["case"].tolist()]
+    return pooled(rows, ("case", "frame"))[0], largest
+
+
 def facts(case: np.void, names: Sequence[str], grounded: bool) -> dict[str, Any]:
     """What is known about a case without ground truth, as plain JSON values.
 

@@ -19,11 +19,14 @@ from dynaviz.scan import Label, Outcome
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, Places, groups_of
-from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, gathered, summed
 from dynaviz_eval.ground import on_ground
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 
-SPAN = 20.0  # metres: maximum size of a false-positive case; larger holes are split. Trails of movers may be longer
+# Metres: maximum size of a false-positive case; larger holes are split, and patches of ground within are one. Trails
+# of movers may be longer.
+SPAN = 20.0
+ONE_PATCH = 0.9  # of the points of a case: with fewer in its largest patch, it is described as patches
 _UNLABELLED = 1 << 32  # the group of class 0
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
@@ -104,8 +107,9 @@ class Failures:
         listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
         for kind, cases in self._cases.items():
             cases.settle(self._frame + GAP + 1)  # all cases are over by then
-            listed += self._described(kind, cases.rows)
-            self._count(kind, summed(cases.rows))
+            rows, largest = gathered(cases.rows, SPAN) if kind == "false_positive" else (cases.rows, {})
+            listed += self._described(kind, rows, largest)
+            self._count(kind, summed(rows))
         listed.sort(key=lambda pair: (-pair[0]["cost"], pair[0]["kind"], pair[0]["first_frame"], pair[0]["low"]))
         self._listed = listed[:KEEP]
         counts = [count for by in self._causes.values() for count in by.values()]
@@ -129,8 +133,10 @@ class Failures:
             count["cases"] += 1
             count["points"] += points
 
-    def _described(self, kind: str, rows: NDArray[np.void]) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
-        """Each case as plain JSON values, with its rows."""
+    def _described(
+        self, kind: str, rows: NDArray[np.void], largest: Mapping[int, float]
+    ) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
+        """Each case as plain JSON values, with its rows; given the share of the largest patch of those in patches."""
         names = [*(reason.name for reason in self._reasons), "unknown code"]
         total = summed(rows)
         for case, cause in zip(total, causes_of(kind, total, self._reasons), strict=True):
@@ -148,4 +154,5 @@ class Failures:
                 "what": self._names.get(number) or shape(kind, case),
                 "behaviour": None if behaviour is None else str(behaviour),
             }
-            yield {**plain, "sentence": sentence(plain)}, own
+            patches = largest.get(int(case["case"]), 1.0) < ONE_PATCH
+            yield {**plain, "sentence": sentence(plain, patches)}, own

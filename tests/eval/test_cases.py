@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, summed
+from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, gathered, summed
 
 pytestmark = pytest.mark.boundscheck
 
@@ -86,3 +86,25 @@ def test_the_table_has_room_for_twice_the_cells_added_between_settling():
     for frame in range(EVERY - 1):
         add(cases, frame, np.stack([2.0 * np.arange(150), np.full(150, 2.0 * frame), np.zeros(150)], 1))
         assert len(cases._table) >= 2 * 150 * (frame + 1)
+
+
+def ground_case(number: int, x: float, points: int, frame: int = 0, ground: bool = True) -> np.ndarray:
+    row = np.zeros(1, Cases(1, 20.0).kind)
+    row["case"], row["frame"], row["points"], row["ground"] = number, frame, points, points * ground
+    row["low"], row["high"] = (x, 0, 0), (x + 2, 9, 0.2)
+    return row
+
+
+def test_patches_of_ground_near_each_other_are_one_case():
+    rows = [
+        ground_case(0, 7.0, 10), ground_case(1, 0.0, 30), ground_case(1, 0.5, 20, 1), ground_case(2, 17.9, 5),
+        ground_case(3, 18.1, 40, GAP), ground_case(4, 3.0, 9, ground=False), ground_case(5, 3.0, 7, GAP + 2),
+    ]  # fmt: skip
+    found, largest = gathered(np.concatenate(rows), 20.0)
+    assert sorted(zip(found["case"].tolist(), found["frame"].tolist(), found["points"].tolist(), strict=True)) == [
+        (1, 0, 45), (1, 1, 20), (3, GAP, 40), (3, GAP + 2, 7), (4, 0, 9),
+    ]  # fmt: skip
+    assert largest == {1: 50 / 65, 3: 40 / 47}
+    assert found["high"][found["case"] == 1].max() == pytest.approx(19.9)
+    none, nothing = gathered(np.concatenate(rows)[:0], 20.0)
+    assert (len(none), nothing) == (0, {})

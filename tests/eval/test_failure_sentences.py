@@ -66,12 +66,12 @@ def test_the_cost_relates_to_all_points_of_the_kind_and_reasons_are_sorted():
 
 
 def test_equal_costs_are_sorted_by_kind_frame_and_position():
-    x = np.array([[9, 0, 0], [3, 0, 0]])
+    x = np.array([[39, 0, 0], [3, 0, 0]])
     frames = labelled(0, x, 0, True), labelled(30, x, 0, True), labelled(60, x, 1, False), labelled(90, x, 1, False)
     cases = section(*frames)["cases"]
     assert [(c["kind"], c["first_frame"], c["low"][0]) for c in cases] == [
-        *(("false_negative", frame, x) for frame in (60, 90) for x in (3, 9)),
-        *(("false_positive", frame, x) for frame in (0, 30) for x in (3, 9)),
+        *(("false_negative", frame, x) for frame in (60, 90) for x in (3, 39)),
+        *(("false_positive", frame, x) for frame in (0, 30) for x in (3, 39)),
     ]
 
 
