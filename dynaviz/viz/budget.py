@@ -8,7 +8,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, I64, Bool
 from dynaviz.scan import Label, Scan
 
-FAR = 30.0  # metres from the sensor along each axis: the part of a state that is drawn
+REACH = np.array([60.0, 60.0, 30.0])  # metres from the sensor along each axis: the part of a state that is drawn
 CELL = 1.0  # metres: edge of the cells around errors
 SHARE = 0.5  # of the budget, at most, for what lies around errors
 NEAR = 8.0  # metres: beyond twice this range, the rest is thinned more
@@ -16,7 +16,7 @@ FINE = 0.1  # metres: least distance of what is left
 ROUNDS = 5  # of thinning; what is still too much is cut
 MORE = 4  # a round of thinning ends at this many times the points wanted, and cells are made larger
 ENOUGH = 5  # a round looks at this many times the points wanted, if there are more
-_SIDE = int(2 * FAR / CELL)
+_SHAPE = tuple((2 * REACH / CELL).astype(int).tolist())
 
 
 class Budget:
@@ -29,8 +29,8 @@ class Budget:
     """
 
     def __init__(self, scan: Scan, most: int, errors: F32 | None = None) -> None:
-        self._most, self._centre, self._corner = most, scan.position.copy(), scan.position - FAR
-        self._interest: Bool = np.zeros((_SIDE,) * 3, np.bool_)
+        self._most, self._centre, self._corner = most, scan.position.copy(), scan.position - REACH
+        self._interest: Bool = np.zeros(_SHAPE, np.bool_)
         if scan.labels is not None:
             self._mark(scan.points[scan.labels == Label.DYNAMIC])
         if errors is not None:

@@ -24,7 +24,7 @@ from dynaviz.viz.sink import RecordingFile
 
 NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
 SCENE = 40.0  # metres: the part of the scan
-AROUND = (7.0, 10.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
+AROUND = (7.0, 13.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
 AIM_LINES = 3
 BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
