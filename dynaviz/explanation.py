@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import math
 import os
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from dynaviz import api, params, registry
+from dynaviz import params, registry
 from dynaviz import scan as scans
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.engine.ledger import GRAZING, Ledger, PointLedger
@@ -21,8 +19,10 @@ from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
 from dynaviz.evidence import Explains
+from dynaviz.method import Reason
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import Result
+from dynaviz.saved_run import open_result, open_sequence_of
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -53,14 +53,7 @@ class Why:
     def sentence(self) -> str:
         """Truth, label and reason in a sentence."""
         found = self.ledger
-        meaning = found.reason.meaning.partition(": ")[2] or found.reason.meaning
-        answer = "removed" if found.removed else "kept"
-        if found.truth is None:
-            return f"{answer.capitalize()} (no ground truth): {meaning}."
-        if found.wrong:
-            cause = f" Likely cause: {found.reason.cause}." if found.reason.cause else ""
-            return f"Wrong: {found.truth}, but {answer}: {meaning}.{cause}"
-        return f"Right: {found.truth}, and {answer}: {meaning}."
+        return sentence(found.truth, found.removed, found.reason)
 
     @property
     def rays(self) -> str:
@@ -83,6 +76,24 @@ class Why:
         where = f"point {self.ledger.point} of frame {self.ledger.frame}, at ({place}) m"
         head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.rays, self.note
         return ledger_table(self.ledger, [line for line in head if line])
+
+
+def sentence(truth: str | None, removed: bool, reason: Reason) -> str:
+    """The label of a point in a sentence.
+
+    Args:
+        truth: ``static``, ``dynamic`` or None.
+        removed: the label.
+        reason: why it got the label.
+    """
+    meaning = reason.meaning.partition(": ")[2] or reason.meaning
+    answer = "removed" if removed else "kept"
+    if truth is None:
+        return f"{answer.capitalize()} (no ground truth): {meaning}."
+    if removed == (truth == "dynamic"):
+        return f"Right: {truth}, and {answer}: {meaning}."
+    cause = f" Likely cause: {reason.cause}." if reason.cause else ""
+    return f"Wrong: {truth}, but {answer}: {meaning}.{cause}"
 
 
 def why(
@@ -135,7 +146,7 @@ def explain(
     Raises:
         UsageError, DataError: as ``why``.
     """
-    path, result = _opened(run)
+    path, result = (Path("result.json"), run) if isinstance(run, Result) else open_result(Path(run))
     opened = sequence if isinstance(sequence, scans.Sequence) else _sequence_of(result, path, sequence)
     spec = _spec(result, path, opened, threads)
     ledgers = {frame: Ledger(frame, rows) for frame, rows in points.items()}
@@ -166,25 +177,6 @@ class _SameData(Listener):
             raise DataError(self._path, problem, hint=_ELSEWHERE)
 
 
-def _opened(run: str | os.PathLike[str] | Result) -> tuple[Path, Result]:
-    """A run's file, and its result."""
-    if isinstance(run, Result):
-        return Path("result.json"), run
-    path = Path(run)
-    if path.is_dir():
-        path = next((path / name for name in ("result.json", "run.rrd") if (path / name).is_file()), path)
-        if path.is_dir():
-            raise DataError(path, "contains no result.json and no run.rrd", hint="Give the folder of a finished run")
-    if path.suffix != ".rrd":
-        return path, Result.load(path)
-    from dynaviz.viz.reader import RunRecording
-
-    result = RunRecording(path).result
-    if result is None:
-        raise DataError(path, "is the recording of a run that did not finish", hint="Run the method again")
-    return path, result
-
-
 def _spec(result: Result, path: Path, sequence: scans.Sequence, threads: int | None) -> RunSpec:
     """The run again, without metrics; labels of another program are read from the run's files."""
     if result.sections.source is not None:
@@ -202,54 +194,15 @@ def _spec(result: Result, path: Path, sequence: scans.Sequence, threads: int | N
 
 def _sequence_of(result: Result, path: Path, given: str | os.PathLike[str] | None) -> scans.Sequence:
     """The sequence of a run, from its command or a path."""
-    words = shlex.split(result.command)[1:]
-    options = sequence_options(words)
-    source = options.pop("sequence", None)
-    if words == ["demo"]:
-        source = os.fspath(path.parent.parent / "street")
-    if given is None and source is None:
-        raise UsageError(f"{path}: the run's command does not name its sequence. {_ELSEWHERE}")
     try:
-        return api.open(os.fspath(given or source), **options)
+        opened = open_sequence_of(result, path.parent, given)
     except DataError as error:
         if given is not None:
             raise
         raise DataError(error.path, error.problem, at=error.at, hint=_ELSEWHERE) from None
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise ValueError(message)
-
-
-def sequence_options(words: Sequence[str]) -> dict[str, Any]:
-    """The sequence of a ``run`` or ``score`` command, and the options with which it was opened; {} for others."""
-    parser = _Parser(add_help=False, allow_abbrev=False)
-    parser.add_argument("command", choices=["run", "score"])
-    parser.add_argument("_first")
-    parser.add_argument("_second")
-    opening = ("frames", "sensor", "poses", "points-in")
-    others = ("out", "preset", "config", "set", "record", "threads", "seed", "radius", "name", "key")
-    for option in (*opening, *others):
-        parser.add_argument(f"--{option}", *(["-o"] if option == "out" else []))
-    parser.add_argument("--stride", type=int, default=1)
-    parser.add_argument("--deskew", action=argparse.BooleanOptionalAction)
-    for flag in ("online", "offline", "view"):
-        parser.add_argument(f"--{flag}", action="store_true")
-    # argparse takes "-5:" for an option, unless it is joined to its own: --frames=-5:
-    valued = {f"--{option}" for option in (*opening, *others, "stride")}
-    joined: list[str] = []
-    for word in words:
-        if joined and joined[-1] in valued:
-            joined[-1] += f"={word}"
-        else:
-            joined.append(word)
-    try:
-        found = vars(parser.parse_args(joined))
-    except ValueError:
-        return {}
-    chosen = ("frames", "stride", "sensor", "poses", "points_in", "deskew")
-    return {"sequence": found["_second"], **{name: found[name] for name in chosen}}
+    if opened is None:
+        raise UsageError(f"{path}: the run's command does not name its sequence. {_ELSEWHERE}")
+    return opened
 
 
 def _plain(value: Any) -> Any:

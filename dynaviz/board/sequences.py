@@ -10,15 +10,19 @@ from dynaviz.datasets import is_sequence, open_sequence
 from dynaviz.errors import DynavizError
 from dynaviz.results.collect import StudyRun
 from dynaviz.results.result import Result
+from dynaviz.saved_run import open_sequence_of
 from dynaviz.scan import Sequence
 
-OpenedBy = Callable[[Result], Sequence | None]
-"""Opens the sequence of a result again in another way; None if it cannot."""
+OpenedBy = Callable[[Result, Path], Sequence | None]
+"""Opens the sequence of a result in a folder again; None if it cannot."""
 
 
-def by_nothing(result: Result) -> Sequence | None:
-    """No other way."""
-    return None
+def by_command(result: Result, folder: Path) -> Sequence | None:
+    """Open the sequence that the command of a run names; None if that fails, as for a path that moved."""
+    try:
+        return open_sequence_of(result, folder)
+    except DynavizError:
+        return None
 
 
 class SequenceFinder:
@@ -28,13 +32,13 @@ class SequenceFinder:
 
     Args:
         given: sequences of the user; opened at once.
-        opened_by: another way, such as by the command of the run.
+        opened_by: how to open it if it was not given.
 
     Raises:
         DynavizError: if a given sequence cannot be opened.
     """
 
-    def __init__(self, given: Iterable[str | os.PathLike[str]] = (), opened_by: OpenedBy = by_nothing) -> None:
+    def __init__(self, given: Iterable[str | os.PathLike[str]] = (), opened_by: OpenedBy = by_command) -> None:
         self._given = [open_sequence(os.fspath(path)) for path in given]
         self._opened_by = opened_by
 
@@ -44,7 +48,7 @@ class SequenceFinder:
         for sequence in self._given:
             if sequence.name == name:
                 return sequence
-        opened = self._opened_by(result)
+        opened = self._opened_by(result, run.folder)
         if opened is not None and opened.name == name:
             return opened
         return next(filter(None, (_opened(folder / name, name) for folder in run.folder.resolve().parents[:3])), None)

@@ -10,17 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.options import open_sequence
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from dynaviz.board.check import CheckedEntry
     from dynaviz.board.sequences import SequenceFinder
-    from dynaviz.results.result import Result
-    from dynaviz.scan import Sequence
-
-_OPTIONS = ("frames", "stride", "sensor", "poses", "points_in", "deskew")  # of commands that open a sequence
 
 
 def add_to(app: typer.Typer) -> None:
@@ -67,7 +62,7 @@ def board(
     if rerun and not check:
         raise UsageError("--rerun: only with --check")
     site = out or folder / "board"
-    finder = SequenceFinder(sequences or (), by_command)
+    finder = SequenceFinder(sequences or ())
     if check:
         _check(folder, site, finder, rerun)
     else:
@@ -122,22 +117,3 @@ def _table(checked: Several[CheckedEntry]) -> Table:
         marked = (f"[bold red]{verdict}[/]" if verdict == DIFFERENT else verdict for verdict in verdicts)
         table.add_row(escape(entry.run.label), escape(entry.run.sequence), *marked)
     return table
-
-
-def by_command(result: Result) -> Sequence | None:
-    """Open the sequence that the command of a run names, with the same options; None if that fails."""
-    from dynaviz.cli import CommandLineError, app
-    from dynaviz.errors import DynavizError
-
-    words = shlex.split(result.command)[1:]
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # a group
-    command = commands.get(words[0]) if words else None
-    if command is None or not any(parameter.name == "sequence" for parameter in command.params):
-        return None
-    try:
-        given = command.make_context(words[0], words[1:]).params
-        if not isinstance(given["sequence"], str):
-            return None
-        return open_sequence(given["sequence"], **{name: given[name] for name in _OPTIONS if name in given})
-    except (DynavizError, CommandLineError):  # a path that moved, or a command of another version
-        return None

@@ -13,8 +13,10 @@ from dynaviz import registry
 from dynaviz.arrays import F64, I64, U8, Bool
 from dynaviz.comparison.answers import Answers
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explanation import sentence
 from dynaviz.probe import Voxels
 from dynaviz.results.result import Result
+from dynaviz.saved_run import run_file
 from dynaviz.scan import Label, Outcome
 from dynaviz.viz import paths
 from dynaviz.viz.cases import WRONG
@@ -41,7 +43,7 @@ class ExploredRun:
     """
 
     def __init__(self, path: str | os.PathLike[str]):
-        self.path = recording_of(Path(path))
+        self.path = run_file(Path(path), "run.rrd")
         viewable(self.path)
         self.recording = RunRecording(self.path)
         result = self.recording.result
@@ -124,7 +126,7 @@ class ExploredRun:
             "reason": reason.name,
             "meaning": reason.meaning,
             "cause": reason.cause,
-            "sentence": _sentence(truth, removed, reason.meaning.partition(": ")[2] or reason.meaning),
+            "sentence": sentence(truth, removed, reason),
         }
 
     def wrong_too(self, other: ExploredRun) -> Bool:
@@ -168,18 +170,6 @@ class WrongPoints:
         self.outcome: U8 = joined("outcome", np.zeros(0, np.uint8))
 
 
-def recording_of(path: Path) -> Path:
-    """The recording of a run: the file, or ``run.rrd`` next to its result or in its folder.
-
-    Raises:
-        DataError: if there is none.
-    """
-    file = path / "run.rrd" if path.is_dir() else path.with_name("run.rrd") if path.suffix == ".json" else path
-    if file != path and not file.is_file():
-        raise DataError(file, "does not exist", hint="Give a run that was recorded, without --record none")
-    return file
-
-
 def _nearest(xyz: np.ndarray, position: F64) -> int | None:
     """Row of the nearest point within ``NEAR``."""
     if not len(xyz):
@@ -187,12 +177,3 @@ def _nearest(xyz: np.ndarray, position: F64) -> int | None:
     squared = ((xyz - position) ** 2).sum(1)
     row = int(np.nanargmin(squared)) if np.isfinite(squared).any() else 0
     return row if squared[row] <= NEAR * NEAR else None
-
-
-def _sentence(truth: str | None, removed: bool, meaning: str) -> str:
-    answer = "removed" if removed else "kept"
-    if truth is None:
-        return f"{answer.capitalize()} (no ground truth): {meaning}."
-    if removed == (truth == "dynamic"):
-        return f"Right: {truth}, and {answer}: {meaning}."
-    return f"Wrong: {truth}, but {answer}: {meaning}."

@@ -55,7 +55,7 @@ def guess(sequence: Sequence, folder: Path) -> None:
 
 
 def finder(sequence: InMemory | None) -> SequenceFinder:
-    return SequenceFinder(opened_by=lambda result: sequence)
+    return SequenceFinder(opened_by=lambda result, folder: sequence)
 
 
 def edit(path: Path, change: Callable[[Any], None]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from helpers.mos_files import write_helimos
 
-from dynaviz.cli.board import by_command
+from dynaviz.board.sequences import by_command
 from dynaviz.results.result import Result
 from dynaviz.results.sections import SequenceInfo
 
@@ -43,8 +43,8 @@ def test_write_and_recompute(run_command, tmp_path: Path) -> None:
     "command",
     ["", "dynaviz demo", "dynaviz run m nowhere", "dynaviz run m", "dynaviz run m s --no-such", "dynaviz huh"],
 )
-def test_commands_that_open_nothing(command: str) -> None:
-    assert by_command(Result("m", {}, SequenceInfo(), command=command)) is None
+def test_commands_that_open_nothing(command: str, tmp_path: Path) -> None:
+    assert by_command(Result("m", {}, SequenceInfo(), command=command), tmp_path) is None
 
 
 def test_rerun_needs_check(run_command, tmp_path: Path) -> None:

@@ -9,15 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from helpers.worlds import pose, room
 
 from dynaviz import api
+from dynaviz.cli import app
 from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.explanation import explain, sequence_options, why
+from dynaviz.explanation import explain, why
 from dynaviz.method import Context, Labels, MethodInfo, Reason
+from dynaviz.saved_run import _FLAGS, sequence_options
 from dynaviz.scan import Scan
 from dynaviz.testing import InMemory
 
@@ -175,8 +178,16 @@ def test_labels_of_another_version_are_an_error() -> None:
     ],
 )
 def test_the_sequence_is_found_in_the_command(command: str, found: dict[str, Any]) -> None:
-    defaults = {"frames": None, "stride": 1, "sensor": None, "poses": None, "points_in": None, "deskew": None}
-    assert sequence_options(shlex.split(command)) == {**defaults, **found}
+    assert sequence_options(shlex.split(command)) == found
+
+
+def test_the_options_without_a_value_are_known() -> None:
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # a group
+    options = [each for name in ("run", "score") for each in commands[name].params if each.param_type_name == "option"]
+    flags = {name for each in options if each.is_flag for name in (*each.opts, *each.secondary_opts)}
+    assert {name for name in flags if name.startswith("--")} <= {f"--{name}" for name in _FLAGS}
+    with_value = {name for each in options if not each.is_flag for name in each.opts}
+    assert {name for name in with_value if not name.startswith("--")} == {"-o"}
 
 
 @pytest.mark.parametrize("command", ["", "demo", "bench -s p -o out"])

@@ -25,11 +25,13 @@ async function start() {
   const first = find(state.of, state.case) ?? list[0]
   if (first) change({ of: first.of, case: first.number })
   showCard()
-  for (const letter of Object.keys(runs)) openViewer(letter)
-  const asked = state.point !== undefined ? [state.at ?? state.frame ?? 0, state.point] : first?.point != null && !state.frame ? [first.worst, first.point] : null
+  const frame = Math.min(state.frame ?? first?.worst ?? 0, runs.a.frames - 1)
+  change({ frame })
+  for (const letter of Object.keys(runs)) openViewer(letter, frame)
+  const asked = state.point !== undefined ? [state.at ?? state.frame ?? 0, state.point] : first?.point != null && frame === first.worst ? [first.worst, first.point] : null
   if (asked) await explain(ask('point', { frame: asked[0], point: asked[1] }), state.point !== undefined)
   window.explorer = { viewers, current, clicked } // for tests, and for the console
-  document.body.dataset.ready = 'page'
+  document.body.dataset.ready ??= 'page'
 }
 
 function headings() {
@@ -83,11 +85,15 @@ function layout(kind) {
   layOut()
 }
 
-async function layOut() {
+/** The layout of a viewer for the state. */
+function layoutOf(letter) {
   const { of, case: number, layout: kind } = current()
-  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => {
-    viewer.show(await ask('layout', { run: letter, owner: of, layout: kind, ...(number && { case: number }) }))
-  })).catch(error => say(error.message))
+  return ask('layout', { run: letter, owner: of, layout: kind, ...(number && { case: number }) })
+}
+
+async function layOut() {
+  const { case: number, layout: kind } = current()
+  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await layoutOf(letter)))).catch(error => say(error.message))
   document.body.dataset.layout = `${kind}-${number}`
 }
 
@@ -97,37 +103,31 @@ async function mark(letter) {
   if (viewers[letter]) viewers[letter].show(await ask('marks', { run: letter, ...(found && { frame: found.frame, point: found.point }) }))
 }
 
-function openViewer(letter) {
+function openViewer(letter, frame) {
   const place = make('div', { class: 'viewer' })
   by('viewers').append(make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place))
-  viewers[letter] = new Viewer(place, `${letter}.rrd`, {
-    ready: () => opened(letter),
+  viewers[letter] = new Viewer(place, `${letter}.rrd`, layoutOf(letter), frame, {
+    opened: () => {
+      if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
+    },
     click: item => clicked(letter, item),
     time: frame => moved(letter, frame),
     played: playing => {
-      if (!playing) for (const viewer of Object.values(viewers)) if (viewer !== viewers[letter] && viewer.opened) viewer.follow(viewers[letter].time)
+      if (!playing) for (const viewer of others(letter)) viewer.follow(viewers[letter].time)
     },
   })
 }
 
-async function opened(letter) {
-  const frame = current().frame ?? selected()?.worst ?? 0
-  await layOut()
-  viewers[letter].seek(frame)
-  change({ frame })
-  if (panel.shown) await mark(letter)
-  viewers[letter].opened = true
-  if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
-}
+const others = letter => Object.entries(viewers).filter(([other]) => other !== letter).map(([, viewer]) => viewer)
 
 /** One cursor: the other viewer follows. */
 function moved(letter, frame) {
-  for (const [other, viewer] of Object.entries(viewers)) if (other !== letter && viewer.opened && viewer.time !== frame && viewers[letter].opened) viewer.follow(frame)
-  if (viewers[letter].opened) change({ frame })
+  for (const viewer of others(letter)) if (viewer.time !== frame) viewer.follow(frame)
+  change({ frame })
 }
 
 async function clicked(letter, { entity_path, instance_id, position: [x, y, z] }) {
-  const place = { run: letter, entity: entity_path, frame: viewers[letter].time ?? 0, x, y, z }
+  const place = { run: letter, entity: entity_path, frame: viewers[letter].time, x, y, z }
   await explain(ask('click', { ...place, ...(instance_id !== undefined && instance_id !== null && { instance: instance_id }) }), true)
 }
 
@@ -137,7 +137,7 @@ async function explain(answer, asked) {
     if (asked) change({ at: found.frame, point: found.point })
     panel.show(found, asked)
     by('point').append(make('p', { class: 'buttons' }, Object.entries(found.commands).map(([letter, command]) => button(runs.b ? `Command ${letter.toUpperCase()}` : 'Command', () => copy(command)))))
-    await Promise.all(Object.keys(viewers).filter(letter => viewers[letter].isReady).map(mark))
+    await Promise.all(Object.keys(viewers).map(mark))
   } catch (error) {
     panel.hint(error.message)
   }
@@ -148,4 +148,5 @@ listen({
   space: () => Object.values(viewers)[0]?.play(!Object.values(viewers)[0].playing),
   '/': () => by('filters').elements.search.focus(),
 })
-start().catch(error => say(error.message))
+addEventListener('unhandledrejection', event => say(event.reason.message))
+start()

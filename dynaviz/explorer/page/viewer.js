@@ -7,20 +7,23 @@ export class Viewer {
   /**
    * @param element where to show it
    * @param url of the recording
-   * @param on functions: ready(), click(item), time(frame), played(playing)
+   * @param layout promise of the first layout
+   * @param frame at which it opens
+   * @param on functions: opened(), click(item), time(frame), played(playing)
    */
-  constructor(element, url, on) {
+  constructor(element, url, layout, frame, on) {
     this.on = on
-    this.time = null // the frame under the cursor, as the viewer reports it
+    this.start = frame
+    this.opened = false // whether the cursor has reached that frame
+    this.time = frame // the frame under the cursor, as the viewer reports it
     this.timeline = null
     this.followed = new Set() // frames to which another viewer has led this one
     this.playing = false
     this.listeners = {}
-    this.waiting = []
-    this.isReady = false
+    this.waiting = [] // until the recording is sent
     const dark = matchMedia('(prefers-color-scheme: dark)').matches
     const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
-    this.recording = fetch(url).then(answer => answer.arrayBuffer())
+    this.contents = Promise.all([layout, fetch(url).then(answer => answer.arrayBuffer())])
     const model = {
       get: name => values[name],
       on: (event, listener) => (this.listeners[event] ??= []).push(listener),
@@ -29,41 +32,41 @@ export class Viewer {
     widget.render({ model, el: element })
   }
 
-  /** Move the cursor. */
+  /** Move the cursor. A viewer that has not opened yet opens there. */
   seek(frame, play = false) {
-    this.time ??= frame
-    this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(frame), play })
+    if (this.opened) this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(frame), play })
+    else this.start = this.time = frame
   }
 
   /** Move the cursor as another viewer did, and report nothing. */
   follow(frame) {
-    if (this.time !== frame) this.followed.add(frame)
+    if (this.time !== frame) this.followed.add(this.led = frame)
     this.seek(frame)
   }
 
-  play(play) { this.seek(this.time ?? 0, play) }
+  play(play) { this.seek(this.time, play) }
 
   /** Show the content of an .rrd file: more data of the recording, or a new layout. */
-  show(content) { this.#tell({ type: 'rrd' }, [new DataView(content)]) }
-
-  #tell(message, buffers = []) {
-    if (!this.isReady) this.waiting.push([message, buffers])
-    else this.#send(message, buffers)
+  show(content) {
+    if (this.waiting) this.waiting.push(content)
+    else this.#tell({ type: 'rrd' }, [new DataView(content)])
   }
 
-  #send(message, buffers) {
+  #tell(message, buffers = []) {
     for (const listener of this.listeners['msg:custom'] ?? []) listener(message, buffers)
   }
 
   #hear(event) {
     if (event === 'ready') {
-      // Through the same channel as layouts: they replace that of the recording only if they arrive later.
-      this.recording.then(content => this.#send({ type: 'rrd' }, [new DataView(content)]))
-      this.recording = null
+      // A layout that arrives before the recording replaces the recording's own, so the viewer never draws that.
+      this.contents.then(contents => {
+        const all = [...contents, ...this.waiting]
+        this.waiting = this.contents = null
+        for (const content of all) this.show(content)
+      })
       return
     }
     const message = JSON.parse(event)
-    if (['recording_open', 'timeline_change', 'time_update'].includes(message.type)) this.#open() // whichever comes first
     if (message.type === 'selection_change') this.#click(message.items)
     else if (message.type === 'timeline_change') {
       this.timeline = message.timeline
@@ -71,24 +74,32 @@ export class Viewer {
     } else if (message.type === 'time_update') this.#move(message.time)
     else if (message.type === 'play' || message.type === 'pause') {
       this.playing = message.type === 'play'
-      this.on.played(this.playing)
+      if (this.opened) this.on.played(this.playing)
     }
   }
 
+  /** The viewer's cursor has moved. */
   #move(time) {
-    if (this.timeline !== null && this.timeline !== 'frame') return
-    this.time = Math.round(time)
-    if (!this.followed.delete(this.time)) this.on.time(this.time)
+    const frame = Math.round(time)
+    if (!this.opened) {
+      this.#open(frame)
+      return
+    }
+    if (this.timeline !== 'frame') return
+    this.time = frame
+    if (!this.followed.delete(frame)) this.on.time(frame)
+    else if (frame === this.led) this.followed.clear() // frames in between may have been skipped
   }
 
-  #open() {
-    if (this.isReady) return
-    this.isReady = true
-    // Not in the listener itself: the viewer must not be called while it reports an event.
-    setTimeout(() => {
-      for (const [message, buffers] of this.waiting.splice(0)) this.#send(message, buffers)
-      this.on.ready()
-    })
+  /** While the recording loads, the cursor starts on any timeline; there is none to set before the first report. */
+  #open(frame) {
+    if (this.timeline === 'frame' && frame === this.start) {
+      this.opened = true
+      setTimeout(() => this.on.opened())
+    } else {
+      // Not in the listener itself: the viewer must not be called while it reports an event.
+      setTimeout(() => this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(this.start), play: false }))
+    }
   }
 
   /** Of things behind each other take the points, which may lie behind a box. */

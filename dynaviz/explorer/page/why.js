@@ -54,8 +54,7 @@ export class PointPanel {
       make('dl', {},
         make('dt', {}, 'Truth'), make('dd', { class: 'truth' }, point.truth ?? 'unknown'),
         make('dt', {}, 'Answer'), make('dd', { class: `given${wrong ? ' wrong' : ''}` }, (point.removed ? 'removed' : 'kept') + (wrong ? ', wrong' : '')),
-        make('dt', {}, 'Reason'), make('dd', { class: 'reason', 'data-reason': point.reason }, words(point.reason)),
-        wrong && point.cause && [make('dt', {}, 'Likely cause'), make('dd', {}, point.cause)]),
+        make('dt', {}, 'Reason'), make('dd', { class: 'reason', 'data-reason': point.reason }, words(point.reason))),
       ledger)
     const start = () => this.#ledger(ledger, letter, found)
     if (clicked && (run.seconds ?? PATIENCE) < PATIENCE) start()
