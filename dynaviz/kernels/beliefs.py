@@ -12,6 +12,7 @@ UNKNOWN, OCCUPIED, FREE = 0, 1, 2
 CAP = 75  # square voxels: farther voxels have the same likelihood in double precision
 RADIUS = 8  # voxels: the largest offset along one axis below CAP
 SIDE = 3 * RADIUS  # voxels: a block and those around it
+NEVER = np.int32(np.iinfo(np.int32).max)  # number of no scan
 ONE = np.uint64(1)
 
 
@@ -148,35 +149,57 @@ def update(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def expire(blocks, oldest, seen, known):
+def expire(blocks, oldest, seen, known, first):
     """Clear the known bits of voxels last observed in scan ``oldest`` or earlier.
 
     Args:
         blocks: (K,) int32, blocks to look at.
-        seen: (B, 512) int32; known: (B, 8) uint64, as in ``update``. Modified.
+        seen: (B, 512) int32, as in ``update``.
+        known: (B, 8) uint64, as in ``update``. Modified.
+        first: (B,) int32, a scan before which no voxel with a known bit was last observed; blocks whose ``first`` is
+            after ``oldest`` are skipped. Set to the first such scan, NEVER without known bits.
     """
     for n in prange(len(blocks)):
         b = blocks[n]
+        if first[b] > oldest:
+            continue
+        first[b] = NEVER
         for w in range(8):
             word = known[b, w]
             if word:
                 for j in range(64):
-                    if seen[b, w << 6 | j] <= oldest:
-                        word &= ~(ONE << np.uint64(j))
+                    bit = ONE << np.uint64(j)
+                    if word & bit:
+                        last = seen[b, w << 6 | j]
+                        if last <= oldest:
+                            word &= ~bit
+                        elif last < first[b]:
+                            first[b] = last
                 known[b, w] = word
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def erase(far, blocks, size, origin, reach, seen, state, known):
+def erase(used, blocks, size, origin, reach, seen, state, known):
     """Make voxels new again whose corner is farther than ``reach`` metres from an origin (3,).
 
     Args:
-        far: (K,) int32, blocks to look at.
+        used: (K,) int32, blocks to look at.
         blocks: (B, 3), indices of all blocks; size: edge of a voxel, metres.
         seen, state: (B, 512); known: (B, 8), as in ``update``. Modified.
+
+    Returns:
+        (K,) bool: whether a voxel of each block is not new.
     """
-    for n in prange(len(far)):
-        b = far[n]
+    kept = np.ones(len(used), np.bool_)
+    for n in prange(len(used)):
+        b = used[n]
+        farthest = 0.0
+        for axis in range(3):
+            low, high = (blocks[b, axis] << 3) * size - origin[axis], (blocks[b, axis] << 3 | 7) * size - origin[axis]
+            farthest += max(low * low, high * high)
+        if farthest <= reach * reach:
+            continue
+        kept[n] = False
         for v in range(512):
             x = (blocks[b, 0] << 3 | v >> 6) * size - origin[0]
             y = (blocks[b, 1] << 3 | (v >> 3 & 7)) * size - origin[1]
@@ -184,3 +207,6 @@ def erase(far, blocks, size, origin, reach, seen, state, known):
             if x * x + y * y + z * z > reach * reach:
                 seen[b, v], state[b, v] = 0, UNKNOWN
                 known[b, v >> 6] &= ~(ONE << np.uint64(v & 63))
+            elif seen[b, v]:
+                kept[n] = True
+    return kept

@@ -150,7 +150,7 @@ def _axis(o, u, size, port):
 
 
 @njit(cache=True, nogil=True)
-def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched):
+def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched, order):
     """Mark the voxels from o to the last one before e, or before the first occupied one."""
     ux, uy, uz = e[0] - o[0], e[1] - o[1], e[2] - o[2]
     x, sx, tx, px = _axis(o[0], ux, size, port)
@@ -171,7 +171,10 @@ def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched)
             bit = ONE << np.uint64((y & 7) << 3 | (z & 7))
             if occupied[block - 1, x & 7] & bit:
                 return
-            touched[block - 1] = True
+            if not touched[block - 1]:
+                touched[block - 1] = True
+                order[0] += 1
+                order[order[0]] = block - 1
             bits[block - 1, x & 7] |= bit
         if tx < ty and tx < tz:
             x, tx = x + sx, tx + px
@@ -184,8 +187,8 @@ def _walk(o, e, size, port, occupied, base, shape, top, children, bits, touched)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top, children, bits, touched):
-    """Mark the voxels of rays, each lane in its own memory; merge with ``integer_lines.merge``.
+def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top, children, bits, touched, order):
+    """Mark the voxels of rays, each lane in its own memory; see ``integer_lines.collect`` and ``merge``.
 
     Args:
         targets: (N, 3) float64, metres; origin: (3,) float64, metres.
@@ -193,11 +196,11 @@ def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top
         size: edge of a voxel, metres; port: start as the public program does on a border of voxels.
         occupied: (B, 8) uint64, voxels that stop a ray.
         base, shape, top, children: the grid's directory.
-        bits: (lanes, B, 8) uint64; touched: (lanes, B) bool. Modified.
+        bits: (lanes, B, 8) uint64; touched: (lanes, B) bool; order: (lanes, 1 + B) int32. Modified.
     """
     n = len(targets)
     for lane in prange(len(bits)):
-        mine, flags = bits[lane], touched[lane]
+        mine, flags, own = bits[lane], touched[lane], order[lane]
         for chunk in range(lane * CHUNK, n, len(bits) * CHUNK):
             for i in range(chunk, min(chunk + CHUNK, n)):
                 ux, uy, uz = targets[i, 0] - origin[0], targets[i, 1] - origin[1], targets[i, 2] - origin[2]
@@ -212,7 +215,7 @@ def cast(targets, origin, reach, heights, size, port, occupied, base, shape, top
                     share = min(reach / math.sqrt(squared), share)
                     e = (origin[0] + ux * share, origin[1] + uy * share, origin[2] + uz * share)
                 o = (origin[0], origin[1], origin[2])
-                _walk(o, e, size, port, occupied, base, shape, top, children, mine, flags)
+                _walk(o, e, size, port, occupied, base, shape, top, children, mine, flags, own)
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -63,7 +63,7 @@ def _step(k, rest, length, most, direction):
 
 
 @njit(cache=True, nogil=True)
-def _line(s, e, farthest, shape, top, children, bits, touched):
+def _line(s, e, farthest, shape, top, children, bits, touched, order):
     """Mark the voxels of the line from s to e, both included, within ``farthest`` voxels of s; relative to the grid."""
     dx, dy, dz = abs(e[0] - s[0]), abs(e[1] - s[1]), abs(e[2] - s[2])
     gx, gy, gz = 1 if s[0] < e[0] else -1, 1 if s[1] < e[1] else -1, 1 if s[2] < e[2] else -1
@@ -80,8 +80,10 @@ def _line(s, e, farthest, shape, top, children, bits, touched):
             bx, by, bz = x >> 3, y >> 3, z >> 3
             row = top[((bx >> 4) * shape[1] + (by >> 4)) * shape[2] + (bz >> 4)]
             block = children[row, (bx & 15) << 8 | (by & 15) << 4 | (bz & 15)]
-            if block:
+            if block and not touched[block - 1]:
                 touched[block - 1] = True
+                order[0] += 1
+                order[order[0]] = block - 1
         if block:
             bits[block - 1, x & 7] |= ONE << np.uint64((y & 7) << 3 | (z & 7))
         x, rx = _step(x, rx, dx, most, gx)
@@ -90,7 +92,7 @@ def _line(s, e, farthest, shape, top, children, bits, touched):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touched):
+def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touched, order):
     """Mark the voxels of lines from one voxel to others, where the grid has blocks; each lane in its own memory.
 
     Args:
@@ -101,39 +103,48 @@ def cast(goals, blocks, start, farthest, base, shape, top, children, bits, touch
         base, shape, top, children: the grid's directory.
         bits: (lanes, B, 8) uint64. Modified.
         touched: (lanes, B) bool, blocks in which a lane marked a voxel. Modified.
+        order: (lanes, 1 + B) int32, the number of these blocks, and the blocks, in any order. Modified.
     """
     n = len(goals)
     s = (start[0] - (base[0] << 7), start[1] - (base[1] << 7), start[2] - (base[2] << 7))
     inside = 0 <= s[0] < shape[0] << 7 and 0 <= s[1] < shape[1] << 7 and 0 <= s[2] < shape[2] << 7
     for lane in prange(len(bits)):
-        mine, flags = bits[lane], touched[lane]
+        mine, flags, own = bits[lane], touched[lane], order[lane]
         for chunk in range(lane * CHUNK, n if inside else 0, len(bits) * CHUNK):
             for i in range(chunk, min(chunk + CHUNK, n)):
                 block, place = goals[i] >> 9, goals[i] & 511
                 x = (np.int64(blocks[block, 0]) << 3 | place >> 6) - (base[0] << 7)
                 y = (np.int64(blocks[block, 1]) << 3 | (place >> 3 & 7)) - (base[1] << 7)
                 z = (np.int64(blocks[block, 2]) << 3 | (place & 7)) - (base[2] << 7)
-                _line(s, (x, y, z), farthest, shape, top, children, mine, flags)
+                _line(s, (x, y, z), farthest, shape, top, children, mine, flags, own)
 
 
 @njit(cache=True, nogil=True)
-def merge(bits, touched):
-    """Merge the marks of all lanes, and clear them.
+def collect(touched, order):
+    """(K,) int32: the blocks that any lane touched, each once, in any order; clears ``touched`` and ``order``.
 
-    Returns:
-        (K,) int32: numbers of the blocks with marks, sorted.
-        (K, 8) uint64: their bits.
+    The work is that of the touched blocks, however large the grid is.
     """
-    any_lane = np.zeros(touched.shape[1], np.bool_)
-    for lane in range(len(touched)):
-        for b in range(touched.shape[1]):
-            any_lane[b] |= touched[lane, b]
-            touched[lane, b] = False
-    blocks = np.flatnonzero(any_lane).astype(np.int32)
+    blocks, n = np.empty(order[:, 0].sum(), np.int32), 0
+    for lane in range(len(order)):
+        for k in range(1, order[lane, 0] + 1):
+            b = order[lane, k]
+            if touched[lane, b]:
+                blocks[n] = b
+                n += 1
+                for other in range(lane, len(order)):
+                    touched[other, b] = False
+        order[lane, 0] = 0
+    return blocks[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def merge(blocks, bits):
+    """(K, 8) uint64: the bits of blocks (K,) int32 in all lanes; clears them."""
     merged = np.zeros((len(blocks), 8), np.uint64)
     for n in range(len(blocks)):
         for lane in range(len(bits)):
             for w in range(8):
                 merged[n, w] |= bits[lane, blocks[n], w]
                 bits[lane, blocks[n], w] = 0
-    return blocks, merged
+    return merged

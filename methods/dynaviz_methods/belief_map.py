@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, U64
+from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.spatial.extent import Extent
 from dynaviz.spatial.grid import SHIFTS
@@ -66,12 +66,13 @@ class BeliefMap(BlockGrid):
         super().__init__(widened(extent, (max(half, 1) + 1) * resolution), resolution)
         self._max_range, self._forget_after, self._truncate = max_range, forget_after, truncate
         self._sizes = np.bitwise_count(np.arange(1 << (2 * half + 1)))  # bits set in the numbers of a row
-        n, lanes = len(self), kernels.threads_in_use()
+        n = len(self)
         self.hit, self.turned, self._sources, self._known = (np.zeros((n, 8), np.uint64) for _ in range(4))
         self.belief, self.state = np.zeros((n, VOXELS)), np.zeros((n, VOXELS), np.uint8)
         self.since, self._seen, self._scores = (np.zeros((n, VOXELS), np.int32) for _ in range(3))
-        self._used = np.zeros(n, np.bool_)  # blocks with known voxels
-        self._bits, self._touched = np.zeros((lanes, n, 8), np.uint64), np.zeros((lanes, n), np.bool_)
+        self._used, self._is_used = np.empty(0, np.int32), np.zeros(n, np.bool_)  # blocks with observed voxels
+        self._first = np.full(n, kernels.beliefs.NEVER)  # by block; see ``kernels.beliefs.expire``
+        self._marks = lane_marks(n)
         self._neighbours = neighbours_of(self._blocks)
         self._likelihoods = np.exp(-np.arange(CAP + 1) / 2)
         self._before = np.empty(0, np.int64)  # occupied voxels of the last scan
@@ -97,10 +98,10 @@ class BeliefMap(BlockGrid):
         self._occupied = voxels_of(blocks, self.hit[blocks].view(np.int64))
         self.hit[blocks] = 0
         start = np.floor(origin / self.resolution).astype(np.int64)
-        lines, marks = kernels.integer_lines, (self._bits, self._touched)
         farthest = math.floor((self._max_range / self.resolution) ** 2 * (1 + 1e-12))
-        lines.cast(self._occupied, self._blocks, start, farthest, *self._place, *marks)
-        self.observed = lines.merge(*marks)
+        to = self._occupied, self._blocks, start, farthest
+        kernels.integer_lines.cast(*to, *self._place, *self._marks)
+        self.observed = merged(*self._marks)
 
     def learn(self, sure: float, keep_field: bool = False) -> None:
         """Update the beliefs of the observed voxels, and forget those far away.
@@ -120,21 +121,20 @@ class BeliefMap(BlockGrid):
         )
         self._sources[sources // VOXELS] = 0
         self._before = self._occupied
-        self._used[blocks] = True
+        self._first[blocks] = np.minimum(self._first[blocks], self.number)
+        self._used = np.append(self._used, blocks[~self._is_used[blocks]])
+        self._is_used[blocks] = True
         self._forget()
 
     def _forget(self) -> None:
         """Forget voxels that are far away, and those last observed long ago."""
-        used = np.flatnonzero(self._used).astype(np.int32)
-        low, reach = self._blocks[used] * 8 * self.resolution - self._origin, 1.5 * self._max_range
-        farthest = np.maximum(np.abs(low), np.abs(low + 7 * self.resolution))
-        far = used[np.einsum("ij,ij->i", farthest, farthest) > reach * reach]
-        if len(far):
-            place = float(self.resolution), self._origin, reach
-            kernels.beliefs.erase(far, self._blocks, *place, self._seen, self.state, self._known)
-            self._used[far] = self._seen[far].any(1)
+        place = float(self.resolution), self._origin, 1.5 * self._max_range
+        kept = kernels.beliefs.erase(self._used, self._blocks, *place, self._seen, self.state, self._known)
+        self._is_used[self._used[~kept]] = False
+        self._used = self._used[kept]
         if self.number > self._forget_after:
-            kernels.beliefs.expire(used, self.number - self._forget_after, self._seen, self._known)
+            oldest = self.number - self._forget_after
+            kernels.beliefs.expire(self._used, oldest, self._seen, self._known, self._first)
 
     def score(self) -> Scores:
         """Score the occupied voxels within range."""
@@ -181,6 +181,19 @@ def _set(bits: U64, voxels: I64) -> I32:
     """Set the bits of voxels (N,); returns the blocks that had none."""
     blocks: I32 = kernels.ever_free.put(voxels, bits)
     return blocks
+
+
+def lane_marks(blocks: int) -> tuple[U64, Bool, I32]:
+    """Memory for the marks of rays, each lane's its own: ``bits``, ``touched`` and ``order`` of the kernels."""
+    lanes = kernels.threads_in_use()
+    shapes = (lanes, blocks, 8), (lanes, blocks), (lanes, 1 + blocks)
+    return np.zeros(shapes[0], np.uint64), np.zeros(shapes[1], np.bool_), np.zeros(shapes[2], np.int32)
+
+
+def merged(bits: U64, touched: Bool, order: I32) -> tuple[I32, U64]:
+    """The blocks that any lane marked, (K,), sorted, and the bits of their voxels, (K, 8); clears the marks."""
+    blocks: I32 = np.sort(kernels.integer_lines.collect(touched, order))
+    return blocks, kernels.integer_lines.merge(blocks, bits)
 
 
 def neighbours_of(blocks: I64) -> I32:

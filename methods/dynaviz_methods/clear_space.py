@@ -12,7 +12,7 @@ from dynaviz.arrays import F64, I64, U8, U64
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
-from dynaviz_methods.belief_map import neighbours_of
+from dynaviz_methods.belief_map import lane_marks, merged, neighbours_of
 from dynaviz_methods.lookups import around, known
 from dynaviz_methods.voids import widened
 
@@ -54,12 +54,12 @@ class ClearSpace(BlockGrid):
         size = SUB_VOXELS * params.sub_voxel
         # The port skips blocks that are free entirely, which depends on blocks far from any point.
         super().__init__(_filled(extent, 24 * size) if params.port else widened(extent, 2 * size), size)
-        self._params, n, lanes = params, len(self), kernels.threads_in_use()
+        self._params, n = params, len(self)
         self._neighbours = neighbours_of(self._blocks)
         self.free, self.seen, self.often, self.revoked, self._hit = (np.zeros((n, 8), np.uint64) for _ in range(5))
         self._recorded = np.zeros(n, np.bool_)
         self._free_count, self._hit_count = np.zeros((n, VOXELS), np.int32), np.zeros((n, VOXELS), np.int32)
-        self._bits, self._touched = np.zeros((lanes, n, 8), np.uint64), np.zeros((lanes, n), np.bool_)
+        self._marks_of_rays = lane_marks(n)
         self._ranks = np.zeros(n * VOXELS, np.int32)
         self._of_scan = np.zeros(n * VOXELS + 1, np.uint8)  # levels by voxel; the last entry is for points without one
         self._rows, self._used, self._stamp = np.full(n * VOXELS, -1, np.int32), 0, 0
@@ -102,10 +102,9 @@ class ClearSpace(BlockGrid):
         """
         p, k = self._params, kernels.free_voxels
         heights = np.array([max(p.min_height, p.ray_min_height), min(p.max_height, p.ray_max_height)])
-        marks = self._bits, self._touched
         way = scan.position.copy(), min(p.max_range, p.ray_range), heights, self.resolution, p.port
-        k.cast(targets, *way, self._hit, *self._place, *marks)
-        blocks, crossed = kernels.integer_lines.merge(*marks)
+        k.cast(targets, *way, self._hit, *self._place, *self._marks_of_rays)
+        blocks, crossed = merged(*self._marks_of_rays)
         candidates = np.zeros_like(crossed)
         counts = self._recorded, self.free, self._free_count
         remembered = self.seen, self.often, candidates
