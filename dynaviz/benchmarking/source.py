@@ -45,7 +45,7 @@ def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> Non
     Raises:
         DataError: if it cannot be written, or the folder contains something else.
     """
-    from dynaviz.simulate.recording import VERSION, simulate
+    from dynaviz.simulate.write import VERSION, simulate
 
     folder, frames = Path(source.path), source.frames or PRESETS[source.scene].frames
     if folder.exists():

@@ -1,28 +1,24 @@
-"""Record a scene with a moving sensor and write the sweeps in the public benchmark's layout."""
+"""Record a scene with a moving sensor."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, U8, U16
-from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.scan import Label
 from dynaviz.sensors import load_sensor
 from dynaviz.simulate import poses
 from dynaviz.simulate.behaviour import populate
-from dynaviz.simulate.classes import BY_EFFECTS, CLASS_NAMES, ObjectClass
+from dynaviz.simulate.classes import ObjectClass
 from dynaviz.simulate.effects import BEHAVIOUR
 from dynaviz.simulate.hall import hall
 from dynaviz.simulate.lidar import RayScene, receive, sweep_rays
 from dynaviz.simulate.measurement import Returns, measure
-from dynaviz.simulate.options import Chosen
 from dynaviz.simulate.presets import Preset
 from dynaviz.simulate.scene import SimulatedScene
 from dynaviz.simulate.square import square
@@ -30,7 +26,6 @@ from dynaviz.simulate.street import street
 from dynaviz.simulate.sweep import sensor_pose
 from dynaviz.spatial import geometry
 
-VERSION = 1  # increase whenever the same preset and seed give different points
 WORKERS = 2  # sweeps simulated at the same time
 BUILDERS = {"street": street, "square": square, "hall": hall}
 
@@ -76,12 +71,22 @@ def build(preset: Preset, frames: int, seed: int = 0) -> SimulatedScene:
     return scene
 
 
-def record_sweeps(scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0) -> Iterator[SimulatedSweep]:
-    """Simulate the sweeps in order, two at a time. Each has its own random numbers, so they do not depend on others."""
+def record_sweeps(
+    scene: SimulatedScene, preset: Preset, frames: int, seed: int = 0, share: Iterable[int] | None = None
+) -> Iterator[SimulatedSweep]:
+    """Simulate the sweeps in order, two at a time. Each has its own random numbers, so they do not depend on others.
+
+    Args:
+        scene: the scene of the preset.
+        preset: sensor, accuracy of the poses, and effects.
+        frames: number of sweeps of the sequence.
+        seed: random seed.
+        share: numbers of the sweeps to simulate; all by default.
+    """
     recorder = Recorder(scene, preset, frames, seed)
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[SimulatedSweep]] = deque()
-        for index in range(frames):
+        for index in range(frames) if share is None else share:
             waiting.append(pool.submit(recorder.sweep, index))
             if len(waiting) > WORKERS:
                 yield waiting.popleft().result()
@@ -146,43 +151,3 @@ class Recorder:
         points = rays.origins[seen] + rays.directions[seen] * distance[seen, None]
         instances = np.where(kinds == ObjectClass.OUTLIER, 0, hits.instance).astype(np.int32)
         return Returns(points, intensity[seen], rays.lidar[seen], kinds[seen], instances[seen])
-
-
-def simulate(
-    preset: str,
-    out: Path,
-    frames: int | None = None,
-    seed: int | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Path:
-    """Write a simulated sequence: scans in the world frame, one labelled cloud of all scans, and ``sequence.toml``.
-
-    The same preset, frames and seed give the same bytes. The folder is written completely or not at all.
-
-    Args:
-        preset: a name in ``PRESETS``, with options if needed: ``street_hdl64?jitter_m=0.03&brushing=6``.
-        out: folder to create; it must not exist yet.
-        frames: number of sweeps; None for that of the options or the preset's default.
-        seed: random seed; each seed gives another scene of the same kind. None for that of the options, or 0.
-        progress: called with the number of finished sweeps and the total.
-
-    Raises:
-        UsageError: for an unknown preset or option, a negative seed, or a number of frames below 1 or beyond the
-            sensor's route.
-        DataError: if ``out`` exists or cannot be written.
-    """
-    chosen, out = Chosen.parse(preset, frames, seed), Path(out)
-    preset_, frames, seed = chosen.preset, chosen.frames, chosen.seed
-    merged = bool(load_sensor(preset_.sensor).mounts)
-    with BenchmarkWriter(out) as writer:
-        for sweep in record_sweeps(build(preset_, frames, seed), preset_, frames, seed):
-            lidar = sweep.lidar if merged else None
-            writer.append(sweep.index, sweep.points, sweep.T_world_sensor, sweep.intensity, lidar)
-            writer.append_truth(sweep.points, sweep.labels, sweep.kinds, sweep.instances)
-            progress(sweep.index + 1, frames)
-        facts: dict[str, Any] = {"name": out.name, "title": preset_.title, "preset": preset_.name}
-        facts |= {"sensor": preset_.sensor, "seed": seed, "frames": frames}
-        facts |= {"rate": load_sensor(preset_.sensor).rate, "generator": VERSION}
-        names = {k: name for k, name in CLASS_NAMES.items() if chosen.effects or k not in BY_EFFECTS}
-        writer.describe(facts | chosen.effects, names)
-    return out

@@ -21,7 +21,7 @@ from dynaviz import kernels, registry
 from dynaviz.datasets import open_sequence
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.scan import Sequence, select_frames
-from dynaviz.simulate.recording import simulate
+from dynaviz.simulate.write import simulate
 
 FILE = Path(__file__).with_name("counts.json")
 REWRITE = "DYNAVIZ_REWRITE" in os.environ

@@ -9,9 +9,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError, DynavizError, UsageError
 from dynaviz.sensors import load_sensor
-from dynaviz.simulate import PRESETS, record_sweeps, simulate
+from dynaviz.simulate import PRESETS, parallel, record_sweeps, simulate
 from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
 from dynaviz.simulate.recording import build
 from dynaviz.spatial import geometry
@@ -186,6 +186,28 @@ def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, f
         for path in (p for p in made.rglob("*") if p.is_file()):
             again = tmp_path / "again" / made.name / path.relative_to(made)
             assert again.read_bytes() == path.read_bytes(), path.name
+
+
+def test_several_processes_give_the_same_bytes(tmp_path, folder, monkeypatch):
+    started = []
+    monkeypatch.setattr(parallel, "WORTH", 1)
+    monkeypatch.setattr(parallel.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(
+        parallel, "_received", lambda child, own=parallel._received: started.append(child) or own(child)
+    )
+    again = simulate("demo", tmp_path / "demo", frames=3)
+    assert len(started) == 1
+    for path in (p for p in folder.rglob("*") if p.is_file()):
+        assert (again / path.relative_to(folder)).read_bytes() == path.read_bytes(), path.name
+
+
+def test_a_process_that_dies_is_reported_and_leaves_no_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(parallel, "WORTH", 1)
+    monkeypatch.setattr(parallel.os, "cpu_count", lambda: 2)
+    monkeypatch.setenv("PYTHONHOME", str(tmp_path / "nowhere"))  # so that Python does not start
+    with pytest.raises(DynavizError, match=r"a process of the simulation ended with exit code 1\. .*fewer frames"):
+        simulate("demo", tmp_path / "a", frames=2)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_another_seed_is_another_scene():
