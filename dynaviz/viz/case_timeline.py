@@ -6,6 +6,7 @@ it, and a text. On the timeline of frames, the box and the text are those of the
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -30,6 +31,7 @@ BACK = 11.0  # metres: the same for the frame around the line from the sensor to
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 LIFT = 0.22  # of this radius: height of the label above the box, so that it hides nothing
 EDGES = rr.Radius.ui_points(1.2)
+UP = np.array([0.0, 0.0, 1.0])
 THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
 TURN = np.linspace(0.0, 2 * np.pi, 49)
@@ -98,7 +100,7 @@ class CaseTimeline:
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
         contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
-        places = [_place(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
+        places = [place_of(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
         self._styles()
         deciding = []
         for case, place, evidence in zip(self._cases, places, witnesses.find(scans, sensor, places), strict=True):
@@ -107,7 +109,7 @@ class CaseTimeline:
             deciding.append(self._deciding(here, place))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(evidence)
-            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{self._see(deciding[-1])}\n{HOW}")
+            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{see(self._info, deciding[-1])}\n{HOW}")
             self._sink.chunks(
                 drawn.at_case(path, case.number, near(path, row, (case.low + case.high) / 2))
                 for path, row in here.items()
@@ -121,12 +123,6 @@ class CaseTimeline:
         names = {paths.state(self._info.name, state): state.name for state in self._info.emits}
         path = drawn.deciding(here, list(names), place.low, place.high)
         return None if path is None else names[path]
-
-    def _see(self, state: str | None) -> str:
-        meaning = {known.name: known.meaning for known in self._info.emits}
-        if state is None:
-            return "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
-        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
         middle, size = (low + high) / 2, high - low
@@ -187,6 +183,16 @@ class CaseTimeline:
                 last = case
 
 
+def see(info: MethodInfo, state: str | None) -> str:
+    """Which state of a method shows a case, as Markdown; empty if the method has none."""
+    meaning = {known.name: known.meaning for known in info.emits}
+    if state is not None:
+        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
+    if any(issubclass(known.kind, paths.SOLID) for known in info.emits):
+        return "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
+    return "- **State**: pictures of what the method saw, in the tabs next to the frame.\n" if meaning else ""
+
+
 def circles(low: F64, high: F64) -> F32:
     """(N, 49, 3): a circle on the ground around each box."""
     centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
@@ -215,8 +221,14 @@ def _aims(sensor: F64, middle: F64) -> F32:
     return lines
 
 
-def _place(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
-    """Where to look for evidence: the middle of the case's points in its worst frame."""
+def place_of(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
+    """Where to look for evidence; ground is level where its points, an arc, lie on no surface."""
+    place = _middle(case, scan)
+    return dataclasses.replace(place, normal=UP) if case.ground and place.normal is None else place
+
+
+def _middle(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
+    """The middle of the case's points in its worst frame."""
     if scan is not None and (xyz := drawn.positions(scan)) is not None:
         inside = (xyz >= case.low - 0.01) & (xyz <= case.high + 0.01)
         mine = inside.all(1) & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome)

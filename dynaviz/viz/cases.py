@@ -35,6 +35,7 @@ class ShownCase:
         low, high: (3,) float64, metres, world frame: its box in that frame.
         lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
         text: Markdown, without evidence.
+        ground: whether most of its points are on the ground.
     """
 
     number: int
@@ -45,6 +46,7 @@ class ShownCase:
     high: F64
     lost: Mapping[str, float]
     text: str
+    ground: bool
 
     @property
     def label(self) -> str:
@@ -83,7 +85,8 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        cases.append(ShownCase(i + 1, title, Outcome(boxes.outcomes[i]), case.worst_frame, *corners, lost, text))
+        outcome, ground = Outcome(boxes.outcomes[i]), (case.ground or 0.0) > 0.5
+        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, ground))
     return cases
 
 

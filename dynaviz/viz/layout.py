@@ -109,7 +109,7 @@ def _text(found: Findings) -> Any:
     if not found.cases:
         return rrb.Vertical(cases, others, row_shares=[5, 3])
     case = rrb.TextDocumentView(name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT])
-    return rrb.Vertical(case, cases, others, row_shares=[4, 4, 3])
+    return rrb.Vertical(case, cases, others, row_shares=[9, 8, 5])
 
 
 def _tabs(info: MethodInfo, found: Findings) -> list[Any]:

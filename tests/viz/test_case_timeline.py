@@ -11,10 +11,13 @@ from helpers.guessing_method import Guess, record_with_metrics
 from helpers.viewer_client import headless, problems
 from helpers.worlds import InMemory, room
 
+from dynaviz.method import MethodInfo
+from dynaviz.probe import RangeImage, State, Voxels
 from dynaviz.results.sections import FailureCase
 from dynaviz.scan import Outcome
 from dynaviz.viz import paths, witnesses
-from dynaviz.viz.cases import DID, listed, suspicious
+from dynaviz.viz.case_timeline import place_of, see
+from dynaviz.viz.cases import DID, ShownCase, listed, suspicious
 from dynaviz.viz.reader import RunRecording
 
 
@@ -134,3 +137,19 @@ def test_recordings_open_at_the_first_case(recorded: RunRecording) -> None:
     assert {"case", "frame", "what and why", "failures"} <= set(shown)
     assert {name: reports for name, reports in shown.items() if reports} == {}
     assert set(shown) >= {state.name for state in Guess.info.emits if state.name not in ("remark", "count")}
+
+
+@pytest.mark.parametrize("ground", [True, False])
+def test_rays_to_an_arc_of_ground_are_compared_with_level_ground(ground: bool) -> None:
+    case = ShownCase(1, "removed ground", Outcome.FALSE_POSITIVE, 0, np.zeros(3), np.ones(3), {}, "", ground)
+    normal = place_of(case, None).normal
+    assert (normal is not None and normal.tolist() == [0, 0, 1]) if ground else normal is None
+
+
+def test_a_case_refers_to_pictures_where_the_method_has_nothing_else() -> None:
+    states = State("hits", Voxels, "Voxels that were hit"), State("scan", RangeImage, "Nearest returns")
+    both, pictures, none = (MethodInfo("m", "M", "", (), emits) for emits in (states, states[1:], ()))
+    assert "the tab *hits* shows this place: Voxels that were hit." in see(both, "hits")
+    assert "none was recorded here" in see(both, None)
+    assert "pictures of what the method saw" in see(pictures, None)
+    assert see(none, None) == ""
