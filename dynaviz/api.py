@@ -247,6 +247,7 @@ def _run_into(
         result = _run_and_record(folder, recording, mode, spec, view, progress, check)
         if folder is not None:
             write_summary(folder, spec, result)
+            result = replace(result, answers=replace(result.answers, folder=folder))
     return result
 
 

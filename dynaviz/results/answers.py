@@ -32,10 +32,11 @@ class Answers(Protocol):
 
 @dataclass(frozen=True)
 class RunAnswers:
-    """Of a run in this process, whose scans are read again for the map."""
+    """Of a run in this process, whose scans are read again for the map. ``folder`` has its files, if it wrote any."""
 
     sequence: Sequence
     labels: RunLabels
+    folder: Path | None = None
 
     def static_map(self) -> F64:
         """As ``Answers``; only finite points."""
