@@ -9,22 +9,25 @@ print(result)
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynaviz.api import compare, open, run, score
     from dynaviz.benchmarking.bench import bench
     from dynaviz.benchmarking.tune import tune
+    from dynaviz.cleaning import clean
     from dynaviz.diagnosis import doctor
     from dynaviz.explanation import why
     from dynaviz.explorer import explore
     from dynaviz.reporting import report
     from dynaviz.results.result import Result
 
-__all__ = ["Result", "bench", "compare", "doctor", "explore", "open", "report", "run", "score", "tune", "why"]
+__all__ = ["Result", "bench", "clean", "compare", "doctor", "explore", "open", "report", "run", "score", "tune", "why"]
 
 _HOMES = {
     "bench": "dynaviz.benchmarking.bench",
+    "clean": "dynaviz.cleaning",
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "explore": "dynaviz.explorer",
@@ -39,6 +42,12 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:  # loaded when first used, so that `dynaviz --help` answers at once
+    if name == "__version__":
+        return importlib.metadata.version("dynaviz")
     if name not in _HOMES:
         raise AttributeError(f"module 'dynaviz' has no attribute '{name}'")
     return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

@@ -5,19 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 from dynaviz import params, registry
 from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
+from dynaviz.datasets.in_memory import ArraySequence
 from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
 from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
+from dynaviz.odometry.opening import is_odometry, open_estimated
 from dynaviz.probe import SILENT, Probe
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode, Result
@@ -28,7 +31,7 @@ Record = Literal[RecordMode, "none"]
 
 
 def open(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Iterable[Any],
     *,
     frames: str | None = None,
     stride: int = 1,
@@ -40,12 +43,14 @@ def open(
     """Open a sequence of any known format.
 
     Args:
-        path: a folder or a bag. The format is detected; a prefix forces it (``semantickitti:PATH``).
+        path: a folder or a bag. The format is detected; a prefix forces it (``semantickitti:PATH``). Or a list of
+            ``(points, pose)`` or ``(points, pose, stamp)``: (N, 3 or more) metres in the sensor frame, (4, 4), ns.
         frames: ``A:B``, positions as in a Python slice.
         stride: use every N-th frame.
-        sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list sensors``).
+        sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list sensors``), or a TOML file.
         poses: for folders of scans and for bags: a file with the sensor's poses (KITTI, TUM, CSV); for bags also a
-            topic, or the TF frame to use as the world frame.
+            topic, or the TF frame to use as the world frame. For every format: ``kiss-icp`` or another odometry, which
+            estimates them once and keeps them in ``recordings/SEQUENCE``.
         points_in: for folders and bags: ``sensor`` or ``world``, the frame of the stored points.
         deskew: for bags: False disables motion compensation of sweeps whose points have times.
 
@@ -53,25 +58,33 @@ def open(
         DataError: if the path contains no known format.
         UsageError: for invalid frames or sensors, or options that the format does not support.
     """
+    chosen = load_sensor(sensor) if sensor else None
+    if not isinstance(path, str | os.PathLike):
+        return select_frames(ArraySequence.of(path, points_in), frames, stride, chosen)
     pose_source = None if poses is None else os.fspath(poses)
+    if pose_source is not None and is_odometry(pose_source):
+        options = {"points_in": points_in, "deskew": deskew}
+        sequence, _ = open_estimated(os.fspath(path), pose_source, None, frames, **options)
+        return select_frames(sequence, None, stride, chosen)
     sequence = open_sequence(os.fspath(path), poses=pose_source, points_in=points_in, deskew=deskew)
-    return select_frames(sequence, frames, stride, load_sensor(sensor) if sensor else None)
+    return select_frames(sequence, frames, stride, chosen)
 
 
 def run(
     method: str,
-    sequence: Sequence | str | os.PathLike[str],
+    sequence: Sequence | str | os.PathLike[str] | Iterable[Any],
     *,
     out: str | os.PathLike[str] | None = None,
     record: Record | str | os.PathLike[str] = "errors",
     view: bool = False,
     preset: str | None = None,
     config: str | os.PathLike[str] | None = None,
-    settings: tuple[str, ...] = (),
+    settings: Iterable[str] | Mapping[str, Any] = (),
     online: bool | None = None,
     seed: int | None = None,
     variant: str = "",
     threads: int | None = None,
+    maps: bool = True,
     command: str = "",
     progress: Progress = silent,
 ) -> Result:
@@ -79,16 +92,17 @@ def run(
 
     Args:
         method: its name (``dynaviz list methods``).
-        sequence: an open sequence, or a path.
+        sequence: an open sequence, a path, or a list of ``(points, pose)``.
         out: folder for the files of the run; None writes none.
         record: how much the recording ``run.rrd`` in ``out`` contains (``recordings/README.md``); or the path of an
             ``.rrd`` file, which records in the mode ``errors``, with or without ``out``.
         view: show the run in a viewer while it is running.
-        preset, config, settings: layers of parameters (``dynaviz.params.resolve``).
+        preset, config, settings: layers of parameters (``dynaviz.params.resolve``); settings may be a dictionary.
         online: label each scan right after it was observed, instead of after all scans.
         seed: for all randomness in the method.
         variant: a short name for the parameter set, for tables.
         threads: for kernels; None for all cores.
+        maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames done and their total.
 
@@ -123,7 +137,7 @@ def run(
     recording, mode = _recording(record, folder)
     if view and recording is None:
         raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")
-    return _run_into(folder, recording, mode, spec, view, progress)
+    return _run_into(folder, recording, mode, spec, view, progress, maps=maps)
 
 
 def score(
@@ -241,10 +255,11 @@ def _run_into(
     view: bool,
     progress: Progress,
     check: SourceCheck | None = None,
+    maps: bool = True,
 ) -> Result:
     """Run and write all files; each appears only when it is complete, ``result.json`` last."""
     with locked(folder, spec.command) if folder else contextlib.nullcontext():
-        result = _run_and_record(folder, recording, mode, spec, view, progress, check)
+        result = _run_and_record(folder, recording, mode, spec, view, progress, check, maps)
         if folder is not None:
             write_summary(folder, spec, result)
             result = replace(result, answers=replace(result.answers, folder=folder))
@@ -259,6 +274,7 @@ def _run_and_record(
     view: bool,
     progress: Progress,
     check: SourceCheck | None,
+    maps: bool = True,
 ) -> Result:
     """Run and write labels, maps and the recording."""
     probe: Probe = SILENT
@@ -266,8 +282,9 @@ def _run_and_record(
     with contextlib.ExitStack() as stack:
         listeners: list[Listener] = [check] if check else []
         if folder is not None:
-            listeners.append(RemoveStaleOutputs(folder, recording))
-            listeners += [stack.enter_context(kind(folder)) for kind in (LabelsFile, MapFiles)]
+            listeners.append(RemoveStaleOutputs(folder, recording, maps))
+            written = (LabelsFile, MapFiles) if maps else (LabelsFile,)
+            listeners += [stack.enter_context(kind(folder)) for kind in written]
         if recording is not None:
             from dynaviz.viz.recorder import Recorder
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -34,7 +36,7 @@ def resolve(
     method: Any,
     preset: str | None = None,
     config: str | os.PathLike[str] | None = None,
-    settings: Iterable[str] = (),
+    settings: Iterable[str] | Mapping[str, Any] = (),
 ) -> Resolved:
     """Combine the layers of parameters.
 
@@ -42,7 +44,7 @@ def resolve(
         method: the class of a method.
         preset: name of a preset. Its files have one table per method; this method need not be among them.
         config: a TOML file with the parameters in a table named after the method, or at the top level.
-        settings: ``KEY=VALUE`` or ``METHOD.KEY=VALUE``, with values as in TOML.
+        settings: ``KEY=VALUE`` or ``METHOD.KEY=VALUE``, with values as in TOML; or a dictionary of values.
 
     Raises:
         UsageError: for an unknown preset or parameter, or an invalid value; the message names the layer.
@@ -56,7 +58,12 @@ def resolve(
     if config:
         table, run = _config(Path(config), name)
         layers.append((os.fspath(config), table))
-    layers.append(("--set", dict(_setting(text, name) for text in settings)))
+    if isinstance(settings, Mapping):
+        layers.append(("settings", {key.removeprefix(f"{name}."): value for key, value in settings.items()}))
+    elif isinstance(settings, str):
+        raise UsageError(f"settings = {settings!r}: give a list of KEY=VALUE, or a dictionary")
+    else:
+        layers.append(("--set", dict(_setting(text, name) for text in settings)))
     kinds = get_type_hints(method.Params)
     for layer, table in layers:
         for key, value in table.items():
@@ -69,6 +76,51 @@ def resolve(
     except ValueError as error:
         raise UsageError(f"{name}: {error}") from None
     return Resolved(params, source, run.get("online"), run.get("seed"))
+
+
+@dataclass(frozen=True)
+class Described:
+    """A parameter in words: its meaning with the unit, and the values that it may have; empty where unknown."""
+
+    meaning: str
+    range: str
+
+
+def describe(kind: type[Any]) -> dict[str, Described]:
+    """What the parameters of a method mean, from the docstring of its ``Params`` and the values that it refuses."""
+    meanings, ranges = _attributes(kind.__doc__ or ""), _ranges(kind)
+    names = [field.name for field in dataclasses.fields(kind)]
+    return {name: Described(meanings.get(name, ""), ranges.get(name, "")) for name in names}
+
+
+def _attributes(docstring: str) -> dict[str, str]:
+    """The entries of the section ``Attributes``; several names may share one."""
+    _, _, section = inspect.cleandoc(docstring).partition("Attributes:\n")
+    entries: dict[str, str] = {}
+    names: list[str] = []
+    for line in section.partition("\n\n")[0].splitlines():
+        if match := re.match(r"    ([\w, ]+): (.*)", line):
+            names = [name.strip() for name in match[1].split(",")]
+            entries |= dict.fromkeys(names, match[2])
+        elif names:
+            entries |= {name: f"{entries[name]} {line.strip()}" for name in names}
+    return entries
+
+
+def _ranges(kind: type[Any]) -> dict[str, str]:
+    """By parameter what its error asks for, such as ``a share from 0 to less than 1``."""
+    found: dict[str, str] = {}
+    for name, type_ in get_type_hints(kind).items():
+        for value in (-(10**9), float("nan"), 10**9) if type_ in (int, float) else ():
+            try:
+                kind(**{name: value if type_ is float or isinstance(value, int) else 0})
+            except ValueError as error:
+                asked = re.match(rf"{name} = [^:]*: give (?:a |an )?(.+)", str(error))
+                if asked:
+                    found.setdefault(name, asked[1])
+            except Exception:  # a method that does not check its parameters
+                break
+    return found
 
 
 def to_toml(name: str, params: Any, run: Mapping[str, Any]) -> bytes:

@@ -8,6 +8,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -130,8 +131,10 @@ def _numbered(table: Mapping[str, Any], key: str) -> Iterable[tuple[int, Any]]:
 
 
 def _source(entry: Any, place: str) -> SequenceSpec:
-    """A sequence from a string (PATH, FORMAT:PATH or simulate:SCENE[:FRAMES[:SEED]]) or from a table."""
+    """A sequence from a string ([NAME=]PATH, FORMAT:PATH or simulate:SCENE[:FRAMES[:SEED]]) or from a table."""
     if isinstance(entry, str):
+        if (named := re.fullmatch(r"([\w.-]+)=(.+)", entry)) and not Path(entry).exists():
+            return replace(_source(named[2], place), name=named[1])
         prefix, *rest = entry.split(":")
         if prefix != "simulate" or "?" in entry:  # with options: simulated when read, as by dynaviz run
             return _source({"path": anchored(entry, Path())}, place)

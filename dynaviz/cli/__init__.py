@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -19,6 +19,7 @@ from dynaviz.cli import (
     bench,
     board,
     check,
+    clean,
     compare,
     config,
     convert,
@@ -41,6 +42,7 @@ from dynaviz.cli import (
     view,
     why,
 )
+from dynaviz.cli.console import set_quiet
 from dynaviz.errors import DataError, DynavizError, UsageError
 
 try:
@@ -72,16 +74,34 @@ app = typer.Typer(
     help="Remove dynamic points from LiDAR maps, score the result point by point, and replay every error.",
     epilog="Start with: dynaviz demo",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate, implant,
-    tune, download, convert, export_labels, explore, view, shot, why, repair
+    demo, clean, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate,
+    implant, tune, download, convert, export_labels, explore, view, shot, why, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from dynaviz import __version__
+
+        print(f"dynaviz {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Remove dynamic points from LiDAR maps, score the result point by point, and replay every error."""
+    set_quiet(False)  # of an earlier command in this process
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ def add_to(app: typer.Typer) -> None:
 def bench(
     file: Annotated[
         Path | None,
-        typer.Argument(metavar="BENCH.toml", help="Plan of the bench; examples/bench.toml explains every key."),
+        typer.Argument(metavar="BENCH.toml", help="Plan of the bench, a TOML file."),
     ] = None,
     methods: Annotated[
         list[str] | None, typer.Option("-m", "--method", metavar="M", help="Method to run. Repeatable. [default: all]")
@@ -46,7 +46,7 @@ def bench(
             "-s",
             "--sequence",
             metavar="SEQ",
-            help="Sequence folder, bag or simulate:SCENE[:FRAMES[:SEED]]. Repeatable.",
+            help="[NAME=]sequence folder, bag or simulate:SCENE[:FRAMES[:SEED]]. Repeatable.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Output folder; each run has its own subfolder.")] = ...,  # type: ignore[assignment]

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import program, progress, show
+from dynaviz.cli.console import print_json, program, progress, show
+from dynaviz.cli.options import Json, recording_in
 
 
 def add_to(app: typer.Typer) -> None:
@@ -20,14 +21,15 @@ def compare(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            metavar="A.rrd B.rrd...", help="Recordings of runs on the same sequence. All are compared with A."
+            metavar="A.rrd B.rrd...",
+            help="Recordings or folders of runs on the same frames, compared with A.",
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Recording to write, with the runs side by side.")] = Path(
         "compare.rrd"
     ),
     view: Annotated[bool, typer.Option("--view", help="Open the written recording in the viewer.")] = False,
-    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the comparison to a JSON file.")] = None,
+    json: Json = None,
     fail_below: Annotated[
         float | None,
         typer.Option(
@@ -48,10 +50,11 @@ def compare(
     from dynaviz import api
 
     with progress("compare", unit="recordings") as report:
-        comparison = api.compare(*recordings, out=out, progress=report)
-    show(comparison, f"Written to {out}. Open it with: {program()} view {out}")
-    if json is not None:
-        comparison.save(json)
+        comparison = api.compare(*map(recording_in, recordings), out=out, progress=report)
+    printed = print_json(comparison.to_dict(), json)
+    if not printed:
+        show(comparison, f"Written to {out}. Open it with: {program()} view {out}")
+    if json is not None and not printed:
         show(f"Written to {json}.")
     if view:
         from dynaviz.viz.view import view as open_viewer

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+from dataclasses import asdict
+from json import dumps
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import show
+from dynaviz.cli.console import print_json, show
+from dynaviz.cli.options import Json, Method, Preset, sensor_completions
 
 
 def add_to(app: typer.Typer) -> None:
@@ -18,26 +20,31 @@ def add_to(app: typer.Typer) -> None:
 
 
 def config(
-    method: Annotated[str, typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.")],
-    preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Published parameter set; see 'dynaviz list presets'.")
-    ] = None,
+    method: Method,
+    preset: Preset = None,
     file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="TOML file with parameters.")] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
     ] = None,
     sensor: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Also show this sensor; see 'dynaviz list sensors'.")
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.toml",
+            help="Also show this sensor; see 'dynaviz list sensors'.",
+            autocompletion=sensor_completions,
+        ),
     ] = None,
+    json: Json = None,
 ) -> None:
     """Show the parameters of a method.
 
-    Lists each value and where it is set: default, preset, file or --set.
+    Lists the meaning, unit and range of each parameter, its value, and where it is set: default, preset, file or --set.
 
     \b
     dynaviz config octomap_gf
     dynaviz config octomap --preset av2 --set prob_hit=0.65
     """
+    from rich.markup import escape
     from rich.table import Table
 
     from dynaviz import params, registry
@@ -45,9 +52,18 @@ def config(
 
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, file, settings or ())
-    table = Table("parameter", "value", "set by", title=f"{kind.info.title}: parameters", title_justify="left")
-    for field in dataclasses.fields(resolved.params):
-        table.add_row(field.name, json.dumps(getattr(resolved.params, field.name)), resolved.source[field.name])
+    described = params.describe(kind.Params)
+    rows = [
+        {"name": name, "value": getattr(resolved.params, name), "set_by": resolved.source[name], **asdict(each)}
+        for name, each in described.items()
+    ]
+    if print_json({"method": method, "parameters": rows}, json):
+        return
+    columns = ("parameter", "value", "set by", "meaning", "range")
+    table = Table(*columns, title=f"{kind.info.title}: parameters", title_justify="left")
+    for row in rows:
+        shown = dumps(row["value"])
+        table.add_row(row["name"], shown, row["set_by"], escape(row["meaning"]), escape(row["range"]))
     show(table)
     if sensor:
         properties = Table("property", "value", title=f"sensor {sensor}", title_justify="left")

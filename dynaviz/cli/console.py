@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from dynaviz.progress import silent
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from dynaviz.progress import Progress
 
+_quiet = False  # set by --quiet
 LOG_INTERVAL = 5.0  # seconds between two log lines of a phase
 Unit = str | Mapping[str, str]
 """What a step of a phase is, in the plural; a mapping gives one for each phase."""
@@ -25,6 +29,30 @@ def console() -> Console:
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else 160)
+
+
+def print_json(content: Any, target: Path | None) -> bool:
+    """Write plain values as JSON to a file, or to standard output for ``-``.
+
+    Returns:
+        Whether standard output has the JSON, so that nothing else may be printed there.
+    """
+    if target is None:
+        return False
+    text = json.dumps(content, indent=1, allow_nan=False)
+    if str(target) == "-":
+        print(text)
+        return True
+    from dynaviz.io.atomic import write_atomic
+
+    write_atomic(target, text.encode())
+    return False
+
+
+def set_quiet(quiet: bool) -> None:
+    """Show no progress from now on."""
+    global _quiet
+    _quiet = quiet
 
 
 def program() -> str:
@@ -92,7 +120,9 @@ def progress(title: str, unit: Unit = "frames") -> Iterator[Progress]:
     def start(phase: str, done: int) -> PhaseTimer:
         return PhaseTimer(units.get(phase, default), done)
 
-    if sys.stderr.isatty():
+    if _quiet:
+        yield silent
+    elif sys.stderr.isatty():
         with _bars(title, start) as report:
             yield report
     else:

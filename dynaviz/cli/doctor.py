@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show
-from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName
+from dynaviz.cli.console import print_json, progress, show
+from dynaviz.cli.options import Deskew, Frames, Json, PointsIn, Poses, Quiet, SensorName
 
 
 def add_to(app: typer.Typer) -> None:
@@ -25,9 +24,8 @@ def doctor(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
-    out: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Also write the findings to a JSON file.")
-    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Diagnose a sequence and suggest fixes.
 
@@ -38,17 +36,13 @@ def doctor(
     dynaviz doctor kitti/sequences/08 --frames 0:200 --json findings.json
     dynaviz doctor files:scans --poses odometry.txt --sensor vlp16
     """
-    import json
-
     from dynaviz.cli.options import open_sequence
     from dynaviz.diagnosis import doctor as examine
-    from dynaviz.io.atomic import write_atomic
 
     opened = open_sequence(sequence, frames=frames, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
     with progress(f"doctor on {opened.name}") as report:
         diagnosis = examine(opened, progress=report)
-    show(diagnosis)
-    if out:
-        write_atomic(out, json.dumps(diagnosis.to_dict(), indent=1, allow_nan=False).encode())
+    if not print_json(diagnosis.to_dict(), json):
+        show(diagnosis)
     if not diagnosis.ok:
         raise typer.Exit(1)

@@ -37,8 +37,8 @@ def download(
     dynaviz download 05 --url https://mirror.example.org/benchmark
 
     An interrupted download resumes. The archive is verified, unpacked and deleted; its checksum is kept in
-    NAME.download.json next to the sequence. A sequence.toml with the sensor is added. For the licences see
-    docs/datasets.md.
+    NAME.download.json next to the sequence. A sequence.toml with the sensor is added. The data keep
+    their original licences.
     """
     from dynaviz.datasets.download import BASE, SEQUENCES
     from dynaviz.datasets.download import download as fetch

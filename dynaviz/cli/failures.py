@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dynaviz.cli.console import show
+from dynaviz.cli.console import print_json, show
+from dynaviz.cli.options import Json, recording_in
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -21,11 +22,9 @@ def add_to(app: typer.Typer) -> None:
 
 
 def failures(
-    run: Annotated[Path, typer.Argument(metavar="RUN.rrd|RESULT.json", help="Recording or result of a run.")],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder, run.rrd or result.json of a run.")],
     top: Annotated[int, typer.Option(min=1, metavar="N", help="Number of cases to list.")] = 20,
-    out: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Also write all cases to a JSON file.")
-    ] = None,
+    json: Json = None,
 ) -> None:
     """List the failure cases of a run, costliest first.
 
@@ -36,17 +35,14 @@ def failures(
     dynaviz failures recordings/demo/octomap/run.rrd
     dynaviz failures recordings/demo/octomap/result.json --top 5 --json failures.json
     """
-    import json
-
     import msgspec
 
-    from dynaviz.io.atomic import write_atomic
     from dynaviz.results.sections import Failures
 
     section = _section(run)
+    if print_json(msgspec.to_builtins(section), json):
+        return
     show(*(_cases(section, top) if isinstance(section, Failures) else _clusters(section, top)))
-    if out:
-        write_atomic(out, json.dumps(msgspec.to_builtins(section), indent=1, allow_nan=False).encode())
 
 
 def _cases(section: Failures, top: int) -> list[RenderableType]:
@@ -78,6 +74,9 @@ def _section(run: Path) -> Failures | Removals:
     from dynaviz.errors import DataError
     from dynaviz.results.result import Result
 
+    run = recording_in(run)
+    if not run.is_file() and run.with_name("result.json").is_file():
+        run = run.with_name("result.json")  # a run without a recording
     if run.suffix == ".rrd":
         from dynaviz.viz.failures import failures_of, removals_of
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 
 import typer
 
-from dynaviz.cli.console import progress, show
-from dynaviz.cli.options import Deskew, PointsIn, Poses, open_sequence
+from dynaviz.cli.console import print_json, progress, show
+from dynaviz.cli.options import Deskew, Json, PointsIn, Poses, Quiet, open_sequence
 
 if TYPE_CHECKING:
+    from dynaviz.arrays import F64
     from dynaviz.results.result import Result
-    from dynaviz.scan import Sequence
+    from dynaviz.scan import Scan, Sequence
 
 
 @runtime_checkable
@@ -34,15 +38,18 @@ def add_to(app: typer.Typer) -> None:
 def info(
     path: Annotated[
         str,
-        typer.Argument(metavar="SEQ|RUN.rrd|RESULT.json", help="Sequence (FORMAT:PATH forces the format) or file."),
+        typer.Argument(metavar="SEQ|RUN", help="Sequence (FORMAT:PATH forces the format), or a run: folder or file."),
     ],
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
+    json: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Describe a sequence, a recording or a result.
 
-    For a sequence this shows the detected format, the sensor, the numbers of frames and points, and the extent.
+    For a sequence this shows the detected format, the sensor, the numbers of frames and points, the distance travelled,
+    the rate, the share of dynamic points, and the extent.
 
     \b
     dynaviz info path/to/sequence
@@ -52,22 +59,30 @@ def info(
     """
     from dynaviz.io.lock import unfinished
 
+    if (Path(path) / "result.json").is_file():
+        path = str(Path(path) / "result.json")
     suffix = Path(path).suffix
     if suffix == ".json":
         from dynaviz.results.result import Result
 
-        _show_result(Result.load(path))
+        result = Result.load(path)
+        if not print_json(result.to_dict(), json):
+            _show_result(result)
     elif suffix == ".rrd" or path.endswith(".rrd.part"):
         from dynaviz.viz.reader import RunRecording, read
 
         recording = read(path)
+        if print_json(recording.facts(), json):
+            return
         _show_pairs(path, recording.facts())
         if isinstance(recording, RunRecording) and recording.result is not None:
             _show_result(recording.result)
     else:
         if left := unfinished(Path(path)):
             raise left
-        _show_pairs(path, _sequence_facts(open_sequence(path, poses=poses, points_in=points_in, deskew=deskew)))
+        facts = _sequence_facts(open_sequence(path, poses=poses, points_in=points_in, deskew=deskew))
+        if not print_json(facts, json):
+            _show_pairs(path, facts)
 
 
 def _show_result(result: Result) -> None:
@@ -94,7 +109,8 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
     from dynaviz.engine.summary import summarize
 
     with progress(sequence.name) as report:
-        summary = summarize(sequence, lambda done: report("read", done, len(sequence)))
+        counted = _Counted(sequence)
+        summary = summarize(counted, lambda done: report("read", done, len(sequence)))
     low, high = summary.extent.low, summary.extent.high
     return {
         "name": sequence.name,
@@ -102,12 +118,52 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "sensor": f"{sequence.sensor.name} ({sequence.sensor.title})",
         "frames": f"{summary.frames:,}",
         "points": f"{summary.points:,} ({summary.points // max(summary.frames, 1):,} per frame)",
-        "ground truth": "yes" if sequence.has_labels else "no",
+        "ground truth": counted.truth() if sequence.has_labels else "no",
+        "distance": f"{counted.distance():,.1f} m",
+        "rate": counted.rate(),
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
         "digest": summary.digest,
         **(sequence.facts if isinstance(sequence, HasFacts) else {}),
     }
+
+
+class _Counted:
+    """A sequence that counts labels and keeps poses and stamps while it is read in order."""
+
+    def __init__(self, sequence: Sequence) -> None:
+        self._sequence, self._labelled, self._points, self._dynamic = sequence, 0, 0, 0
+        self._positions: list[F64] = []
+        self._stamps: list[int | None] = []
+        self.name, self.sensor, self.has_labels = sequence.name, sequence.sensor, sequence.has_labels
+
+    def __len__(self) -> int:
+        return len(self._sequence)
+
+    def __getitem__(self, position: int) -> Scan:
+        scan = self._sequence[position]
+        self._positions.append(scan.position)
+        self._stamps.append(scan.stamp_ns)
+        if scan.labels is not None:
+            static, dynamic = (int((scan.labels == label).sum()) for label in (0, 1))
+            self._labelled += static + dynamic > 0
+            self._points += static + dynamic
+            self._dynamic += dynamic
+        return scan
+
+    def truth(self) -> str:
+        """How many frames have labels, and the share of dynamic points."""
+        share = f", {100 * self._dynamic / self._points:.2f} % of their points dynamic" if self._points else ""
+        return f"{self._labelled:,} of {len(self):,} frames{share}"
+
+    def distance(self) -> float:
+        """Metres along the poses."""
+        return sum(math.dist(a, b) for a, b in pairwise(self._positions))
+
+    def rate(self) -> str:
+        """Scans per second, from the median step of the stamps."""
+        steps = [b - a for a, b in pairwise(self._stamps) if a is not None and b is not None and b > a]
+        return f"{1e9 / median(steps):.1f} Hz" if steps else "unknown"
 
 
 def _show_pairs(title: str, facts: dict[str, str]) -> None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dynaviz.cli.console import show
+from dynaviz.cli.console import print_json, show
+from dynaviz.cli.options import Json
 
 if TYPE_CHECKING:
     from dynaviz.registry import PluginHandle
@@ -25,6 +26,7 @@ class Listing(StrEnum):
     sensors = "sensors"
     presets = "presets"
     scenes = "scenes"
+    odometries = "odometries"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -34,6 +36,7 @@ def add_to(app: typer.Typer) -> None:
 
 def list_(
     kind: Annotated[Listing | None, typer.Argument(metavar="KIND", help="What to list. [default: all]")] = None,
+    json: Json = None,
 ) -> None:
     """List methods, datasets, sensors, presets and scenes.
 
@@ -45,7 +48,13 @@ def list_(
     """
     from rich.table import Table
 
-    for listing in [kind] if kind else list(Listing):
+    chosen = [kind] if kind else list(Listing)
+    if json is not None:
+        names = ("name", "description", "package")
+        plain = {each.value: [dict(zip(names, row, strict=True)) for row in _rows(each.value)] for each in chosen}
+        if print_json(plain, json):
+            return
+    for listing in chosen:
         table = Table(
             "name",
             "description",

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from dynaviz.cli.console import set_quiet
 
 if TYPE_CHECKING:
     from dynaviz.scan import Sequence
@@ -27,17 +31,58 @@ class RecordModeOption(StrEnum):
     none = "none"
 
 
+def plugin_names(kind: str) -> Callable[[str], list[str]]:
+    """Completes names of plug-ins of a kind."""
+
+    def complete(incomplete: str) -> list[str]:
+        from dynaviz import registry
+
+        return [handle.name for handle in registry.handles(kind) if handle.name.startswith(incomplete)]
+
+    return complete
+
+
+def sensor_completions(incomplete: str) -> list[str]:
+    """Completes names of sensors."""
+    from dynaviz.sensors import sensor_names
+
+    return [name for name in sensor_names() if name.startswith(incomplete)]
+
+
+def preset_completions(incomplete: str) -> list[str]:
+    """Completes names of presets."""
+    from dynaviz import registry
+
+    return [name for name in sorted(registry.preset_files()) if name.startswith(incomplete)]
+
+
+method_names = plugin_names("methods")
+Method = Annotated[
+    str,
+    typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.", autocompletion=method_names),
+]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Published parameter set; see 'dynaviz list presets'.", autocompletion=preset_completions
+    ),
+]
 Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")]
 Stride = Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.")]
 SensorName = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Sensor, if the data do not define it; see 'dynaviz list sensors'."),
+    typer.Option(
+        metavar="NAME|FILE.toml",
+        help="Sensor, if the data do not define it; see 'dynaviz list sensors'.",
+        autocompletion=sensor_completions,
+    ),
 ]
 Poses = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE",
-        help="Sensor poses of a folder of scans: KITTI, TUM or CSV file. For a bag also a topic or TF frame.",
+        metavar="FILE|kiss-icp",
+        help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag also a topic or "
+        "TF frame.",
     ),
 ]
 PointsIn = Annotated[PointFrame | None, typer.Option(help="Coordinate frame of the stored points. [default: sensor]")]
@@ -47,6 +92,18 @@ Deskew = Annotated[
 ]
 Record = Annotated[RecordModeOption, typer.Option(help="How much to record in run.rrd.")]
 Threads = Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")]
+
+
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Also write the result as JSON to a file; - for standard output."),
+]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.", callback=set_quiet, expose_value=False)]
+
+
+def recording_in(path: Path) -> Path:
+    """The recording of a run, given the recording or the folder of the run."""
+    return path / "run.rrd" if path.is_dir() else path
 
 
 def open_sequence(path: str, **options: Any) -> Sequence:

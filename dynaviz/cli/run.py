@@ -9,12 +9,16 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import program, progress, show, written
+from dynaviz.cli.console import print_json, program, progress, show, written
 from dynaviz.cli.options import (
     Deskew,
     Frames,
+    Json,
+    Method,
     PointsIn,
     Poses,
+    Preset,
+    Quiet,
     Record,
     RecordModeOption,
     SensorName,
@@ -30,7 +34,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def run(
-    method: Annotated[str, typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.")],
+    method: Method,
     sequence: Annotated[
         str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
     ],
@@ -47,9 +51,7 @@ def run(
             help="Label each scan as soon as it is observed, or all scans at the end. [default: offline]",
         ),
     ] = None,
-    preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Published parameter set; see 'dynaviz list presets'.")
-    ] = None,
+    preset: Preset = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="TOML file with parameters, such as config.toml of a run.")
     ] = None,
@@ -66,6 +68,9 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")
     ] = None,
+    maps: Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")] = True,
+    json: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Run a method on a sequence.
 
@@ -97,9 +102,12 @@ def run(
             online=online,
             seed=seed,
             threads=threads,
+            maps=maps,
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=report,
         )
+    if print_json(result.to_dict(), json):
+        return
     from dynaviz.cli.cases import top_of
 
     command = f"{program()} failures {shlex.quote(str(folder / 'result.json'))}"

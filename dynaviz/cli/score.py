@@ -9,8 +9,19 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import progress, show, written
-from dynaviz.cli.options import Frames, PointsIn, Poses, Record, RecordModeOption, Stride, Threads, open_sequence
+from dynaviz.cli.console import print_json, progress, show, written
+from dynaviz.cli.options import (
+    Frames,
+    Json,
+    PointsIn,
+    Poses,
+    Quiet,
+    Record,
+    RecordModeOption,
+    Stride,
+    Threads,
+    open_sequence,
+)
 
 
 def add_to(app: typer.Typer) -> None:
@@ -47,6 +58,8 @@ def score(
     points_in: PointsIn = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
+    json: Json = None,
+    quiet: Quiet = False,
 ) -> None:
     """Score a cleaned map, or labels of each scan, from another program.
 
@@ -80,4 +93,5 @@ def score(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=report,
         )
-    show(result, written(folder, record is not RecordModeOption.none))
+    if not print_json(result.to_dict(), json):
+        show(result, written(folder, record is not RecordModeOption.none))

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
+from dynaviz.cli.options import recording_in
 from dynaviz.errors import UsageError
 
 
@@ -17,7 +18,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def shot(
-    recording: Annotated[Path, typer.Argument(metavar="RUN.rrd", help="Recording of a run.")],
+    recording: Annotated[Path, typer.Argument(metavar="RUN", help="Recording or folder of a run.")],
     out: Annotated[
         Path | None,
         typer.Option(
@@ -57,12 +58,13 @@ def shot(
         raise UsageError(f"--clip {clip}: the name must end in .mp4")
     if out is not None and out.suffix.lower() == ".mp4":
         raise UsageError(f"-o {out}: is for images. Give --clip {out}")
+    source = recording_in(recording)
     with progress("shot", unit="images") as report:
         files = [
             file
             for target in (out, clip)
             if target is not None
-            for file in render(recording, target, tuple(frames or ()), view_name, parse_size(size), case, report)
+            for file in render(source, target, tuple(frames or ()), view_name, parse_size(size), case, report)
         ]
     for file in files:
         show(f"Written to {file}.")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dynaviz.cli.options import recording_in
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -14,7 +16,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def view(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RUN.rrd...", help="One or more recordings.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Recordings, or folders of runs.")],
     web: Annotated[
         bool, typer.Option("--web", help="Show them in a browser on this machine instead of a window.")
     ] = False,
@@ -27,4 +29,4 @@ def view(
     """
     from dynaviz.viz.view import view as open_viewer
 
-    open_viewer(recordings, web=web)
+    open_viewer([recording_in(each) for each in recordings], web=web)

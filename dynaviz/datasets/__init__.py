@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -87,6 +88,8 @@ def _parse(text: str) -> tuple[type[Dataset] | None, Path]:
     if not colon or not prefix.isidentifier() or Path(text).exists():
         return None, Path(os.path.abspath(text))
     dataset = registry.load("datasets", prefix)
+    if prefix == "simulate" and (counted := re.fullmatch(r"([^:?]+):(\d+)(?::(\d+))?", rest)):
+        rest = f"{counted[1]}?frames={counted[2]}" + (f"&seed={counted[3]}" if counted[3] else "")
     return dataset, Path(rest if getattr(dataset, "nested", False) else os.path.abspath(rest))
 
 

@@ -15,7 +15,7 @@ from dynaviz.arrays import F64, single
 from dynaviz.attributes import Attributes, far_origin
 from dynaviz.datasets.files import has_files, numbered_files
 from dynaviz.datasets.truth import GroundTruth
-from dynaviz.errors import DataError
+from dynaviz.errors import DataError, NoPoses
 from dynaviz.io.fields import columns_of, coordinates, without_axes
 from dynaviz.io.pcd import Pcd, read_header, read_pcd
 from dynaviz.io.poses import find_poses
@@ -153,7 +153,7 @@ def _validated_count(path: Path) -> int:
 def _pose(pcd: Pcd) -> F64:
     T_world_sensor = pcd.T_world_sensor
     if T_world_sensor is None:
-        raise DataError(pcd.path, "has no VIEWPOINT, so the sensor pose is unknown", hint=_POSE_HINT)
+        raise NoPoses(pcd.path, "has no VIEWPOINT, so the sensor pose is unknown", hint=_POSE_HINT)
     return T_world_sensor
 
 

@@ -80,12 +80,14 @@ class RemoveStaleOutputs(Listener):
     """Removes files of an earlier run at the end of this one. Put it before the listeners that write.
 
     It removes the files whose presence means something: ``result.json`` and ``config.toml``, which are written last,
-    and ``run.rrd`` if this run's recording is written elsewhere. A run that fails leaves the earlier files untouched.
+    ``run.rrd`` if this run's recording is written elsewhere, and maps if this run writes none. A run that fails leaves
+    the earlier files untouched.
     """
 
-    def __init__(self, folder: Path, recording: Path | None):
+    def __init__(self, folder: Path, recording: Path | None, maps: bool = True):
         own = recording is not None and recording.resolve() == (folder / "run.rrd").resolve()
-        self._paths = [folder / name for name in ("result.json", "config.toml", *(() if own else ("run.rrd",)))]
+        stale = ("result.json", "config.toml", *(() if own else ("run.rrd",)), *(() if maps else FILES[1:]))
+        self._paths = [folder / name for name in stale]
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """Remove them."""

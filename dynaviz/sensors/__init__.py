@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from pathlib import Path
+from typing import Any
 
-from dynaviz.errors import UsageError
+from dynaviz.errors import DataError, UsageError
 
 
 @dataclass(frozen=True)
@@ -55,15 +58,58 @@ def sensor_names() -> list[str]:
 
 @cache
 def load_sensor(name: str) -> Sensor:
-    """Load a sensor by its name.
+    """Load a sensor by its name, or from a TOML file with the fields of ``Sensor``.
 
     Raises:
         UsageError: for an unknown name; the message lists the available names.
+        DataError: for a file that is not the specification of a sensor.
     """
+    if name.endswith(".toml"):
+        return _read(Path(name))
     if name not in sensor_names():
-        raise UsageError(f"unknown sensor '{name}'. Available: {', '.join(sensor_names())}")
+        raise UsageError(f"unknown sensor '{name}'. Available: {', '.join(sensor_names())}; or give a TOML file")
     with (resources.files(__package__) / f"{name}.toml").open("rb") as file:
-        facts = tomllib.load(file)
+        return _sensor(name, tomllib.load(file))
+
+
+def _read(path: Path) -> Sensor:
+    """A sensor from a file of the user."""
+    known = [each.name for each in dataclasses.fields(Sensor) if each.name != "name"]
+    hint = f"Write lines such as rings = 32, elevation = [-25.0, 15.0] or height = 1.8. Known: {', '.join(known)}"
+    try:
+        facts = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(path, f"cannot be read ({error})", hint=hint) from None
+    for key, value in facts.items():
+        if key not in known:
+            raise DataError(path, f"a sensor has no '{key}'", hint=hint)
+        if not _valid(key, value):
+            raise DataError(path, f"invalid {key} = {value!r}", hint=hint)
+    return _sensor(path.stem, facts)
+
+
+def _valid(key: str, value: Any) -> bool:
+    """Whether a value of a sensor file has the right type and sign."""
+
+    def numbers(each: Any, count: int | None = None) -> bool:
+        listed = isinstance(each, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in each)
+        return listed and count in (None, len(each))
+
+    if key == "title":
+        return isinstance(value, str)
+    if key in ("elevation", "azimuth"):
+        return numbers(value, 2) and value[0] < value[1]
+    if key == "elevations":
+        return numbers(value)
+    if key == "mounts":
+        return isinstance(value, list) and all(numbers(row, 6) for row in value)
+    if key in ("rings", "points_per_sweep"):
+        return type(value) is int and 0 < value < 1e9
+    return numbers([value]) and value >= 0
+
+
+def _sensor(name: str, facts: dict[str, Any]) -> Sensor:
+    """A sensor with lists as tuples."""
     for key, value in facts.items():
         if isinstance(value, list):
             facts[key] = tuple(tuple(v) if isinstance(v, list) else v for v in value)

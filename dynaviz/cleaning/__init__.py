@@ -1,0 +1,153 @@
+"""From raw data to a clean map: open anything, estimate poses if there are none, run a method, write the map."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz import api
+from dynaviz.cleaning.cleaned import Cleaned
+from dynaviz.engine.cleaned_map import MapFile, check_voxel_size, write_maps
+from dynaviz.engine.region import Region
+from dynaviz.errors import NoPoses, UsageError
+from dynaviz.io.atomic import write_atomic
+from dynaviz.io.maps import check_map_path
+from dynaviz.odometry.estimate import EstimatedPoses
+from dynaviz.odometry.opening import DEFAULT, is_odometry, open_estimated
+from dynaviz.progress import Progress, silent
+from dynaviz.results.result import RecordMode
+from dynaviz.scan import Sequence, select_frames
+from dynaviz.sensors import load_sensor
+
+__all__ = ["BEST", "Cleaned", "clean"]
+
+BEST = "seethrough"
+"""The method with the best mean rank over all data sets (``docs/methods``)."""
+
+
+def clean(
+    sequence: Sequence | str | os.PathLike[str] | Any,
+    out: str | os.PathLike[str],
+    *,
+    method: str = BEST,
+    region: str | None = None,
+    voxel_size: float | None = None,
+    tiles: str | None = None,
+    keep_dynamic: str | os.PathLike[str] | None = None,
+    frames: str | None = None,
+    stride: int = 1,
+    poses: str | os.PathLike[str] | None = None,
+    points_in: str | None = None,
+    deskew: bool | None = None,
+    sensor: str | None = None,
+    preset: str | None = None,
+    config: str | os.PathLike[str] | None = None,
+    settings: Any = (),
+    record: RecordMode | str = "errors",
+    threads: int | None = None,
+    command: str = "",
+    progress: Progress = silent,
+) -> Cleaned:
+    """Clean a map.
+
+    Args:
+        sequence: an open sequence, a path, or a list of ``(points, pose)``.
+        out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; with ``tiles`` a folder. The other files of the run
+            are written to a folder next to it, ``clean_run`` for ``clean.laz``.
+        method: its name.
+        region: ``X0,Y0,X1,Y1`` or ``X0,Y0,Z0,X1,Y1,Z1`` in the coordinates of the map, or a file with the corners of
+            a polygon: the map contains only the points inside. The method sees all points.
+        voxel_size: metres: the map contains one point per voxel, the first one.
+        tiles: ``autoware`` writes Autoware's divided map, PCD files of 20 m x 20 m with metadata.
+        keep_dynamic: file for the removed points, in any of the formats.
+        frames, stride, points_in, deskew, sensor: as for ``dynaviz.open``.
+        poses: as for ``dynaviz.open``; None estimates poses with KISS-ICP if the sequence has none.
+        preset, config, settings, record, threads, command, progress: as for ``dynaviz.run``.
+
+    Returns:
+        What was done; printing it shows a summary. ``Cleaned.result`` is the result of the run.
+
+    Raises:
+        UsageError, DataError, MissingDependency: as ``open`` and ``run``.
+    """
+    files = _files(Path(out), region, voxel_size, tiles, None if keep_dynamic is None else Path(keep_dynamic))
+    folder = run_folder(Path(out))
+    estimated = None
+    if isinstance(sequence, str | os.PathLike):
+        options = {"points_in": points_in, "deskew": deskew}
+        source = None if poses is None else os.fspath(poses)
+        sequence, estimated = _open(os.fspath(sequence), source, folder, frames, options, progress)
+        sequence = select_frames(sequence, None if estimated else frames, stride)
+    else:
+        opened = sequence if isinstance(sequence, Sequence) else api.open(sequence, points_in=points_in)
+        sequence = select_frames(opened, frames, stride)
+    sequence = select_frames(sequence, sensor=load_sensor(sensor) if sensor else None)
+    result = api.run(
+        method,
+        sequence,
+        out=folder,
+        record=record,
+        preset=preset,
+        config=config,
+        settings=settings,
+        threads=threads,
+        command=command or shlex.join(["dynaviz.clean", sequence.name]),
+        progress=progress,
+        maps=False,
+    )
+    maps = write_maps(sequence, result.labels, files, progress)
+    cleaned = Cleaned(result, tuple(maps), folder, estimated, getattr(sequence, "facts", {}))
+    write_atomic(folder / "summary.md", cleaned.markdown().encode())
+    return cleaned
+
+
+def run_folder(out: Path) -> Path:
+    """The folder for the files of the run that writes a map."""
+    return out.with_name(f"{out.stem}_run")
+
+
+def _files(
+    out: Path, region: str | None, voxel_size: float | None, tiles: str | None, removed: Path | None
+) -> list[MapFile]:
+    """The maps to write; all options are checked before anything is read."""
+    if tiles not in (None, "autoware"):
+        raise UsageError(f"--tiles {tiles}: give autoware")
+    if tiles is None:
+        check_map_path(out)
+    elif out.suffix or out.is_file():
+        raise UsageError(f"{out}: a divided map is a folder. Give a name without a suffix, such as -o {out.stem}")
+    check_voxel_size(voxel_size)
+    parsed = None if region is None else Region.parse(region)
+    files = [MapFile(out, tiled=tiles is not None, region=parsed, voxel_size=voxel_size)]
+    if removed is not None:
+        check_map_path(removed)
+        if removed.resolve() == out.resolve():
+            raise UsageError(f"--keep-dynamic {removed}: is the map itself. Give another file")
+        files.append(MapFile(removed, removed=True, region=parsed))
+    return files
+
+
+def _open(
+    text: str, poses: str | None, folder: Path, frames: str | None, options: dict[str, Any], progress: Progress
+) -> tuple[Sequence, EstimatedPoses | None]:
+    """The sequence; with estimated poses if they are requested, or it has none."""
+    if poses is not None and is_odometry(poses):
+        return open_estimated(text, poses, folder, frames, progress, **options)
+    try:
+        opened = api.open(text, poses=poses, **options)
+        if poses is not None or not _without_poses(opened):
+            return opened, None
+    except NoPoses:
+        if poses is not None:
+            raise
+    return open_estimated(text, DEFAULT, folder, frames, progress, **options)
+
+
+def _without_poses(sequence: Sequence) -> bool:
+    """Whether several scans have the identity as pose, as programs write that know no poses."""
+    some = {0, len(sequence) // 2, len(sequence) - 1}
+    return len(some) > 1 and all(np.array_equal(sequence[k].T_world_sensor, np.eye(4)) for k in some)

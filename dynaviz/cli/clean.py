@@ -1,0 +1,121 @@
+"""dynaviz clean."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import print_json, program, progress, show
+from dynaviz.cli.options import (
+    Deskew,
+    Frames,
+    Json,
+    PointsIn,
+    Poses,
+    Preset,
+    Quiet,
+    Record,
+    RecordModeOption,
+    SensorName,
+    Stride,
+    Threads,
+    method_names,
+)
+
+
+class TilesOption(StrEnum):
+    """Divided maps."""
+
+    autoware = "autoware"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("clean")(clean)
+
+
+def clean(
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQ", help="Bag, folder of scans or sequence. FORMAT:PATH forces the format.")
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("-o", "--out", metavar="MAP", help="Clean map: pcd, ply, las, laz or npz; a folder for tiles."),
+    ],
+    method: Annotated[
+        str, typer.Option("-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names)
+    ] = "seethrough",
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BOX|FILE",
+            help="Write only points inside: X0,Y0,X1,Y1 or X0,Y0,Z0,X1,Y1,Z1, or a file with the corners of a polygon.",
+        ),
+    ] = None,
+    voxel_size: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Write one point per voxel of this size.")
+    ] = None,
+    tiles: Annotated[TilesOption | None, typer.Option(help="Write a divided map with tiles of 20 m x 20 m.")] = None,
+    keep_dynamic: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the removed points to this file.")
+    ] = None,
+    frames: Frames = None,
+    stride: Stride = 1,
+    poses: Poses = None,
+    points_in: PointsIn = None,
+    deskew: Deskew = None,
+    sensor: SensorName = None,
+    preset: Preset = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
+    ] = None,
+    record: Record = RecordModeOption.errors,
+    threads: Threads = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Clean a map of moving objects: from raw data to a map, in one command.
+
+    Poses are estimated with KISS-ICP if there are none. Intensity, ring, time and all other attributes are kept.
+    Writes the map, and next to it a folder with a summary, the labels and a recording.
+
+    \b
+    dynaviz clean drive.bag -o clean.laz
+    dynaviz clean scans/ --poses trajectory.tum -o clean.pcd --voxel-size 0.1
+    dynaviz clean drive.mcap -o map --tiles autoware --keep-dynamic removed.pcd
+    dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region 500100,5400200,500300,5400400
+    """
+    from dynaviz import cleaning
+
+    with progress(f"clean {sequence}") as report:
+        cleaned = cleaning.clean(
+            sequence,
+            out,
+            method=method,
+            region=region,
+            voxel_size=voxel_size,
+            tiles=tiles and tiles.value,
+            keep_dynamic=keep_dynamic,
+            frames=frames,
+            stride=stride,
+            poses=poses,
+            points_in=points_in,
+            deskew=deskew,
+            sensor=sensor,
+            preset=preset,
+            settings=tuple(settings or ()),
+            record=record.value,
+            threads=threads,
+            command=shlex.join(["dynaviz", *sys.argv[1:]]),
+            progress=report,
+        )
+    if print_json(cleaned.to_dict(), json):
+        return
+    show(cleaned, f"Written to {out} and {cleaned.folder}.")
+    if record is not RecordModeOption.none:
+        show(f"Check what was removed with: {program()} view {shlex.quote(str(cleaned.folder / 'run.rrd'))}")

@@ -1,0 +1,176 @@
+"""Estimate the poses of a sequence with an odometry, and cache them in a file that ``--poses`` reads."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import tomllib
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz import registry
+from dynaviz.arrays import F64, I64
+from dynaviz.io.atomic import write_atomic
+from dynaviz.odometry.contract import Odometry
+from dynaviz.progress import Progress, silent
+from dynaviz.scan import Scan, Sequence, stream
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import Trajectory
+
+FORMAT = 1  # of the cache; a change makes earlier caches invalid
+_SAMPLES = 5  # frames whose ranges are looked at
+
+
+@dataclass(frozen=True)
+class EstimatedPoses:
+    """Poses that an odometry estimated, and how.
+
+    Attributes:
+        file: CSV file with a pose per line: number or stamp in nanoseconds, and the 3x4 matrix.
+        odometry: its name.
+        version: of its package.
+        frames: number of sweeps.
+        distance: metres travelled.
+        seconds: it took to estimate them.
+        deskewed: whether the times of points were used to compensate motion.
+        key: digest of the sequence and the odometry.
+        reused: whether they were estimated by an earlier run.
+    """
+
+    file: Path
+    odometry: str
+    version: str
+    frames: int
+    distance: float
+    seconds: float
+    deskewed: bool
+    key: str
+    reused: bool = False
+
+    def __str__(self) -> str:
+        times = f"{self.seconds:.0f} s" + (", estimated by an earlier run" if self.reused else "")
+        return f"{self.odometry} {self.version}: {self.distance:.1f} m in {self.frames:,} sweeps ({times})"
+
+
+def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: Progress = silent) -> EstimatedPoses:
+    """Estimate poses, or find those that an earlier call wrote into the same folder for the same data.
+
+    Args:
+        name: of the odometry (``dynaviz list odometries``).
+        sequence: its points are transformed to the sensor frame with its own poses.
+        folder: where to write ``poses_NAME.csv`` and ``poses_NAME.toml``.
+        raw: whether ``Scan.times`` say when points were measured, and the points are not yet compensated for motion.
+        progress: called after each sweep.
+
+    Raises:
+        UsageError: for an unknown odometry.
+        MissingDependency: if it is not installed.
+        DataError: for data that cannot be read, or files that cannot be written.
+    """
+    kind: type[Odometry] = registry.load("odometries", name)
+    file, note = folder / f"poses_{name}.csv", folder / f"poses_{name}.toml"
+    sample = [sequence[k] for k in np.unique(np.linspace(0, len(sequence) - 1, _SAMPLES).astype(int))]
+    odometry = kind(_reach(sample))
+    key = _key(kind, name, sequence, sample)
+    if (earlier := _cached(file, note, key)) is not None:
+        return earlier
+    start = time.monotonic()
+    poses, moments, frames, deskewed = [], list[int](), list[Scan](), False
+    for done, scan in enumerate(stream(sequence), 1):
+        points, times = _sensor_frame(scan, raw)
+        poses.append(odometry.register(points, times))
+        deskewed |= times is not None
+        moments.append(_moment(scan, times, kind.reference))
+        frames.append(_light(scan))
+        progress("poses", done, len(sequence))
+    T = np.array(poses)
+    _write(file, frames, T, np.array(moments, np.int64))
+    steps = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
+    found = EstimatedPoses(file, name, _version(kind), len(T), round(float(steps.sum()), 3),
+                           round(time.monotonic() - start, 1), deskewed, key)  # fmt: skip
+    _save(note, found)
+    return found
+
+
+def _sensor_frame(scan: Scan, raw: bool) -> tuple[F64, F64 | None]:
+    """Finite points in the sensor frame, and their times if they are known and matter."""
+    finite = np.isfinite(scan.points).all(1)
+    points = geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points[finite])
+    if not raw or scan.times is None:
+        return points, None
+    return points, scan.times[finite].astype(np.float64)
+
+
+def _moment(scan: Scan, times: F64 | None, reference: float) -> int:
+    """The time to which the pose of a sweep refers, nanoseconds."""
+    stamp = scan.stamp_ns or 0
+    if times is None or not len(times):
+        return stamp
+    return stamp + round((times.min() + reference * (times.max() - times.min())) * 1e9)
+
+
+def _light(scan: Scan) -> Scan:
+    """A scan without points, to keep its number and stamp."""
+    return Scan(scan.index, np.empty((0, 3), np.float32), np.eye(4), scan.stamp_ns)
+
+
+def _reach(scans: list[Scan]) -> float:
+    """Metres: 95 % of the points are nearer."""
+    ranges = [np.sqrt(scan.squared_ranges()) for scan in scans]
+    near = np.concatenate([values[np.isfinite(values)] for values in ranges])
+    return float(np.percentile(near, 95)) if len(near) else 0.0
+
+
+def _write(file: Path, frames: list[Scan], poses: F64, moments: I64) -> None:
+    """Write poses by stamp, or by number if a frame has no stamp or two have the same.
+
+    The times of sweeps and those to which the poses refer differ; both have a line, so that no sweep lies outside.
+    """
+    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
+    stamps = [frame.stamp_ns for frame in frames]
+    rows: list[tuple[int, F64]]
+    if None in stamps or len(set(stamps)) < len(stamps):
+        first, rows = "index", list(zip((frame.index for frame in frames), poses, strict=True))
+    else:
+        first, trajectory = "stamp [ns]", Trajectory.of(moments, poses)
+        times = np.union1d(np.array(stamps, np.int64), trajectory.times)
+        rows = list(zip(times.tolist(), trajectory.at(times), strict=True))
+    lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]
+    write_atomic(file, "\n".join([f"{first},{matrix}", *lines, ""]).encode())
+
+
+def _key(kind: type[Odometry], name: str, sequence: Sequence, sample: list[Scan]) -> str:
+    """Digest of the odometry, and of some frames of the sequence."""
+    digest = hashlib.sha256(f"{FORMAT} {name} {_version(kind)} {len(sequence)}".encode())
+    for scan in sample:
+        digest.update(f"{scan.index} {scan.stamp_ns}".encode())
+        digest.update(geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points).tobytes())
+    return digest.hexdigest()
+
+
+def _version(kind: type[Odometry]) -> str:
+    try:
+        return metadata.version(kind.package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _save(note: Path, found: EstimatedPoses) -> None:
+    import tomli_w
+
+    facts = {name: value for name, value in asdict(found).items() if name not in ("file", "reused")}
+    write_atomic(note, tomli_w.dumps(facts).encode())
+
+
+def _cached(file: Path, note: Path, key: str) -> EstimatedPoses | None:
+    """The poses of an earlier call with the same key; None if there are none."""
+    try:
+        facts: dict[str, Any] = tomllib.loads(note.read_text(encoding="utf-8"))
+        found = EstimatedPoses(file, **facts, reused=True)
+    except (OSError, ValueError, TypeError):
+        return None
+    return found if found.key == key and file.is_file() else None

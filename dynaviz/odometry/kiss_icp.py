@@ -1,0 +1,44 @@
+"""KISS-ICP (Vizzo et al., RA-L 2023): point-to-point registration to a local map, with a constant velocity model."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz.arrays import F64
+from dynaviz.errors import MissingDependency
+
+LONGEST, SHORTEST = 100.0, 20.0  # metres; bounds of the range that is used
+
+
+class KissIcp:
+    """KISS-ICP of the package ``kiss-icp``, with its parameters for the given range.
+
+    It runs in one thread: sums in several threads differ from run to run.
+    """
+
+    reference: ClassVar[float] = 1.0
+    package: ClassVar[str] = "kiss-icp"
+
+    def __init__(self, reach: float) -> None:
+        try:
+            from kiss_icp.config import KISSConfig
+            from kiss_icp.kiss_icp import KissICP
+        except ModuleNotFoundError:
+            raise MissingDependency(
+                "estimating poses needs KISS-ICP. Install it with: pip install 'dynaviz[odometry]', or give poses with "
+                "--poses FILE"
+            ) from None
+        config: Any = KISSConfig()
+        config.data.max_range = float(np.clip(2 * reach, SHORTEST, LONGEST))
+        config.data.deskew = True
+        config.mapping.voxel_size = config.data.max_range / 100.0
+        config.registration.max_num_threads = 1
+        self._kiss: Any = KissICP(config)
+
+    def register(self, points: F64, times: F64 | None) -> F64:
+        """As ``Odometry``."""
+        self._kiss.register_frame(points, np.empty(0) if times is None else times)
+        pose: F64 = np.array(self._kiss.last_pose, np.float64)
+        return pose

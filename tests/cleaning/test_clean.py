@@ -1,0 +1,218 @@
+"""From data without poses or far from zero to a clean map, its summary and its attributes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz import registry
+from dynaviz.arrays import F64
+from dynaviz.errors import UsageError
+from dynaviz.io.fields import coordinates, read_fields
+from dynaviz.io.maps import TiledMap
+from dynaviz.io.pcd import write_pcd
+from dynaviz.odometry.estimate import estimate
+from dynaviz.spatial import geometry
+
+Command = Callable[..., tuple[int, str, str]]
+METHOD, FRAMES = "octomap", 4
+FAR = np.array([512_000.0, 5_403_000.0, 0.0])
+SCANS = room(frames=FRAMES, rays=1500).scans
+
+
+def write_scans(folder: Path, *, poses: bool = True, offset: np.ndarray | float = 0.0) -> Path:
+    """Scans in the sensor frame with ring and intensity."""
+    folder.mkdir(parents=True)
+    for scan in SCANS:
+        local = geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points)
+        numbers = np.arange(len(local))
+        fields = {axis: local[:, k] for k, axis in enumerate("xyz")}
+        fields |= {"ring": (numbers % 16).astype(np.uint16), "intensity": (numbers / 7).astype(np.float32)}
+        write_pcd(folder / f"{scan.index:06d}.pcd", fields)
+    if poses:
+        T = np.array([scan.T_world_sensor for scan in SCANS])
+        T[:, :3, 3] = np.round(T[:, :3, 3] * 1024) / 1024 + offset  # exact sums
+        np.savetxt(folder / "poses.txt", T[:, :3].reshape(len(T), 12), fmt="%.17g")
+    return folder
+
+
+class TrueOdometry:
+    """Knows the poses of the room, in the frame of the first."""
+
+    reference: ClassVar[float] = 1.0
+    package: ClassVar[str] = "numpy"
+    calls: ClassVar[int] = 0
+
+    def __init__(self, reach: float) -> None:
+        assert reach > 0
+        self._next = 0
+
+    def register(self, points: F64, times: F64 | None) -> F64:
+        assert times is None
+        TrueOdometry.calls += 1
+        self._next += 1
+        first, pose = SCANS[0].T_world_sensor, SCANS[self._next - 1].T_world_sensor
+        return geometry.compose(geometry.inverse(first), pose)
+
+
+@pytest.fixture
+def odometry(monkeypatch: pytest.MonkeyPatch) -> type[TrueOdometry]:
+    """``kiss-icp`` replaced by an odometry that knows the truth."""
+    every = registry.handles
+    target = f"{TrueOdometry.__module__}:TrueOdometry"
+    handle = registry.PluginHandle("odometries", "kiss-icp", target, "test", "1")
+    monkeypatch.setattr(registry, "handles", lambda kind: [handle] if kind == "odometries" else every(kind))
+    monkeypatch.setattr(registry.PluginHandle, "load", _load)
+    TrueOdometry.calls = 0
+    return TrueOdometry
+
+
+_LOAD = registry.PluginHandle.load
+
+
+def _load(handle: registry.PluginHandle) -> Any:
+    return TrueOdometry if handle.kind == "odometries" else _LOAD(handle)
+
+
+def clean(source: Any, out: Path, **options: Any) -> Any:
+    return dv.clean(source, out, method=METHOD, record="none", threads=1, **options)
+
+
+def test_the_map_has_the_kept_points_with_their_attributes(tmp_path: Path) -> None:
+    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.npz", keep_dynamic=tmp_path / "removed.pcd")
+    labels = cleaned.result.labels
+    numbers = [np.arange(len(scan)) for scan in SCANS]
+    for file, kept in ((tmp_path / "map.npz", True), (tmp_path / "removed.pcd", False)):
+        found = read_fields(file)
+        chosen = np.concatenate([n[labels[k] != kept] for k, n in enumerate(numbers)])
+        assert found["ring"].tobytes() == (chosen % 16).astype(np.uint16).tobytes()
+        assert found["intensity"].tobytes() == (chosen / 7).astype(np.float32).tobytes()
+    assert cleaned.maps[0].points == sum(len(scan) for scan in SCANS) - cleaned.removals.removed
+    np.testing.assert_array_equal(cleaned.result.static_map(), coordinates(read_fields(tmp_path / "map.npz")))
+    assert 0 < cleaned.removals.removed < 600
+
+
+def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
+    cleaned = clean(write_scans(tmp_path / "drive"), tmp_path / "map.ply")
+    page = (tmp_path / "map_run/summary.md").read_text()
+    assert page == str(cleaned)
+    assert page.startswith(f"# drive, cleaned with {METHOD}\n\nRemoved {cleaned.removals.removed:,} of 6,000 points (")
+    for part in ("with ring, intensity", "## Removed by reason", "| 0 to 10 m |", "## Look at these first"):
+        assert part in page
+    names = {path.name for path in (tmp_path / "map_run").iterdir()}
+    assert names == {"summary.md", "labels.npz", "result.json", "config.toml"}
+    assert dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist() == cleaned.result.labels[2].tolist()
+
+
+def test_far_from_zero_labels_are_the_same_and_the_map_is_far(tmp_path: Path) -> None:
+    near = clean(write_scans(tmp_path / "near"), tmp_path / "near.pcd")
+    far = clean(write_scans(tmp_path / "far", offset=FAR), tmp_path / "far.pcd")
+    assert near.result.labels_sha256 == far.result.labels_sha256
+    assert near.result.sequence.digest == far.result.sequence.digest
+    a, b = (coordinates(read_fields(tmp_path / f"{name}.pcd")) for name in ("near", "far"))
+    np.testing.assert_array_equal(a + FAR, b)
+
+
+def test_poses_are_estimated_once(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+    given = clean(write_scans(tmp_path / "given"), tmp_path / "given.pcd")
+    scans = write_scans(tmp_path / "none", poses=False)
+    for reused in (False, True):
+        cleaned = clean(scans, tmp_path / "none.pcd")
+        assert cleaned.poses.reused is reused
+        assert cleaned.poses.distance == pytest.approx(0.2 * (FRAMES - 1))
+        assert cleaned.removals.removed == pytest.approx(given.removals.removed, rel=0.1)
+    assert odometry.calls == FRAMES
+    page = (tmp_path / "none_run/summary.md").read_text()
+    assert "Poses were estimated with kiss-icp" in page
+    again = dv.open(scans, poses=tmp_path / "none_run/poses_kiss-icp.csv")
+    np.testing.assert_allclose(again[3].T_world_sensor[:3, 3], [0.6, 0, 0], atol=1e-12)
+
+
+def test_given_poses_can_be_replaced_by_estimated_ones(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.pcd", poses="kiss-icp", frames="0:3")
+    assert (cleaned.poses.frames, odometry.calls) == (3, 3)
+    assert cleaned.result.sequence.frames == 3
+
+
+def test_poses_that_are_all_the_identity_count_as_none(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+    scans = write_scans(tmp_path / "scans", poses=False)
+    for scan in scans.iterdir():
+        write_pcd(scan, read_fields(scan), np.eye(4))
+    cleaned = clean(scans, tmp_path / "map.pcd")
+    assert cleaned.poses.distance == pytest.approx(0.2 * (FRAMES - 1))
+
+
+def test_another_sequence_does_not_use_the_poses_of_the_first(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+    estimate("kiss-icp", room(frames=FRAMES), tmp_path, False)
+    estimate("kiss-icp", room(frames=FRAMES, seed=1), tmp_path, False)
+    assert odometry.calls == 2 * FRAMES
+
+
+def test_region_and_voxels_limit_the_map_only(tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans", offset=FAR)
+    corner, opposite = FAR + np.array([-2, -3, 0]), FAR + np.array([4, 2, 0])
+    box = ",".join(f"{x}" for x in (*corner[:2], *opposite[:2]))
+    cleaned = clean(scans, tmp_path / "map.pcd", region=box, voxel_size=0.5)
+    xyz = coordinates(read_fields(tmp_path / "map.pcd"))
+    assert ((xyz[:, :2] >= corner[:2]) & (xyz[:, :2] <= opposite[:2])).all()
+    assert len(np.unique(np.floor(xyz / 0.5), axis=0)) == len(xyz) > 50
+    assert cleaned.result.sequence.points == 6000
+    (tmp_path / "corners.txt").write_text(
+        "\n".join(f"{FAR[0] + x}, {FAR[1] + y}" for x, y in [(-2, 0), (2, 0), (0, 3)])
+    )
+    clean(scans, tmp_path / "map.pcd", region=str(tmp_path / "corners.txt"))
+    x, y = (coordinates(read_fields(tmp_path / "map.pcd")) - FAR)[:, :2].T
+    assert len(x) > 10
+    assert ((y >= 0) & (y <= 3 - 1.5 * np.abs(x) + 1e-6)).all()
+
+
+def test_a_divided_map(tmp_path: Path) -> None:
+    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map", tiles="autoware")
+    tiles = list((tmp_path / "map" / TiledMap.TILES).glob("*.pcd"))
+    assert len(tiles) == 4
+    assert sum(len(read_fields(tile)["ring"]) for tile in tiles) == cleaned.maps[0].points
+
+
+def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
+    scans = [
+        (geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points), scan.T_world_sensor) for scan in SCANS
+    ]
+    result = dv.run(METHOD, scans, settings={"resolution": 0.3}, threads=1)
+    assert result.parameters["resolution"] == 0.3
+    assert [len(labels) for labels in result.labels] == [1500] * FRAMES
+    assert sum(int(labels.sum()) for labels in result.labels) == 6000 - len(result.static_map())
+    with pytest.raises(UsageError, match=r"scan 1: points \(3,\) of float64 and a pose \(4, 4\)\. Give a list"):
+        dv.open([scans[0], (np.zeros(3), np.eye(4))])
+
+
+@pytest.mark.parametrize(
+    ("typed", "message"),
+    [
+        ("-o map.xyz", "unknown map format"),
+        ("-o map.pcd --region 1,2,3", "has 3 numbers"),
+        ("-o map.pcd --voxel-size 0", "at least 0.001"),
+        ("-o map.pcd --keep-dynamic map.pcd", "is the map itself"),
+        ("-o map.pcd --tiles autoware", "a divided map is a folder"),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_read(run_command: Command, typed: str, message: str) -> None:
+    code, _, err = run_command("clean", "absent", *typed.split())
+    assert (code, err.count("\n")) == (2, 1)
+    assert message in err
+
+
+def test_the_command_prints_json(run_command: Command, tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans")
+    options = ("-m", METHOD, "--record", "none", "--threads", 1, "--quiet", "--json", "-")
+    code, out, err = run_command("clean", scans, "-o", tmp_path / "map.pcd", *options)
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert found["points"] == 6000
+    assert found["maps"][0]["attributes"] == ["ring", "intensity"]
