@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test lint types boundscheck coverage fuzz mutants docs check clean
+.PHONY: demo test browser lint types boundscheck coverage fuzz mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -14,6 +14,9 @@ demo: .venv/.user
 
 test: .venv/.dev
 	$(BIN)/pytest $(ALL_CORES)
+
+browser: .venv/.dev  # test the page of the explorer in Chromium, without a GPU
+	DYNAVIZ_BROWSER=1 $(BIN)/pytest -q tests/explorer/test_page.py
 
 lint: .venv/.dev
 	$(BIN)/ruff check
@@ -42,7 +45,7 @@ mutants: .venv/.dev  # change the evaluation in one place at a time; list the ch
 docs: .venv/.dev  # write the site to build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-check: lint types test fuzz boundscheck docs
+check: lint types test browser fuzz boundscheck docs
 
 .venv/.venv:
 	@$(PYTHON) -c 'import sys; sys.exit("dynaviz needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'

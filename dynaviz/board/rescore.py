@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from dynaviz.errors import DataError
 from dynaviz.metric import Labelled
 from dynaviz.protocol import EvaluationProtocol, ProtocolScores
 from dynaviz.results.collect import StudyRun
-from dynaviz.scan import Outcome, Sequence, stream
+from dynaviz.scan import Outcome, Scan, Sequence, stream
 
 COUNTS = {
     "static_kept": (Outcome.STATIC_KEPT,),
@@ -46,13 +46,21 @@ class Rescored:
     positions: tuple[int, ...]
 
 
-def rescore(run: StudyRun, scoring: str, sequence: Sequence) -> Rescored:
+def as_it_is(position: int, scan: Scan) -> Scan:
+    """The scan with its own ground truth."""
+    return scan
+
+
+def rescore(
+    run: StudyRun, scoring: str, sequence: Sequence, corrected: Callable[[int, Scan], Scan] = as_it_is
+) -> Rescored:
     """Score the ``labels.npz`` of a run.
 
     Args:
         run: its folder contains ``labels.npz``.
         scoring: of its result.
         sequence: contains the frames of the run, and possibly others.
+        corrected: gives a scan other ground truth, which is scored; it receives the position in the run, and the scan.
 
     Raises:
         DataError: if the labels cannot be read, or are for other frames or points.
@@ -71,8 +79,9 @@ def rescore(run: StudyRun, scoring: str, sequence: Sequence) -> Rescored:
         if len(answer) != len(scan):
             problem = f"has {len(answer)} labels for frame {scan.index}, which has {len(scan)} points"
             raise DataError(file, problem, hint="Give the sequence of the run with --sequence")
-        labelled = Labelled.of(len(positions), scan, answer.dynamic, answer.reasons, answer.answered)
         digest.add(scan)
+        truth = corrected(len(positions), scan)
+        labelled = Labelled.of(len(positions), truth, answer.dynamic, answer.reasons, answer.answered)
         bits.append(answer.dynamic)
         outcomes += np.bincount(labelled.outcome, minlength=len(Outcome))
         positions.append(position)

@@ -34,6 +34,7 @@ from dynaviz.cli import (
     list,
     repair,
     report,
+    rescore,
     run,
     score,
     shot,
@@ -80,7 +81,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, clean, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate,
-    implant, tune, download, convert, export_labels, explore, view, shot, why, repair
+    implant, tune, download, convert, export_labels, explore, rescore, view, shot, why, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

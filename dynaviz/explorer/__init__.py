@@ -5,17 +5,23 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from dynaviz.errors import UsageError
+
 if TYPE_CHECKING:
     from dynaviz.explorer.server import Explorer
+    from dynaviz.results.result import Result
 
 
-def explore(run: str | os.PathLike[str], other: str | os.PathLike[str] | None = None, *, port: int = 0) -> Explorer:
+def explore(
+    run: str | os.PathLike[str] | Result, other: str | os.PathLike[str] | Result | None = None, *, port: int = 0
+) -> Explorer:
     """Open the explorer of a run, on this machine.
 
     In a notebook, the returned object shows the page; elsewhere open its ``url`` in a browser.
 
     Args:
-        run: its folder, ``result.json`` or ``run.rrd``. It needs a recording with points.
+        run: its folder, ``result.json`` or ``run.rrd``; or a result that was written to a folder, or loaded from one.
+            It needs a recording with points.
         other: a run on the same frames, to compare.
         port: to listen on; 0 for any free port.
 
@@ -24,11 +30,21 @@ def explore(run: str | os.PathLike[str], other: str | os.PathLike[str] | None = 
 
     Raises:
         DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
-        UsageError: if the runs are of different sequences.
+        UsageError: if the runs are of different sequences, or for a result without a folder.
         MissingDependency: without the packages of the extra ``explore``.
     """
     from dynaviz.explorer.answers import Explored
     from dynaviz.explorer.run import ExploredRun
     from dynaviz.explorer.server import Explorer
 
-    return Explorer(Explored(ExploredRun(run), None if other is None else ExploredRun(other)), port)
+    return Explorer(Explored(ExploredRun(_path(run)), None if other is None else ExploredRun(_path(other))), port)
+
+
+def _path(run: str | os.PathLike[str] | Result) -> str | os.PathLike[str]:
+    """Where the files of a run are."""
+    if isinstance(run, str | os.PathLike):
+        return run
+    folder = getattr(run.answers, "folder", None)
+    if folder is None:
+        raise UsageError("the result has no folder. Give out=FOLDER to dynaviz.run, or the path of the run")
+    return os.fspath(folder)

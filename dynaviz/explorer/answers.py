@@ -16,6 +16,7 @@ from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.run import ExploredRun
+from dynaviz.relabelling import LABELS, Box, Correction, correct, read_corrections, rescore
 from dynaviz.viz.focus import CASE, LAYOUTS, MAP
 from dynaviz.viz.shot import shot
 
@@ -36,6 +37,7 @@ class Explored:
     Attributes:
         runs: by letter.
         answers: by name, a function from a query to plain JSON types.
+        changes: by name, a function from a query to plain JSON types, which writes a file.
         contents: by name, a function from a query to the content of a file, and its media type.
 
     Raises:
@@ -58,7 +60,9 @@ class Explored:
             "click": self._click,
             "point": self._point,
             "why": self._why,
+            "rescored": self._rescored,
         }
+        self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct}
         self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
             "layout": (self._layout, RRD),
             "marks": (self._marks, RRD),
@@ -90,6 +94,7 @@ class Explored:
             "truth": run.result.has_truth,
             "seconds": None if seconds is None else seconds * run.frames,
             "path": shlex.quote(str(run.path)),
+            "corrections": self._corrections(run),
             "cases": [cards.plain(run, card, shared) for card in self._cards[letter]],
         }
 
@@ -118,6 +123,31 @@ class Explored:
         letter, frame, point = self._letter(query), _number(query, "frame"), _number(query, "point")
         self.runs[letter].point(frame, point)  # or the replay would find out after a while
         return self._ledgers.ask(letter, frame, point)
+
+    def _corrections(self, run: ExploredRun) -> dict[int, str]:
+        """The corrected truth by number of the case."""
+        found = read_corrections(run.path.parent, run.result.sequence.digest).corrections
+        return {each.case: each.truth for each in found}
+
+    def _correct(self, query: Query) -> dict[int, str]:
+        """Correct the ground truth of a case, or, without ``truth``, withdraw that; all corrections are returned."""
+        letter, truth = self._letter(query), query.get("truth")
+        run, card = self.runs[letter], self._card(letter, _number(query, "case"))
+        if not run.result.has_truth:
+            raise UsageError(f"{run.path} has no ground truth to correct")
+        if truth is None:
+            made = None
+        elif truth in LABELS:
+            made = Correction(card.number, card.title, truth, tuple(Box(*box) for box in cards.boxes(run, card)))
+        else:
+            raise UsageError(f"truth {truth}: choose from {', '.join(LABELS)}")
+        with self._lock:
+            correct(run.path.parent, run.result.sequence.digest, card.number, made)
+        return self._corrections(run)
+
+    def _rescored(self, query: Query) -> dict[str, str]:
+        """The scores with the corrections, in a line."""
+        return {"text": str(rescore(self.runs[self._letter(query)].path))}
 
     def _layout(self, query: Query) -> bytes:
         """The layout of a case, a frame or the map, as a recording."""

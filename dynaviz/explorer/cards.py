@@ -11,6 +11,7 @@ import numpy as np
 from dynaviz import colours
 from dynaviz.arrays import F64, I64, Bool
 from dynaviz.explorer.run import ExploredRun
+from dynaviz.relabelling import Corner
 from dynaviz.results.sections import FailureCase, RemovedCluster
 from dynaviz.scan import Outcome
 
@@ -118,6 +119,15 @@ def spark(run: ExploredRun, card: Card) -> list[int]:
     where = run.wrong.frame[card.rows] * bins // max(run.frames, 1)
     counts: list[int] = np.bincount(where, run.wrong.stands_for[card.rows], bins).astype(int).tolist()
     return counts
+
+
+def boxes(run: ExploredRun, card: Card) -> list[tuple[int, Corner, Corner]]:
+    """The box around the wrong points of a case in each of its frames: frame, low and high corner in metres."""
+    found = []
+    for frame in np.unique(run.wrong.frame[card.rows]).tolist():
+        xyz = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == frame]].astype(float)
+        found.append((frame, tuple(xyz.min(0).tolist()), tuple(xyz.max(0).tolist())))
+    return found
 
 
 def by(run: ExploredRun, card: Card, shared: Bool | None) -> str | None:

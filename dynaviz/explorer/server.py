@@ -32,7 +32,18 @@ from dynaviz.explorer.answers import Explored, Query
 
 HOME = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
-SCRIPTS = ("main.js", "cards.js", "dom.js", "keys.js", "plot.js", "share.js", "state.js", "viewer.js", "why.js")
+SCRIPTS = (
+    "main.js",
+    "cards.js",
+    "correct.js",
+    "dom.js",
+    "keys.js",
+    "plot.js",
+    "share.js",
+    "state.js",
+    "viewer.js",
+    "why.js",
+)
 FILES = {"index.html": "text/html", "style.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
 VIEWER = {"widget.js": "text/javascript", "widget.css": "text/css", "re_viewer_bg.wasm": "application/wasm"}
 POLICY = (  # the browser itself refuses requests to other machines
@@ -85,6 +96,7 @@ def application(explored: Explored, token: str) -> Starlette:
 
     routes = [
         *(Route(f"/api/{name}", _json(answer)) for name, answer in explored.answers.items()),
+        *(Route(f"/api/{name}", _json(change), methods=["POST"]) for name, change in explored.changes.items()),
         *(Route(f"/api/{name}", _bytes(answer, kind)) for name, (answer, kind) in explored.contents.items()),
         Route("/{name:path}", file),
     ]

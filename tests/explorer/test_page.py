@@ -1,12 +1,13 @@
 """The page of the explorer in Chromium: real clicks, keys and addresses.
 
-Without a graphics card the viewer draws in software, which takes minutes on a busy machine: set DYNAVIZ_BROWSER=1.
+Without a graphics card the viewer draws in software, so these tests have a command of their own: ``make browser``.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,22 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
+from dynaviz.arrays import F64
+from dynaviz.explorer.cards import Card, cards
+from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
 from dynaviz.results.result import Result
+from dynaviz.viz.focus import ASIDE, CLOSEST
 from dynaviz.viz.reader import RunRecording
 
-pytestmark = pytest.mark.skipif("DYNAVIZ_BROWSER" not in os.environ, reason="set DYNAVIZ_BROWSER=1 to run in Chromium")
+pytestmark = pytest.mark.skipif(
+    "DYNAVIZ_BROWSER" not in os.environ, reason="draws in Chromium without a GPU; run: make browser"
+)
 
-SECONDS = 90_000  # ms; drawing in software on a busy machine
+MOST = 120_000  # ms; drawing in software on a busy machine
+SMALL = {"width": 1000, "height": 480}  # pixels; fewer are drawn faster
+TITLE, TIME_PANEL, SHARE = 28, 29, 0.6  # of the layout of a case: pixels of bars, and the part of its first view
+FIELD_OF_VIEW = 55.0  # degrees: vertical, of the viewer's eye
 STATE = "() => JSON.stringify(explorer.current())"
 
 
@@ -35,8 +45,8 @@ class Page:
 
     def __init__(self, browser: Any, explorer: Explorer):
         self.url, self.requests = explorer.url, list[str]()
-        self.tab = browser.new_page(viewport={"width": 1100, "height": 560})
-        self.tab.set_default_timeout(SECONDS)
+        self.tab = browser.new_page(viewport=SMALL)
+        self.tab.set_default_timeout(MOST)
         self.tab.route("**/*", self._allow)
         self.errors: list[str] = []
         self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -63,10 +73,24 @@ class Page:
         """Wait for an expression."""
         self.tab.wait_for_function(f"() => {condition}")
 
+    def draw(self, pictures: int = 3) -> None:
+        """Wait until the page was drawn several times."""
+        drawn = "async n => { for (; n; n--) await new Promise(requestAnimationFrame) }"
+        self.tab.evaluate(drawn, pictures)
+
+    def changed(self, before: bytes) -> bool:
+        """Whether the viewer draws something else within some pictures."""
+        for _ in range(20):
+            self.draw(2)
+            if self.tab.locator("#viewers").screenshot() != before:
+                return True
+        return False
+
 
 @pytest.fixture(scope="module")
-def page(browser: Any, runs: dict[str, Path]) -> Iterator[Page]:
-    with dv.explore(runs["fine"]) as explorer:
+def page(browser: Any, runs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    run = shutil.copytree(runs["fine"], tmp_path_factory.mktemp("page") / "fine")  # to correct
+    with dv.explore(run) as explorer:
         page = Page(browser, explorer)
         page.open()
         yield page
@@ -87,16 +111,12 @@ def test_it_opens_at_the_costliest_case(page: Page, cases: Any) -> None:
 
 def test_a_card_moves_the_cursor_and_the_camera(page: Page, cases: Any) -> None:
     number = next(k for k, case in enumerate(cases, 1) if case.worst_frame != cases[0].worst_frame)
-    page.tab.click("#card-a-1")
-    page.wait("document.body.dataset.layout === 'case-1'")
-    page.wait(f"explorer.viewers.a.time === {cases[0].worst_frame}")
-    page.tab.wait_for_timeout(1500)
+    page.draw()
     before = page.tab.locator("#viewers").screenshot()
     page.tab.click(f"#card-a-{number}")
     page.wait(f"document.body.dataset.layout === 'case-{number}'")
     page.wait(f"explorer.viewers.a.time === {cases[number - 1].worst_frame}")
-    page.tab.wait_for_timeout(1500)
-    assert page.tab.locator("#viewers").screenshot() != before
+    assert page.changed(before)
     assert page.tab.get_attribute(f"#card-a-{number}", "aria-current") == "true"
 
 
@@ -126,27 +146,47 @@ def test_the_answers_to_a_hundred_clicked_points_are_those_stored(page: Page, ru
     assert found == [[frame, point, str(reasons[starts[frame] + point])] for frame, point in rows]
 
 
-def test_a_click_with_the_mouse_explains_a_point(page: Page, cases: Any) -> None:
-    page.tab.click("#card-a-1")
-    page.wait(f"explorer.viewers.a.time === {cases[0].worst_frame}")
-    page.tab.wait_for_timeout(1500)
-    box = page.tab.locator("#viewers").bounding_box()
-    for dx, dy in ((0.5, 0.3), (0.5, 0.34), (0.48, 0.28), (0.52, 0.32), (0.46, 0.36), (0.55, 0.4), (0.4, 0.3)):
-        x, y = box["x"] + dx * box["width"], box["y"] + dy * box["height"]
-        page.tab.mouse.move(x, y)
-        page.tab.wait_for_timeout(600)
-        page.tab.mouse.click(x, y)
-        page.tab.wait_for_timeout(600)
+def on_screen(points: F64, card: Card, width: float, height: float) -> F64:
+    """(N, 2) pixels in the viewer at which the first view of a case's layout draws points."""
+    middle = (card.low + card.high) / 2
+    eye = middle + max(CLOSEST, 1.3 * np.linalg.norm(card.high - card.low)) * ASIDE
+    ahead = (middle - eye) / np.linalg.norm(middle - eye)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    top, bottom = TITLE, SHARE * (height - TIME_PANEL)
+    scale = (bottom - top) / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    offset = points - eye
+    across, up = (scale * (offset @ axis) / (offset @ ahead) for axis in (right, np.cross(right, ahead)))
+    return np.column_stack([width / 2 + across, (top + bottom) / 2 - up])
+
+
+def test_a_click_with_the_mouse_explains_a_point(page: Page, runs: dict[str, Path]) -> None:
+    run = ExploredRun(runs["fine"])
+    card = max(cards(run), key=lambda card: np.sum(run.wrong.frame[card.rows] == card.case.worst_frame))
+    frame = card.case.worst_frame
+    rows = card.rows[run.wrong.frame[card.rows] == frame]
+    rows = rows[run.wrong.point[rows] != card.point]  # that one is behind a mark
+    page.tab.click(f"#card-a-{card.number}")
+    page.wait(f"explorer.viewers.a.time === {frame} && document.body.dataset.layout === 'case-{card.number}'")
+    box = page.tab.locator("#viewers canvas").bounding_box()
+    for x, y in on_screen(run.wrong.xyz[rows].astype(float), card, box["width"], box["height"])[:8].tolist():
+        page.tab.mouse.move(box["x"] + x, box["y"] + y)
+        page.draw(4)  # the viewer finds what is under the mouse after it was drawn
+        page.tab.mouse.click(box["x"] + x, box["y"] + y)
+        page.draw(4)
         if "point" in page.state:
             break
-    state = page.state
-    assert "point" in state, "no click met a point"
-    assert f"Point {state['point']:,} of frame {state['at']}" in page.tab.inner_text("#point")
+    assert "point" in page.state, "no click met a point"
+    at, point = page.state["at"], page.state["point"]
+    assert at == frame
+    assert page.tab.get_attribute(".reason", "data-reason") == run.point(at, point)["reason"]
+    assert f"Point {point:,} of frame {at}" in page.tab.inner_text("#point")
     page.tab.wait_for_selector("#point .ledger table")  # the replay of the tiny run follows by itself
 
 
 def test_keys(page: Page, cases: Any) -> None:
     page.tab.click("#card-a-1")
+    page.wait("document.body.dataset.layout === 'case-1'")
     page.tab.keyboard.press("j")
     page.wait("explorer.current().case === 2")
     page.wait(f"explorer.viewers.a.time === {cases[1].worst_frame}")
@@ -184,6 +224,15 @@ def test_filters_sort_and_search(page: Page, cases: Any) -> None:
         page.tab.select_option("select[name=kind]", kind)
         assert shown.count() == sum(case.kind == cases[0].kind for case in cases)
         page.tab.select_option("select[name=kind]", "")
+
+
+def test_a_correction_changes_the_scores(page: Page, cases: Any) -> None:
+    number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
+    page.tab.click(f"#card-a-{number}")
+    page.tab.click(".correction button >> text='It is static'")
+    page.wait("/^AA .* -> .* with 1 correction/.test(document.getElementById('corrected').textContent)")
+    page.tab.click(".correction button >> text='Undo'")
+    page.wait("document.getElementById('corrected').textContent === ''")
 
 
 def test_no_request_left_the_machine(page: Page) -> None:

@@ -184,12 +184,18 @@ def test_the_ledger_is_that_of_why(explorer: Explorer, runs: dict[str, Path]) ->
         ("layout?case=999", "case 999: the run has the cases 1 to"),
         ("layout?case=1&layout=sky", "layout sky: choose from case, frame, map"),
         ("click?frame=0&x=1&y=2", "z: give a number"),
+        ("rescored?run=c", "run c: choose from a, b"),
     ],
 )
 def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: str) -> None:
     status, content = get(f"{explorer.url}api/{question}")
     assert status == 400
     assert message in json.loads(content)["error"]
+
+
+def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, Path]) -> None:
+    assert get(f"{explorer.url}api/correct?case=1&truth=static")[0] == 405
+    assert not (runs["fine"] / "corrections.json").exists()
 
 
 def test_thumbnails_are_pictures_of_the_case(explorer: Explorer) -> None:
@@ -216,6 +222,16 @@ def test_runs_that_cannot_be_explored(runs: dict[str, Path], tmp_path: Path) -> 
         dv.explore(tmp_path)
     with pytest.raises(UsageError, match="from a different sequence"):
         dv.explore(runs["fine"], runs["unknown"])
+
+
+def test_results_are_explored_in_the_folder_of_their_run(runs: dict[str, Path], tmp_path: Path) -> None:
+    scans = dv.open(runs["fine"].parent / "room", frames="0:2")
+    results = [Result.load(runs["fine"] / "result.json"), dv.run("octomap", scans, out=tmp_path / "run")]
+    for result, frames in zip(results, (6, 2), strict=True):
+        with dv.explore(result) as server:
+            assert ask(server, "runs")["a"]["frames"] == frames
+    with pytest.raises(UsageError, match="the result has no folder"):
+        dv.explore(dv.run("octomap", scans))
 
 
 def test_a_notebook_shows_the_page(explorer: Explorer) -> None:

@@ -14,13 +14,16 @@ export function make(name, attributes = {}, ...children) {
 }
 
 /** Ask the server; errors carry its message. */
-export async function ask(name, query = {}) {
-  const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`)
+export async function ask(name, query = {}, method = 'GET') {
+  const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`, { method })
   const plain = answer.headers.get('content-type')?.startsWith('application/json')
   const content = plain ? await answer.json() : await answer.arrayBuffer()
   if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
   return content
 }
+
+/** Have the server write something. */
+export const send = (name, query) => ask(name, query, 'POST')
 
 let hiding
 /** Show a message for a few seconds. */

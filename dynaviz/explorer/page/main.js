@@ -1,6 +1,7 @@
 // The explorer: cards, viewers and the panel of the chosen point, held together by the state in the address.
 import { allCards, cardElement, chosen, filters } from './cards.js'
 import { ask, make, say } from './dom.js'
+import { correction, rescored } from './correct.js'
 import { listen } from './keys.js'
 import { button, buttons, copy } from './share.js'
 import { change, current, read } from './state.js'
@@ -22,6 +23,7 @@ async function start() {
   })
   panel = new PointPanel(by('point'), runs, letter => mark(letter))
   showList()
+  for (const letter of Object.keys(runs)) rescored(letter, runs[letter], headings)
   const first = find(state.of, state.case) ?? list[0]
   if (first) change({ of: first.of, case: first.number })
   showCard()
@@ -40,6 +42,7 @@ function headings() {
   by('run').textContent = b ? `A ${a.title}, B ${b.title}: ${a.sequence}` : `${a.title}: ${a.sequence}`
   const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
   by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : b ? `A ${scores(a)}\nB ${scores(b)}` : `${scores(a)} %`
+  by('corrected').textContent = Object.entries(runs).filter(([, run]) => run.rescored).map(([letter, run]) => `${b ? `${letter.toUpperCase()}: ` : ''}${run.rescored}`).join('\n')
 }
 
 const find = (of, number) => cards.find(card => card.of === of && card.number === number)
@@ -63,7 +66,7 @@ function highlight() {
 function showCard() {
   const card = selected()
   highlight()
-  showCase(by('case'), card, runs.a, card && buttons(card, runs[card.of]))
+  showCase(by('case'), card, runs.a, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: showCard, scored: headings }))
 }
 
 /** Go to a case: its worst frame, an eye that frames it, and a wrong point in the middle of it. */

@@ -7,7 +7,7 @@ const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
 const TITLES = { a: 'A', b: 'B' }
 
 /** The chosen case. */
-export function showCase(element, card, run, buttons) {
+export function showCase(element, card, run, buttons, correction) {
   if (!card) {
     element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : 'No cluster of removed points.'))
     return
@@ -19,7 +19,8 @@ export function showCase(element, card, run, buttons) {
     make('h2', { class: card.kind }, `${card.number} ${card.title}`),
     make('p', { class: 'sentence' }, card.sentence),
     make('dl', {}, Object.entries(facts).filter(([, value]) => value).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, value)])),
-    make('p', { class: 'buttons' }, buttons))
+    make('p', { class: 'buttons' }, buttons),
+    ...(correction ? [correction] : []))
 }
 
 /** Explains one point at a time. */
