@@ -1,0 +1,185 @@
+"""The commands that read files, with small examples of their input."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from dynaviz.benchmarking import bench, tune
+from dynaviz.cli import main
+from dynaviz.viz import shot, viewer
+from helpers.damage import remove
+from helpers.guessing_method import record_with_metrics
+from helpers.readable_files import Subject, baseline, config, scored, tiny_benchmark
+from helpers.toy_method import InProcessExecutor, write_room
+from helpers.worlds import room
+
+_PROGRESS = re.compile(r"(?!dynaviz:).* [\d,]+/[\d,]+ [a-z]|\[\d+/\d+|compiling kernels")
+
+ONE_CYCLIST = ("--cars", "0", "--trucks", "0", "--cyclists", "1", "--persons", "0", "--parks", "0")
+BRIEF_SEARCH = (
+    *("-m", "octomap", "-o", ">tuned", "--trials", "1", "--seeds", "1", "--holdout", "1"),
+    *("--range", "resolution=0.2:0.4"),
+)
+
+
+def command(*words: str) -> Callable[[Path], bool]:
+    """Run a command on an example in this process; returns whether it did its work.
+
+    It must exit with 0, 1 or 3, or with 2 and one line that says why. Only progress and warnings may come before it.
+
+    Args:
+        words: its arguments; ``@NAME`` is a file of the example, and ``>NAME`` an output, which is removed before.
+    """
+
+    def read(folder: Path) -> bool:
+        for word in words:
+            if word[0] == ">":
+                remove(folder / word[1:])
+        argv = ["dynaviz", *(word.replace("@", f"{folder}/").replace(">", f"{folder}/") for word in words)]
+        out, err, code = io.StringIO(), io.StringIO(), 0
+        with patch.object(sys, "argv", argv), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                main()
+            except SystemExit as end:
+                code = int(end.code or 0)
+        lines = [line for line in err.getvalue().splitlines() if not _PROGRESS.match(line)]
+        errors = [line for line in lines if not line.startswith("dynaviz: warning:")]
+        assert code in (0, 1, 2, 3), f"exit code {code}: {err.getvalue()}"
+        assert code != 2 or len(errors) == 1, err.getvalue()
+        assert all(line.startswith("dynaviz:") and line.isprintable() for line in lines), err.getvalue()
+        return code != 2
+
+    return read
+
+
+@contextlib.contextmanager
+def in_this_process() -> Iterator[None]:
+    """Benches run their cells in this process, and nothing is drawn."""
+    with (
+        patch.object(bench, "LocalExecutor", InProcessExecutor),
+        patch.object(tune, "default_panel", lambda without: ("octomap",)),
+        patch.object(viewer, "open_window", lambda *files: None),
+        patch.object(shot, "_window", lambda source, size: nullcontext()),
+        patch.object(shot, "_picture", lambda client, view: None),
+        patch.object(shot, "_at_frames", lambda client, frames, picture, report: [b""] * len(frames)),
+    ):
+        yield
+
+
+def subject(make: Callable[[Path], object], target: str, *commands: tuple[str, ...]) -> Subject:
+    """Commands that read the same files; each runs even if one before it refuses them."""
+
+    def make_in(folder: Path) -> Path:
+        make(folder)
+        return folder
+
+    def read(folder: Path) -> bool:
+        with in_this_process():
+            did = [command(*words)(folder) for words in commands]
+        return all(did)
+
+    return Subject(make_in, read, target)
+
+
+def recordings(folder: Path) -> None:
+    for name in ("run.rrd", "other.rrd"):
+        record_with_metrics(room(3, 100), folder / name)
+
+
+def runs(folder: Path) -> None:
+    baseline(folder)
+
+
+def map_of_demo(folder: Path) -> None:
+    tiny_benchmark(folder)
+    np.save(folder / "map.npy", np.concatenate([scan.points[scan.labels == 0] for scan in room(2, 30).scans]))
+
+
+def labels_of_demo(folder: Path) -> None:
+    tiny_benchmark(folder)
+    command("run", "octomap", "@demo", "-o", ">out", "--record", "none")(folder)
+
+
+def corrected_demo(folder: Path) -> None:
+    labels_of_demo(folder)
+    digest = json.loads((folder / "out/result.json").read_text())["sequence"]["digest"]
+    box = {"frame": 0, "low": [-5, -5, -5], "high": [5, 5, 5]}
+    made = {"sequence": digest, "corrections": [{"case": 1, "what": "car", "truth": "static", "boxes": [box]}]}
+    (folder / "out/corrections.json").write_text(json.dumps(made))
+
+
+def implants(folder: Path) -> None:
+    write_room(folder / "room", frames=6, rays=1000)
+    command("implant", "@room", ">implants", "--panel", "none", *ONE_CYCLIST)(folder)
+    (folder / "implants/implants.toml").rename(folder / "implants.toml")
+    remove(folder / "implants")
+
+
+def plan(folder: Path) -> None:
+    tiny_benchmark(folder)
+    (folder / "bench.toml").write_text(
+        'methods = ["octomap"]\nrecord = "none"\n[[sequences]]\npath = "demo"\nname = "there"\nframes = "0:9"\n'
+        "[grid]\noctomap = { resolution = [0.1, 0.2] }\n"
+    )
+
+
+def plan_and_runs(folder: Path) -> None:
+    plan(folder)
+    with in_this_process():
+        command("bench", "@bench.toml", "-o", "@bench")(folder)
+
+
+def configured_demo(folder: Path) -> None:
+    tiny_benchmark(folder)
+    config(folder)
+
+
+COMMANDS = {
+    "dynaviz info RECORDING": subject(recordings, "run.rrd", ("info", "@run.rrd")),
+    "dynaviz failures RECORDING": subject(recordings, "run.rrd", ("failures", "@run.rrd")),
+    "dynaviz compare": subject(recordings, "run.rrd", ("compare", "@run.rrd", "@other.rrd", "-o", ">both.rrd")),
+    "dynaviz repair": subject(recordings, "run.rrd", ("repair", "@run.rrd", "-o", ">repaired.rrd")),
+    "dynaviz view": subject(recordings, "run.rrd", ("view", "@run.rrd")),
+    "dynaviz shot": subject(recordings, "run.rrd", ("shot", "@run.rrd", "-o", ">shot.png")),
+    "dynaviz rescore": subject(corrected_demo, "out/corrections.json", ("rescore", "@out", "--sequence", "@demo")),
+    "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
+    "dynaviz failures RESULT": subject(scored, "out/result.json", ("failures", "@out/result.json")),
+    "dynaviz report": subject(
+        scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv", "latex"))
+    ),
+    "dynaviz report (HTML)": subject(scored, "out/result.json", ("report", "@out", "--format", "html")),
+    "dynaviz check": subject(
+        runs, "out/*.json", ("check", "@out/result.json", "--min", "AA=50", "--baseline", "@out/baseline.json")
+    ),
+    "dynaviz info SEQ": subject(tiny_benchmark, "**/*", ("info", "@demo")),
+    "dynaviz doctor": subject(tiny_benchmark, "**/*", ("doctor", "@demo")),
+    "dynaviz convert": subject(tiny_benchmark, "**/*", ("convert", "@demo", ">converted")),
+    "dynaviz run": subject(
+        configured_demo,
+        "**/*",
+        ("run", "octomap", "@demo", "-o", ">out", "--record", "none", "--config", "@config.toml"),
+    ),
+    "dynaviz score": subject(map_of_demo, "**/*", ("score", "@map.npy", "@demo", "-o", ">out", "--record", "none")),
+    "dynaviz export-labels": subject(
+        labels_of_demo, "**/*", ("export-labels", "@out/labels.npz", "@demo", "-o", ">labels")
+    ),
+    "dynaviz config": subject(config, "*", ("config", "octomap", "--config", "@config.toml")),
+    "dynaviz bench": subject(plan, "**/*", ("bench", "@bench.toml", "-o", ">bench")),
+    "dynaviz bench --resume": subject(plan_and_runs, "bench/**/*", ("bench", "@bench.toml", "-o", "@bench")),
+    "dynaviz implant": subject(
+        implants, "**/*", ("implant", "@room", ">new", "--panel", "none", "--scene", "@implants.toml")
+    ),
+    "dynaviz tune": subject(
+        implants, "**/*", ("tune", "implant:@room?cars=0&trucks=0&cyclists=1&persons=0&parks=0", *BRIEF_SEARCH)
+    ),
+}
