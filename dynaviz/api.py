@@ -10,12 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
+import msgspec
+
 from dynaviz import params, registry
 from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
 from dynaviz.datasets.in_memory import ArraySequence
 from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.needs import suited
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
 from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
@@ -26,6 +29,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode, Result
 from dynaviz.scan import Sequence, select_frames
 from dynaviz.sensors import load_sensor
+from dynaviz.tiling.run import TileOptions, label_tiles
 
 Record = Literal[RecordMode, "none"]
 
@@ -84,6 +88,9 @@ def run(
     seed: int | None = None,
     variant: str = "",
     threads: int | None = None,
+    tiles: float | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
     maps: bool = True,
     command: str = "",
     progress: Progress = silent,
@@ -102,9 +109,13 @@ def run(
         seed: for all randomness in the method.
         variant: a short name for the parameter set, for tables.
         threads: for kernels; None for all cores.
+        tiles: edge of the squares into which the map is divided, metres; None runs it as a whole. Needs ``out``. An
+            interrupted run continues with the tiles that are missing.
+        workers: number of tiles that run at a time, each in its own process.
+        scheduler: address of a Dask scheduler whose workers run the tiles instead.
         maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
         command: what the user typed, for the record.
-        progress: called with a phase, the number of frames done and their total.
+        progress: called with a phase, the number of frames or tiles done and their total.
 
     Returns:
         The result; printing it shows a table.
@@ -120,6 +131,7 @@ def run(
         raise UsageError(f"seed = {seed}: give 0 or a positive number")
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, config, settings)
+    sequence = suited(kind, resolved.params, sequence)
     spec = RunSpec(
         labeller=kind(resolved.params),
         sequence=sequence,
@@ -137,6 +149,10 @@ def run(
     recording, mode = _recording(record, folder)
     if view and recording is None:
         raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")
+    if tiles is not None:
+        return _run_tiles(folder, recording, mode, spec, TileOptions(tiles, workers, scheduler), progress)
+    if workers != 1 or scheduler:
+        raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
     return _run_into(folder, recording, mode, spec, view, progress, maps=maps)
 
 
@@ -263,6 +279,31 @@ def _run_into(
         if folder is not None:
             write_summary(folder, spec, result)
             result = replace(result, answers=replace(result.answers, folder=folder))
+    return result
+
+
+def _run_tiles(
+    folder: Path | None, recording: Path | None, mode: RecordMode, spec: RunSpec, tiles: TileOptions, progress: Progress
+) -> Result:
+    """Run every tile, then score and record the labels of all as those of one run."""
+    if folder is None:
+        raise UsageError("tiles need out=FOLDER, which keeps the answers of finished tiles")
+    with locked(folder, spec.command):
+        labeller, index = label_tiles(
+            folder,
+            type(spec.labeller),
+            spec.params,
+            spec.sequence,
+            tiles,
+            online=spec.online,
+            seed=spec.seed,
+            progress=progress,
+        )
+        whole = replace(spec, labeller=labeller, summary=index.summary)
+        result = _run_and_record(folder, recording, mode, whole, False, progress, None)
+        sections = msgspec.structs.replace(result.sections, tiling=labeller.tiling)
+        result = replace(result, sections=sections, runtime=labeller.runtime)
+        write_summary(folder, whole, result)
     return result
 
 

@@ -146,10 +146,23 @@ class Method(Labeller, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Halo:
+    """What decides the labels in a tile of the map, apart from the points in it.
+
+    Attributes:
+        metres: points within this distance of the tile; infinite if all points can.
+        along_rays: also the points anywhere along the rays that cross the tile.
+    """
+
+    metres: float
+    along_rays: bool = False
+
+
 @runtime_checkable
 class Tileable(Protocol):
     """A method whose label of a point depends on the map around it only, so that it can run on tiles of a map."""
 
-    def halo(self) -> float:
-        """Metres around a tile within which points can decide the labels in it; infinite if all points can."""
+    def halo(self) -> Halo:
+        """What decides the labels in a tile, with these parameters."""
         ...

@@ -68,6 +68,14 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")
     ] = None,
+    tiles: Annotated[
+        float | None,
+        typer.Option(metavar="METRES", help="Divide the map into squares of this size, for drives of any length."),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
+    ] = None,
     maps: Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")] = True,
     json: Json = None,
     quiet: Quiet = False,
@@ -82,6 +90,7 @@ def run(
     dynaviz run octomap path/to/sequence --set resolution=0.2 --record scores
     dynaviz run dufomap path/to/scans --poses trajectory.tum
     dynaviz run dufomap "drive.bag#/velodyne_points" --poses map
+    dynaviz run seethrough path/to/city --tiles 200 --workers 4
     """
     from dynaviz import api
 
@@ -102,6 +111,9 @@ def run(
             online=online,
             seed=seed,
             threads=threads,
+            tiles=tiles,
+            workers=workers,
+            scheduler=scheduler,
             maps=maps,
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=report,

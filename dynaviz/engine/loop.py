@@ -25,7 +25,7 @@ from dynaviz.results.labels import RunLabels
 from dynaviz.results.result import Result, environment
 from dynaviz.results.sections import Runtime, Sections, SequenceInfo, Source
 from dynaviz.scan import Scan, Sequence, stream
-from dynaviz.spatial.extent import Extent
+from dynaviz.spatial.extent import Extent, Region
 
 MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
@@ -46,6 +46,8 @@ class RunSpec:
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
         scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
+        region: where labels matter; voxels elsewhere are not stored. None for everywhere.
+        summary: of the sequence if it is known, which saves a pass over it.
     """
 
     labeller: Labeller
@@ -60,6 +62,8 @@ class RunSpec:
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
+    region: Region | None = None
+    summary: SequenceSummary | None = None
 
     @property
     def method(self) -> Method | None:
@@ -143,7 +147,7 @@ def execute(
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     counts: list[int] = []
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
-    summary = summarize(run.sequence, lambda done: progress("survey", done, total))
+    summary = run.summary or summarize(run.sequence, lambda done: progress("survey", done, total))
     if method:
         _warm_up(method, run, probe)
     clock.prepare(lambda: labeller.begin(_context(run, summary, probe)))
@@ -271,7 +275,8 @@ def _context(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
         for scan in stream(run.sequence):
             raw_map[end : end + len(scan)] = scan.points
             end += len(scan)
-    return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
+    extent = run.region.crop(summary.extent) if run.region else summary.extent
+    return Context(extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
 def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:

@@ -312,6 +312,21 @@ class Voxelwise(Struct, frozen=True):
     dynamic_kept: int = 0
 
 
+class Tiling(Struct, frozen=True):
+    """How a run was divided.
+
+    Attributes:
+        size_m: edge of a tile; halo_m: distance around each within which points decided its labels.
+        tiles: number of tiles with points.
+        frames: frames that all tiles together have read, empty ones included.
+    """
+
+    size_m: float = 0.0
+    halo_m: float = 0.0
+    tiles: int = 0
+    frames: int = 0
+
+
 class Sections(Struct, frozen=True, omit_defaults=True):
     """What the metrics found; None or empty where a metric did not run.
 
@@ -331,6 +346,7 @@ class Sections(Struct, frozen=True, omit_defaults=True):
     failures: Failures | None = None
     reasons: Reasons | None = None
     removals: Removals | None = None
+    tiling: Tiling | None = None
     voxelwise: Voxelwise | None = None
     other: Mapping[str, Any] = {}
 

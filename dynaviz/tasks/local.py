@@ -11,10 +11,11 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Generic
 
-from dynaviz.tasks.task import AnyTask, TaskProgress, clear, error_of, fail
+from dynaviz.tasks.task import AnyTask, TaskProgress, clear, error_of, fail, sentence
 
 END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is killed
 
@@ -24,6 +25,30 @@ if sys.platform == "win32":
     DETACHED = subprocess.CREATE_NEW_PROCESS_GROUP
 else:
     DETACHED = 0
+
+
+class InThisProcess(Generic[AnyTask]):
+    """Runs tasks one by one in this process: nothing to start, and nothing to send.
+
+    Args:
+        out: folder of the whole work.
+        report: called with the progress of the tasks.
+    """
+
+    def __init__(self, out: Path, report: TaskProgress[AnyTask]):
+        self._out, self._report = out, report
+
+    def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
+        """Run tasks and yield each when it has ended, also if it failed."""
+        for task in todo:
+            folder = self._out / task.path
+            folder.mkdir(parents=True, exist_ok=True)
+            clear(task, folder)
+            try:
+                task.run(folder, None, partial(self._report, task))
+            except Exception as error:
+                fail(task, folder, sentence(error))
+            yield task
 
 
 class LocalExecutor(Generic[AnyTask]):

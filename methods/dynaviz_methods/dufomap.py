@@ -27,7 +27,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import I64, Bool
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, read, voxels_of
@@ -133,6 +133,11 @@ class DufoMap:
         reasons[dynamic] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
+
+    def halo(self) -> Halo:
+        """Voxels that decide whether others are void, and the hits that end rays."""
+        p = self.params
+        return Halo(max(p.hit_margin, p.unknown_margin * p.resolution) + p.resolution, along_rays=True)
 
     def evidence(self, asked: Asked) -> Evidence:
         """Whether the last scan saw the points' voxels void, and how much of the cubes around them it observed."""

@@ -32,7 +32,7 @@ from dynaviz import kernels
 from dynaviz.arrays import I64, U8, Bool, Intp
 from dynaviz.errors import UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
@@ -40,6 +40,7 @@ from dynaviz.spatial.blocks import read
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 from dynaviz_methods.lookups import around, known
 
+OBJECT = 20.0  # metres: size of the largest object, a bus
 SHOWN = 25.0  # metres around the sensor: range of the voxels to show
 
 
@@ -197,6 +198,10 @@ class Dynablox:
         bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
         reasons = bits @ np.array([1, 2, 4], np.uint8)
         return Labels(self._removed[reasons], reasons)
+
+    def halo(self) -> Halo:
+        """The size of an object: clusters are judged as a whole."""
+        return Halo(OBJECT)
 
     def evidence(self, asked: Asked) -> Evidence:
         """How far the points' voxels are from a surface, and how many voxels around them are clear."""

@@ -14,6 +14,7 @@ Lim et al. 2021; the parameters are those of the benchmark (Zhang et al. 2023). 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -23,7 +24,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, PolarGrid, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz_methods.polar import PolarBins
@@ -209,6 +210,11 @@ class Erasor:
         reasons[dynamic & (reasons != REMOVED)] = FAR_FROM_MAP
         reasons[~dynamic & (reasons == REMOVED)] = NEAR_MAP
         return Labels(dynamic, reasons)
+
+    def halo(self) -> Halo:
+        """The size of the largest bin; all points with ``port``, which adds points to the map."""
+        p = self.params
+        return Halo(math.inf if p.port else p.max_range * (1 / p.rings + 2 * math.pi / p.sectors))
 
     def evidence(self, asked: Asked) -> Evidence:
         """The heights that map and scan span in the points' bins, if the last scan was compared with the map."""

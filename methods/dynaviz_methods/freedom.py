@@ -31,12 +31,12 @@ import numpy as np
 from dynaviz.arrays import F64, I64, U8
 from dynaviz.errors import UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read, voxels_of
-from dynaviz_methods.clear_space import LEVEL, RAISED, ClearSpace
+from dynaviz_methods.clear_space import GROWTH, LEVEL, RAISED, SUB_VOXELS, ClearSpace
 from dynaviz_methods.sky import DepthImage
 
 SHOWN = 25.0  # metres around the sensor: range of the crossed voxels to show
@@ -212,6 +212,11 @@ class Freedom:
         """(N,) uint8: the level of each point in its scan; 0 if the scan was not observed yet."""
         packed = self._own.get(scan.index, np.zeros(-(-2 * len(scan) // 8), np.uint8))
         return np.unpackbits(packed, count=2 * len(scan)).reshape(-1, 2) @ np.array([1, 2], np.uint8)
+
+    def halo(self) -> Halo:
+        """The distance over which labels grow; all points with ``port``, which skips blocks that are free entirely."""
+        edge = SUB_VOXELS * float(self.params.sub_voxel)
+        return Halo(math.inf if self.params.port else (GROWTH + 2) * edge, along_rays=True)
 
     def evidence(self, asked: Asked) -> Evidence:
         """How many scans in a row passed through the points' voxels, and the levels of their sub-voxels."""

@@ -27,7 +27,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Plane, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
@@ -179,6 +179,10 @@ class OctoMap:
         reasons[ground] = GROUND
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
+
+    def halo(self) -> Halo:
+        """Nothing else: a voxel is judged by the rays that cross or hit it."""
+        return Halo(0.0)
 
     def evidence(self, asked: Asked) -> Evidence:
         """The log-odds of the points' voxels, to which each scan adds its hit and its miss."""

@@ -19,6 +19,7 @@ absolute difference, so a closer return of the scan also flags the map point beh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -28,7 +29,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
 from dynaviz.errors import UsageError
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Points, RangeImage, State
 from dynaviz.scan import Scan
 from dynaviz_methods.range_images import chunks, image_views, picture, slices, whole
@@ -219,6 +220,11 @@ class Removert:
         reasons[dynamic & ~by_map] = LEFT_ALONE
         reasons[by_map & ~dynamic] = SURROUNDED
         return Labels(dynamic, reasons)
+
+    def halo(self) -> Halo:
+        """The edge of a voxel; all points with ``port`` and ``scan_neighbours``, which look at the whole map."""
+        whole_map = self.params.port or self.params.scan_neighbours
+        return Halo(math.inf if whole_map else float(self.params.voxel))
 
     def evidence(self, asked: Asked) -> Evidence:
         """How far the points' map points lie in front of the surface that the last scan saw in their pixels."""

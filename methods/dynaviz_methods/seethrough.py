@@ -39,7 +39,7 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
@@ -55,6 +55,7 @@ STANDS_OUT = 0.05  # metres above the ground
 PASSED = 5  # a foot's voxel was passed this many times as often as hit, or
 SELDOM = 2  # was hit at most this often and seen clear as often
 FEW = 3  # minimum number of voting points of a dynamic object
+OBJECT = 30.0  # metres
 
 
 @dataclass(frozen=True)
@@ -290,6 +291,10 @@ class SeeThrough:
         proven = (proof + dynamic).astype(np.int32)
         kernels.objects.leave(objects, (reasons > 0) & (reasons != WAITED), proven, places, now, *movers)
         return verdict[objects]
+
+    def halo(self) -> Halo:
+        """The size of an object, and the distance from which low ground lowers the ground."""
+        return Halo(OBJECT)
 
     def evidence(self, asked: Asked) -> Evidence:
         """How often scans hit, passed and saw clear the points' voxels; and what is known about their objects."""

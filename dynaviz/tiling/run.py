@@ -1,0 +1,197 @@
+"""A run on tiles: index the sequence, run every tile, and read the answers of all as those of one labeller."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from dynaviz import registry
+from dynaviz.arrays import U8, Bool
+from dynaviz.errors import DataError, UsageError
+from dynaviz.method import Context, Halo, Labels, Tileable
+from dynaviz.progress import Progress, silent
+from dynaviz.results.result import environment
+from dynaviz.results.sections import Runtime, Tiling
+from dynaviz.scan import Scan, Sequence
+from dynaviz.tasks.local import InThisProcess, LocalExecutor
+from dynaviz.tasks.task import Task, error_of
+from dynaviz.tiling.grid import TileGrid, unpacked
+from dynaviz.tiling.index import SequenceIndex, indexed
+from dynaviz.tiling.tile import DYNAMIC, Answers, TileTask
+
+OPEN = 16  # tiles whose answers are in memory while a run is put together; a frame sees a few
+DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
+
+
+@dataclass(frozen=True)
+class TileOptions:
+    """How to divide a run.
+
+    Attributes:
+        size: edge of a tile, metres.
+        workers: number of tiles that run at a time on this machine.
+        scheduler: address of a Dask scheduler whose workers run the tiles instead.
+    """
+
+    size: float
+    workers: int = 1
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        if not 10 <= self.size < 100_000:
+            raise UsageError(f"--tiles {self.size:g}: give the edge of a tile in metres, from 10 to 100000")
+        if self.workers < 1:
+            raise UsageError(f"--workers {self.workers}: give 1 or more")
+
+
+class TiledLabels:
+    """The answers of all tiles, as a labeller.
+
+    Args:
+        folder: of the run.
+        method: the class of the method.
+        params: its parameters.
+        index: of the sequence.
+        halo: what decides the labels in a tile.
+
+    Attributes:
+        info: that of the method.
+        runtime: cost of the method, over all tiles.
+        tiling: for the result.
+    """
+
+    scoring = "mask"
+
+    def __init__(self, folder: Path, method: Any, params: Any, index: SequenceIndex, halo: Halo) -> None:
+        self.info, self.Params, self.params = method.info, method.Params, params
+        self._folder, self._grid, self._index = folder, TileGrid(index.size), index
+        self._answers = lru_cache(maxsize=OPEN)(self._load)
+        runtimes = [self._load(packed).runtime for packed in np.unique(index.tile_of).tolist()]
+        self.runtime = _total(runtimes, len(index.numbers))
+        self.tiling = Tiling(index.size, halo.metres, len(runtimes), sum(each.frames or 0 for each in runtimes))
+
+    def begin(self, context: Context) -> None:
+        """Nothing to prepare."""
+
+    def label(self, scan: Scan) -> Labels:
+        """The answers of the tiles for their points of this scan."""
+        codes, owners = np.zeros(len(scan), np.uint8), self._grid.owners(scan)
+        for packed in np.unique(owners).tolist():
+            own = owners == packed
+            codes[own] = self._of(packed, scan, own)
+        return Labels(codes >= DYNAMIC, codes % np.uint8(DYNAMIC))
+
+    def _of(self, packed: int, scan: Scan, own: Bool) -> U8:
+        answers = self._answers(packed)
+        first, end = answers.rows.get(scan.index, (0, 0))
+        if end - first != own.sum():
+            problem = f"frame {scan.index} has {own.sum():,} points in this tile, but {end - first:,} answers"
+            raise DataError(self._path(packed), problem, hint="The data changed during the run: run it again")
+        return answers.codes[first:end]
+
+    def _load(self, packed: int) -> Answers:
+        return Answers.load(self._path(packed))
+
+    def _path(self, packed: int) -> Path:
+        return self._folder / "tiles" / "{}_{}".format(*unpacked(packed)) / TileTask.files[0]
+
+
+def label_tiles(
+    folder: Path,
+    method: Any,
+    params: Any,
+    sequence: Sequence,
+    options: TileOptions,
+    *,
+    online: bool = False,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> tuple[TiledLabels, SequenceIndex]:
+    """Label a sequence tile by tile; tiles that an interrupted run finished are kept.
+
+    Args:
+        folder: of the run; receives ``index.npz`` and ``tiles/``.
+        method: the class of the method.
+        params: its parameters.
+        sequence: of any length.
+        options: size of the tiles, and who runs them.
+        online, seed: as in ``RunSpec``.
+        progress: called with ``index`` and frames, then with ``tiles`` and tiles.
+
+    Returns:
+        A labeller with the answers, and the index of the sequence.
+
+    Raises:
+        UsageError: for a method whose labels depend on the whole map.
+        DataError: if a tile fails; the others are finished first.
+    """
+    labeller = method(params)
+    halo = labeller.halo() if isinstance(labeller, Tileable) else Halo(math.inf)
+    if halo.metres == math.inf:
+        raise UsageError(
+            f"{method.info.name} cannot run on tiles: with these parameters, labels depend on the whole map. "
+            f"Methods that can: {', '.join(tileable())}"
+        )
+    total = len(sequence)
+    index = indexed(folder / "index.npz", sequence, options.size, lambda done: progress("index", done, total))
+    key = _key(index, method.info.name, params, online, seed)
+    tasks = [TileTask(sequence, index, tile, method.info.name, params, seed, online, halo, key) for tile in index.tiles]
+    todo = [task for task in tasks if not task.finished(folder / task.path)]
+    progress("tiles", len(tasks) - len(todo), len(tasks))
+    with _executor(folder, options) as executor, contextlib.closing(executor.run(todo)) as ended:
+        for done, _ in enumerate(ended, len(tasks) - len(todo) + 1):
+            progress("tiles", done, len(tasks))
+    failed = [task for task in todo if not task.finished(folder / task.path)]
+    if failed:
+        error = error_of(folder / failed[0].path) or "it left no answers."
+        names = ", ".join(task.path.name for task in failed[:5]) + (", ..." if len(failed) > 5 else "")
+        problem = f"{len(failed)} of {len(tasks)} tiles failed ({names}): {error}"
+        raise DataError(folder / failed[0].path, problem, hint="The same command continues with these")
+    return TiledLabels(folder, method, params, index, halo), index
+
+
+def tileable() -> list[str]:
+    """Names of the methods that can run on tiles."""
+    kinds = registry.loadable("methods")
+    return [name for name, kind in kinds.items() if isinstance(kind(kind.Params()), Tileable)]
+
+
+@contextlib.contextmanager
+def _executor(folder: Path, options: TileOptions) -> Iterator[Any]:
+    def report(task: Task, phase: str, done: int, total: int) -> None:
+        pass
+
+    if not options.scheduler:
+        several = options.workers > 1
+        yield LocalExecutor(folder, options.workers, report) if several else InThisProcess(folder, report)
+        return
+    from dynaviz.tasks.cluster import DaskExecutor
+
+    with contextlib.closing(DaskExecutor(folder, options.scheduler, report)) as cluster:
+        yield cluster
+
+
+def _key(index: SequenceIndex, method: str, params: Any, online: bool, seed: int) -> str:
+    versions = environment().versions
+    deciding = [versions.get(name) for name in DECIDING]
+    facts = [index.digest, index.size, method, dataclasses.asdict(params), online, seed, deciding]
+    return hashlib.sha256(msgspec.json.encode(facts, order="deterministic")).hexdigest()
+
+
+def _total(runtimes: list[Runtime], frames: int) -> Runtime:
+    """Seconds of all tiles per frame of the sequence; the largest memory of any."""
+    seconds = sum((each.mean_s or 0.0) * (each.frames or 0) for each in runtimes)
+    prepared = sum(each.prepare_s or 0.0 for each in runtimes)
+    peak = max((each.peak_rss_mb or 0.0 for each in runtimes), default=0.0)
+    threads = runtimes[0].threads if runtimes else None
+    return Runtime(seconds / max(frames, 1), None, frames, prepared, threads, peak or None)

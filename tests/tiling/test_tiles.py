@@ -1,0 +1,197 @@
+"""Runs on tiles: the labels are those of one run, and an interrupted run continues."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.toy_method import write_room
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.errors import DataError, UsageError
+from dynaviz.scan import Scan
+from dynaviz.testing import InMemory
+from dynaviz.tiling.grid import TileGrid, packed, unpacked
+from dynaviz.tiling.index import SequenceIndex
+from dynaviz.tiling.tile import CYCLE, TileFrames, TileTask
+
+SIZE = 12.0  # metres: the room lies in four tiles
+
+
+@pytest.fixture(scope="module")
+def long_room() -> InMemory:
+    return room(frames=12, rays=4000)
+
+
+def labels(folder: Path) -> tuple[bytes, bytes]:
+    with np.load(folder / "labels.npz") as z:
+        return z["dynamic"].tobytes(), z["reasons"].tobytes()
+
+
+@pytest.mark.parametrize("method", ["octomap", "octomap_g", "octomap_gf", "dufomap", "seethrough", "freedom"])
+def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMemory, tmp_path: Path) -> None:
+    settings = ("sky=false",) if method == "freedom" else ()
+    whole = dv.run(method, long_room, out=tmp_path / "whole", record="none", settings=settings)
+    tiled = dv.run(method, long_room, out=tmp_path / "tiled", record="none", settings=settings, tiles=SIZE)
+    assert labels(tmp_path / "tiled") == labels(tmp_path / "whole")
+    assert tiled.counts == whole.counts
+    assert tiled.counts["dynamic_removed"] > 0
+    assert tiled.sequence == whole.sequence
+    assert tiled.sections.tiling
+    assert tiled.sections.tiling.tiles == 4
+    assert (tmp_path / "tiled/config.toml").read_text() == (tmp_path / "whole/config.toml").read_text()
+
+
+def test_online_labels_are_tiled_too(long_room: InMemory, tmp_path: Path) -> None:
+    whole = dv.run("dufomap", long_room, online=True)
+    tiled = dv.run("dufomap", long_room, online=True, out=tmp_path, record="none", tiles=SIZE)
+    assert tiled.labels_sha256 == whole.labels_sha256
+
+
+@pytest.mark.parametrize("method", ["octomap", "dufomap"])
+def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str, tmp_path: Path) -> None:
+    def placed(scan: Scan, x: float) -> Scan:
+        points = np.round(scan.points * 64) / 64  # exact in float32 at both places, and so is the pose
+        pose = np.round(scan.T_world_sensor * 64) / 64
+        pose[0, 3] += x
+        return dataclasses.replace(scan, points=points + np.array([x, 0, 0]), T_world_sensor=pose, origins=None)
+
+    scans = room(frames=12, rays=4000).scans
+    near, far = (InMemory([placed(scan, x) for scan in scans], "room", room(1).sensor) for x in (0.0, 12_800.0))
+    whole = dv.run(method, near)
+    assert dv.run(method, far).labels_sha256 != whole.labels_sha256  # out of reach: all points are kept
+    tiled = dv.run(method, far, out=tmp_path, record="none", tiles=SIZE)
+    assert tiled.labels_sha256 == whole.labels_sha256
+
+
+def test_two_processes_give_the_same_labels(long_room: InMemory, tmp_path: Path) -> None:
+    folder = write_room(tmp_path / "room", frames=6)
+    whole = dv.run("octomap", folder)
+    tiled = dv.run("octomap", folder, out=tmp_path / "out", record="none", tiles=SIZE, workers=2)
+    assert tiled.labels_sha256 == whole.labels_sha256
+
+
+def test_finished_tiles_are_kept_and_others_run(
+    long_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+    run = TileTask.run
+
+    def counted(task: TileTask, folder: Path, *others: object) -> None:
+        ran.append(task.path.name)
+        run(task, folder, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(TileTask, "run", counted)
+    first = dv.run("dufomap", long_room, out=tmp_path, record="none", tiles=SIZE)
+    assert sorted(ran) == ["-1_-1", "-1_0", "0_-1", "0_0"]
+    (tmp_path / "tiles/0_-1/answers.npz").unlink()
+    (tmp_path / "tiles/-1_0/answers.npz").write_bytes(b"half a file")
+    ran.clear()
+    again = dv.run("dufomap", long_room, out=tmp_path, record="none", tiles=SIZE)
+    assert sorted(ran) == ["-1_0", "0_-1"]
+    assert again.labels_sha256 == first.labels_sha256
+    ran.clear()
+    dv.run("dufomap", long_room, out=tmp_path, record="none", tiles=SIZE, settings=("hit_margin=0.1",))
+    assert len(ran) == 4, "answers with other parameters are of no use"
+
+
+def test_a_tile_that_fails_is_named_and_the_others_are_finished(
+    long_room: InMemory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = TileTask.run
+
+    def broken(task: TileTask, folder: Path, *others: object) -> None:
+        if task.tile == (0, 0):
+            raise DataError("scan.pcd", "cannot be read")
+        run(task, folder, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(TileTask, "run", broken)
+    with pytest.raises(DataError, match=r"1 of 4 tiles failed \(0_0\): scan.pcd: cannot be read.*same command"):
+        dv.run("octomap", long_room, out=tmp_path, record="none", tiles=SIZE)
+    assert len(list(tmp_path.glob("tiles/*/answers.npz"))) == 3
+    assert not (tmp_path / "result.json").exists()
+
+
+def test_a_method_that_needs_the_whole_map_is_refused(long_room: InMemory, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"hmm_mos cannot run on tiles.*octomap"):
+        dv.run("hmm_mos", long_room, out=tmp_path, tiles=SIZE)
+    with pytest.raises(UsageError, match="removert cannot run on tiles"):
+        dv.run("removert", long_room, out=tmp_path, tiles=SIZE, preset="port")
+
+
+@pytest.mark.parametrize(("tiles", "words"), [(3.0, "from 10 to 100000"), (float("nan"), "from 10")])
+def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMemory, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=words):
+        dv.run("octomap", long_room, out=tmp_path, tiles=tiles)
+    with pytest.raises(UsageError, match="out=FOLDER"):
+        dv.run("octomap", long_room, tiles=SIZE)
+    with pytest.raises(UsageError, match="give tiles=METRES"):
+        dv.run("octomap", long_room, out=tmp_path, workers=2)
+
+
+def test_every_point_has_one_tile() -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(-5000, 5000, (1000, 3)).astype(np.float32)
+    points[::50, 1] = np.nan
+    grid, pose = TileGrid(37.0), np.eye(4)
+    pose[:3, 3] = 50, -50, 0
+    owners = grid.owners(Scan(0, points, pose))
+    for tile in np.unique(owners).tolist():
+        assert packed(unpacked(tile)) == tile
+        low, high = grid.bounds(unpacked(tile))
+        own = points[owners == tile]
+        own = own[np.isfinite(own).all(1), :2].astype(np.float64)
+        assert (own >= low).all()
+        assert (own < high).all()
+    assert set(owners[::50].tolist()) == {packed((1, -2))}
+
+
+def test_all_frames_whose_rays_touch_a_tile_are_found(long_room: InMemory) -> None:
+    size, margin = 4.0, 0.5
+    index = SequenceIndex.of(long_room, size)
+    skipped = 0
+    for tile in index.tiles:
+        low, high = TileGrid(size).bounds(tile) + np.array([[-margin], [margin]])
+        touching = []
+        for position in range(len(long_room)):
+            scan = long_room[position]
+            along = np.linspace(0, 1, 50)[:, None, None]
+            xy = (scan.position + along * (scan.points[::5] - scan.position))[..., :2]
+            if ((xy >= low) & (xy <= high)).all(-1).any():
+                touching.append(position)
+        found = index.frames_reaching(tile, margin).tolist()
+        assert set(touching) <= set(found)
+        skipped += len(long_room) - len(found)
+    assert index.count_of.sum() == sum(len(scan) for scan in long_room.scans)
+    narrow = dataclasses.replace(index, farthest=index.farthest * 0 + 1.0)
+    assert sum(len(narrow.frames_reaching(tile, margin)) for tile in index.tiles) < skipped + 12 * len(index.tiles)
+
+
+def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
+    n = 10 * CYCLE
+    index = dataclasses.replace(SequenceIndex.of(long_room, SIZE), numbers=np.arange(n), positions=np.zeros((n, 3)))
+    wanted = np.array([7, 8, 8 + 2 * CYCLE - 1, 9 * CYCLE + 3])
+    frames = TileFrames.of(long_room, index, wanted, np.zeros(3))
+    at = np.flatnonzero(frames.rows >= 0)
+    assert frames.rows[at].tolist() == wanted.tolist()
+    assert (at % CYCLE).tolist() == (wanted % CYCLE).tolist()
+    assert len(frames) < 5 * CYCLE
+    assert len(frames[0]) == 0, "an empty scan stands for a frame that does not see the tile"
+
+
+def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
+    run, room_folder = tmp_path / "run", write_room(tmp_path / "room", frames=6)
+    code, out, err = run_command("run", "dufomap", room_folder, "-o", run, "--tiles", "12")
+    assert code == 0, err
+    assert "dufomap" in out
+    assert dv.Result.load(run / "result.json").sections.tiling
+    code, out, err = run_command("failures", run / "result.json")
+    assert code == 0, err
+    whole = dv.run("dufomap", room_folder, out=tmp_path / "whole")
+    comparison = dv.compare(tmp_path / "whole/run.rrd", run / "run.rrd")
+    assert comparison.pairs[0].differ is not None
+    assert whole.labels_sha256 == dv.Result.load(run / "result.json").labels_sha256
