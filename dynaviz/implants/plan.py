@@ -14,7 +14,7 @@ from dynaviz.implants.paths import NEAREST, SPACING, Path, arcs, followed, paced
 from dynaviz.implants.scene import Implant
 from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.space import TALL, FreeSpace
-from dynaviz.implants.survey import CELL, Survey
+from dynaviz.implants.survey import CELL, Survey, part
 from dynaviz.simulate.movers import Route
 
 MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
@@ -275,10 +275,15 @@ class _Planner:
             if (_distance(discs, other) < radius + other_radius + APART).any():
                 return False
         for frame in np.flatnonzero(np.isfinite(discs[:, 0, 0])):
-            points = survey.dynamic[frame][:, :2].astype(np.float64)
+            points = self._moving(int(frame))
             if len(points) and _distance(discs[frame : frame + 1], points[None]).min() < radius + APART:
                 return False
         return self._shows(discs, to_sensor)
+
+    def _moving(self, frame: int) -> F64:
+        """(N, 2) metres: where movers of the sequence are."""
+        known = self._survey.dynamic[frame][:, :2].astype(np.float64)
+        return np.concatenate([known, self._space.passed(part(frame, len(self._survey.times)))])
 
     def _shows(self, discs: F64, to_sensor: F64) -> bool:
         """Whether a mover, where the sensor sees it, moves by its length in enough frames."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.errors import UsageError
 from dynaviz.implants.survey import CELL, LAYER, Survey
 
@@ -20,6 +20,7 @@ FIT = 3  # ground cells; standard deviation of the weights of a plane fit is a t
 ROUGH = (0.2, 0.1, 0.08)  # metres; ground cells higher above the plane of their neighbours are dropped, in rounds
 OBSTACLE = 0.25  # metres above the ground
 TALL = {"low": 2.3, "high": 4.3}  # metres; space above this is not needed by cars and persons, and by trucks
+PASSED, SURE = 2, 5  # a ground cell shows only its ground this many times as often as an obstacle, and in as many parts
 LARGEST = 100_000_000  # columns in the bounding box
 
 
@@ -32,12 +33,16 @@ class FreeSpace:
         shape: number of columns along x and y.
         ground: (X, Y) float64, metres: height of the ground on the coarse grid; NaN where unknown.
         lowest: (X, Y) float32, metres above the ground: the lowest obstacle of each column; infinite if it has none.
+        passing: (P, 2) float64, metres: columns through which movers passed; they are free at other times.
+        parts: (P,) uint64: when, as in ``Survey.parts``.
     """
 
     origin: I64
     shape: tuple[int, int]
     ground: F64
     lowest: F32
+    passing: F64
+    parts: U64
 
     @classmethod
     def of(cls, survey: Survey) -> FreeSpace:
@@ -59,12 +64,14 @@ class FreeSpace:
             )
         ground = _ground(survey, cells - first, (int(size[0]), int(size[1])), first)
         origin, shape = first * GROUND, (int(size[0]) * GROUND, int(size[1]) * GROUND)
-        space = cls(origin, shape, ground, np.full(shape, np.inf, np.float32))
-        above = survey.height - space.height(((survey.columns + 0.5) * CELL).astype(np.float64))
-        obstacle = above > OBSTACLE
+        space = cls(origin, shape, ground, np.full(shape, np.inf, np.float32), np.empty((0, 2)), np.empty(0, np.uint64))
+        centres = (survey.columns + 0.5) * CELL
+        above = survey.height - space.height(centres)
+        passed = _passed(survey, (cells - first) @ (size[1], 1), above)
+        obstacle = (above > OBSTACLE) & ~passed
         x, y = (survey.columns[obstacle] - origin).T
         np.minimum.at(space.lowest, (x, y), above[obstacle].astype(np.float32))
-        return space
+        return replace(space, passing=centres[passed], parts=survey.parts[passed])
 
     def height(self, xy: F64) -> F64:
         """(N,) float64: height of the ground, metres, at (N, 2) metres; NaN where unknown. Bilinear."""
@@ -75,6 +82,10 @@ class FreeSpace:
         g = self.ground
         height: F64 = (1 - u) * ((1 - v) * g[i, j] + v * g[i, m]) + u * ((1 - v) * g[k, j] + v * g[k, m])
         return height
+
+    def passed(self, when: np.uint64) -> F64:
+        """(N, 2) float64, metres: columns in which a mover is at a part of the recording."""
+        return self.passing[(self.parts & when) != 0]
 
     def known_ground(self) -> F64:
         """(N, 2) float64, metres: centres of the ground cells with a known height."""
@@ -101,6 +112,26 @@ class FreeSpace:
         i, j = np.clip(column, 0, np.array(self.shape) - 1).T
         clear: F64 = np.where(inside, self.clearance[tall][i, j] - CELL, 0.0)
         return clear
+
+
+def _passed(survey: Survey, cells: I64, above: F64) -> Bool:
+    """(V,) bool: voxels that a mover left and that nothing labels: most of the time, their cell shows only its ground.
+
+    A static obstacle hides the ground behind its face, and is seen as often as the ground at its foot.
+
+    Args:
+        survey: its voxels.
+        cells: (V,) int64: number of the ground cell of each voxel.
+        above: (V,) metres above the ground.
+    """
+    body, ground = (above > OBSTACLE) & (above < TALL["high"]), np.abs(above) <= 2 * LAYER
+    when = np.zeros((2, int(cells.max()) + 1), np.uint64)
+    for row, chosen in zip(when, (body, ground), strict=True):
+        np.bitwise_or.at(row, cells[chosen], survey.parts[chosen])
+    taken, seen = when
+    free, taken = (np.unpackbits(bits.view(np.uint8).reshape(-1, 8), axis=1).sum(1) for bits in (seen & ~taken, taken))
+    mostly: Bool = free >= np.maximum(PASSED * taken, SURE)
+    return body & mostly[cells]
 
 
 def _ground(survey: Survey, cells: I64, shape: tuple[int, int], first: I64) -> F64:

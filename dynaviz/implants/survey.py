@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.errors import UsageError
 from dynaviz.scan import Label, Scan, Sequence
 from dynaviz.spatial.grid import pack, unpack
@@ -17,6 +17,8 @@ CELL = 0.2  # metres; edge of a column
 LAYER = 0.1  # metres; height of a voxel
 REACH = 60.0  # metres from the sensor; points beyond are not used
 PENDING = 4_000_000  # voxels collected before they are merged
+PARTS = 64  # parts of a recording, or its frames if they are fewer: in each, a voxel is occupied or not
+ALWAYS = np.uint64(2**64 - 1)
 TILT = 20.0  # degrees between the sensor's mean z axis and the world's
 
 
@@ -32,6 +34,7 @@ class Survey:
         columns: (V, 2) int64: x and y index of each occupied voxel, in cells of ``CELL``, without dynamic points.
         height: (V,) float64, metres: mean height of its points.
         count: (V,) int64, its points.
+        parts: (V,) uint64, a bit for each part of the recording in which it has points; all if the points have labels.
         dynamic: for each frame (D, 3) float32, metres: points known to be dynamic, one per cell.
         farthest: (F, 360) float32, metres in the plane: the farthest return in each degree of azimuth from -180, world
             frame; 0 without a return.
@@ -45,6 +48,7 @@ class Survey:
     columns: I64
     height: F64
     count: I64
+    parts: U64
     dynamic: tuple[F32, ...]
     farthest: F32
     instances: int
@@ -72,7 +76,8 @@ class Survey:
         for position in range(len(sequence)):
             scan = sequence[position]
             points, others = _split(scan, None if moving is None else moving(position))
-            voxels.add(points)
+            known = scan.labels is not None
+            voxels.add(points, ALWAYS if known else part(position, len(sequence)))
             _, first = np.unique(pack(others, CELL), return_index=True)
             dynamic.append(others[first])
             farthest.append(_farthest(scan))
@@ -94,7 +99,7 @@ class Survey:
         if len(known) == len(stamps) and all(a < b for a, b in pairwise(known)):
             start = known[0]
             times = np.array([(stamp - start) / 1e9 for stamp in known])
-        keys, count, total = voxels.merged()
+        keys, count, total, parts = voxels.merged()
         columns = unpack(keys).astype(np.int64)[:, :2]
         return cls(
             positions=np.array(positions),
@@ -104,6 +109,7 @@ class Survey:
             columns=columns,
             height=total / count,
             count=count,
+            parts=parts,
             dynamic=tuple(dynamic),
             farthest=np.array(farthest),
             instances=instances,
@@ -126,33 +132,41 @@ class Survey:
         return seen
 
 
+def part(position: int, frames: int) -> np.uint64:
+    """The bit of ``Survey.parts`` for a frame."""
+    return np.uint64(1) << np.uint64(position * PARTS // max(frames, PARTS))
+
+
 class _Voxels:
-    """Voxels with the number and the sum of heights of their points; merged from time to time."""
+    """Voxels with the number of their points, the sum of their heights, and when they have points."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[I64, I64, F64]] = []
+        self._chunks: list[tuple[I64, I64, F64, U64]] = []
         self._pending = 0
 
-    def add(self, points: F32) -> None:
-        """Add (N, 3) float32 points, metres."""
+    def add(self, points: F32, when: np.uint64) -> None:
+        """Add (N, 3) float32 points, metres, of one part of the recording."""
         keys, inverse, count = np.unique(
             pack(points * np.array([1, 1, CELL / LAYER], np.float32), CELL), return_inverse=True, return_counts=True
         )
         total = np.bincount(inverse, points[:, 2].astype(np.float64), len(keys)).astype(np.float64)
-        self._parts.append((keys, count.astype(np.int64), total))
+        self._chunks.append((keys, count.astype(np.int64), total, np.full(len(keys), when)))
         self._pending += len(keys)
         if self._pending > PENDING:
-            self._parts = [self.merged()]
+            self._chunks = [self.merged()]
             self._pending = 0
 
-    def merged(self) -> tuple[I64, I64, F64]:
-        """Keys, sorted; counts; sums of heights."""
-        if not self._parts:
-            return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
-        keys, inverse = np.unique(np.concatenate([keys for keys, _, _ in self._parts]), return_inverse=True)
-        count = np.bincount(inverse, np.concatenate([count for _, count, _ in self._parts]), len(keys))
-        total = np.bincount(inverse, np.concatenate([total for _, _, total in self._parts]), len(keys))
-        return keys, count.astype(np.int64), total.astype(np.float64)
+    def merged(self) -> tuple[I64, I64, F64, U64]:
+        """Keys, sorted; counts; sums of heights; parts of the recording."""
+        if not self._chunks:
+            return np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0, np.uint64)
+        every, counts, totals, parts = (np.concatenate(column) for column in zip(*self._chunks, strict=True))
+        keys, inverse = np.unique(every, return_inverse=True)
+        count = np.bincount(inverse, counts, len(keys))
+        total = np.bincount(inverse, totals, len(keys))
+        when = np.zeros(len(keys), np.uint64)
+        np.bitwise_or.at(when, inverse, parts)
+        return keys, count.astype(np.int64), total.astype(np.float64), when
 
 
 def _farthest(scan: Scan) -> F32:
