@@ -2,8 +2,15 @@
 
 import sys
 
+from dynaviz import isolated
+
 
 def main() -> None:
+    """Run the command line, in a child process if it reads recordings."""
+    isolated.run(_main, sys.argv[1:])
+
+
+def _main() -> None:
     """Import the command line and run it. Ctrl-C during the import, the first 0.3 s, ends it without a traceback."""
     try:
         from dynaviz.cli import main as run_command

@@ -1,0 +1,100 @@
+"""Commands that read recordings run in a child process, so that the crash of a library gives one line.
+
+Rerun and Arrow are compiled, and a damaged file can make them abort the whole process, which no ``except`` catches.
+``viz/chunks.py`` refuses such files before, but no such check is complete.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import shlex
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import IO
+
+READING = ("info", "failures", "compare", "report", "repair", "shot", "why")
+"""Commands that read recordings and end on their own."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+
+
+def run(command: Callable[[], None], words: Sequence[str]) -> None:
+    """Run a command line, in a child process if it is one of ``READING`` and the system can fork.
+
+    To be called before libraries are loaded: a process with threads does not fork safely.
+
+    Args:
+        command: runs the command line.
+        words: the command line without the name of the program.
+    """
+    if not words or words[0] not in READING or not hasattr(os, "fork"):
+        command()
+        return
+    with tempfile.TemporaryFile() as messages:
+        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+        child = os.fork()
+        if not child:
+            _begin(messages)
+            command()
+            return
+        code = _wait(child)
+        if code >= 0 or os.environ.get("DYNAVIZ_DEBUG"):
+            messages.seek(0)
+            sys.stderr.write(messages.read().decode(errors="replace"))
+    if -code in _SIGNALS:
+        code = 128 - code
+    elif code < 0:
+        print("dynaviz:", _crash(-code, words), file=sys.stderr)
+        code = 2
+    sys.exit(code)
+
+
+def _begin(messages: IO[bytes]) -> None:
+    """In the child: libraries print to a file, so that their last words before a crash can be left out."""
+    with contextlib.suppress(OSError, AttributeError):  # only Linux has this
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    with contextlib.suppress(OSError, AttributeError):  # standard error may be closed
+        to_user = os.fdopen(os.dup(2), "w", buffering=1, encoding=sys.stderr.encoding, errors=sys.stderr.errors)
+        os.dup2(messages.fileno(), 2)
+        sys.stderr = sys.__stderr__ = to_user  # type: ignore[misc]
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+
+
+def _wait(child: int) -> int:
+    """The exit code of the child; minus a signal's number if that ended it."""
+
+    def forward(number: int, frame: FrameType | None) -> None:
+        if number != signal.SIGINT or not _in_foreground():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, number)
+
+    for number in _SIGNALS:
+        signal.signal(number, forward)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _in_foreground() -> bool:
+    """Whether Ctrl-C in the terminal reaches this process and its child."""
+    try:
+        with open("/dev/tty", "rb", buffering=0) as terminal:
+            return os.tcgetpgrp(terminal.fileno()) == os.getpgrp()
+    except OSError:
+        return False
+
+
+def _crash(number: int, words: Sequence[str]) -> str:
+    """One line about a child that a signal ended."""
+    name = signal.Signals(number).name
+    if number == signal.SIGKILL:
+        return f"{words[0]} was killed ({name}). Most likely the memory ran out."
+    line = f"{words[0]}: a library crashed ({name}). Most likely a file is damaged."
+    recordings = [word for word in words[1:] if word.endswith((".rrd", ".rrd.part"))]
+    if not recordings or words[0] == "repair":
+        return line
+    return f"{line} Save all other parts with: dynaviz repair {shlex.quote(recordings[0])}"
