@@ -112,7 +112,8 @@ class Scan:
             points = points[chosen]
             origins = origins if len(origins) == 1 else origins[chosen]
         x, y, z = (points[:, axis] - origins[:, axis].astype(np.float32) for axis in range(3))
-        squared: F32 = x * x + y * y + z * z
+        with np.errstate(over="ignore"):  # infinite is beyond every limit, too
+            squared: F32 = x * x + y * y + z * z
         return squared
 
     def without_truth(self) -> Scan:

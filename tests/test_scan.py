@@ -84,6 +84,12 @@ def test_squared_ranges_are_from_the_origin_of_each_ray() -> None:
     assert scan.squared_ranges().dtype == np.float32
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_squared_range_of_a_point_too_far_away_is_infinite() -> None:
+    scan = Scan(0, np.array([[1e30, 0, 0]], np.float32), np.eye(4))
+    assert scan.squared_ranges().tolist() == [np.inf]
+
+
 def test_a_method_sees_no_truth() -> None:
     n = np.zeros(1, np.uint8)
     bare = Scan(0, np.zeros((1, 3)), np.eye(4), labels=n, classes=n, instances=n).without_truth()

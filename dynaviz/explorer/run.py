@@ -58,6 +58,11 @@ class ExploredRun:
         self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn()}
         self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}
         self._reasons = self.recording.reasons
+        for frame, drawn in self._drawn.items():
+            answered = len(self._answers[frame]) if frame in self._answers else 0
+            if ((drawn.point < 0) | (drawn.point >= answered)).any():
+                hint = f"Save all other parts with: dynaviz repair {self.path}"
+                raise DataError(self.path, "contains points without an answer", at=f"frame {frame}", hint=hint)
 
     @property
     def title(self) -> str:
@@ -135,6 +140,9 @@ class ExploredRun:
         wrong = np.zeros(len(self.wrong.frame), np.bool_)
         for frame in np.unique(self.wrong.frame).tolist():
             here = self.wrong.frame == frame
+            if frame not in other._answers or len(other._answers[frame]) != len(self._answers[frame]):
+                hint = "Compare runs of the same frames"
+                raise DataError(other.path, f"has other points than {self.path}", at=f"frame {frame}", hint=hint)
             wrong[here] = np.isin(other._answers[frame].outcome[self.wrong.point[here]], WRONG)
         return wrong
 

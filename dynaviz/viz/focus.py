@@ -117,9 +117,11 @@ class Focus:
         if not self._states:
             return None
         content = [f"/{path}" for path in self._states]
-        chunks = self._recording.store.stream().filter(content=content, has_timeline=paths.FRAME)
+        with self._recording.decoding():
+            chunks = self._recording.store.stream().filter(content=content, has_timeline=paths.FRAME)
+            rows = drawn.rows_of(chunks, [frame])
         best, most = None, 0.0
-        for (path, _), row in drawn.rows_of(chunks, [frame]).items():
+        for (path, _), row in rows.items():
             xyz = drawn.positions(row)
             if xyz is not None and len(xyz):
                 share = float(((xyz >= low) & (xyz <= high)).all(1).mean())

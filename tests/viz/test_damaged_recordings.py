@@ -16,7 +16,9 @@ from helpers.worlds import room
 from rerun.chunk import RrdReader
 
 from dynaviz.errors import DataError
-from dynaviz.viz import chunks
+from dynaviz.explorer.run import ExploredRun
+from dynaviz.viz import chunks, drawn
+from dynaviz.viz.focus import CASE
 from dynaviz.viz.reader import RunRecording, read
 from dynaviz.viz.repair import repair
 
@@ -109,3 +111,26 @@ def test_properties_that_are_not_valid(tmp_path: Path) -> None:
             stream.send_property("run", rr.AnyValues(**{**original, name: value}))
         with pytest.raises(DataError, match=r"contains damaged data .*dynaviz repair"):
             read(path)
+
+
+def test_points_without_answers_are_not_explored(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RunRecording, "answers", lambda self: iter(()))
+    with pytest.raises(DataError, match=r"frame 0: contains points without an answer.*dynaviz repair"):
+        ExploredRun(whole)
+
+
+def test_runs_on_other_points_are_not_explored_together(whole: Path, tmp_path: Path) -> None:
+    other = ExploredRun(record(room(FRAMES, 190), tmp_path / "run.rrd"))
+    with pytest.raises(DataError, match=r"run.rrd, frame \d: has other points than"):
+        ExploredRun(whole).wrong_too(other)
+
+
+def test_a_chunk_that_only_rerun_cannot_read(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arrow does not check the text of a table's metadata, which rerun reads when the chunk is used."""
+
+    def rows_of(*_: object) -> None:
+        raise RuntimeError("Failed to load chunks: Utf8Error")
+
+    monkeypatch.setattr(drawn, "rows_of", rows_of)
+    with pytest.raises(DataError, match=r"contains damaged data .*Utf8Error.*dynaviz repair"):
+        ExploredRun(whole).focus.layout(CASE, "case", 3, np.full(3, -9.0), np.full(3, 9.0), None)
