@@ -10,12 +10,16 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from dynaviz.benchmarking import bench, tune
 from dynaviz.cli import main
+from dynaviz.explorer import server
+from dynaviz.explorer.answers import Explored
 from dynaviz.viz import shot, viewer
 from helpers.damage import remove
 from helpers.guessing_method import record_with_metrics
@@ -62,12 +66,39 @@ def command(*words: str) -> Callable[[Path], bool]:
     return read
 
 
+class AnsweredExplorer:
+    """In place of the explorer's server: answers in this process what its page asks about the run and a case."""
+
+    url = ""
+
+    def __init__(self, explored: Explored, port: int = 0) -> None:
+        json.dumps(runs := explored.answers["runs"]({}), allow_nan=False)
+        for letter, facts in runs.items():
+            for name in ("layout", "thumbnail") if facts["cases"] else ():
+                explored.contents[name][0]({"run": letter, "case": "1"})
+            point = {"run": letter, "frame": "0", "point": "0"}
+            json.dumps(explored.answers["point"](point), allow_nan=False)
+            explored.contents["marks"][0](point)
+        explored.close()
+
+    def __enter__(self) -> AnsweredExplorer:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        pass
+
+    def wait(self) -> None:
+        """Nothing is served."""
+
+
 @contextlib.contextmanager
 def in_this_process() -> Iterator[None]:
-    """Benches run their cells in this process, and nothing is drawn."""
+    """Benches run their cells in this process, nothing is served, and figures are drawn once, when they are saved."""
     with (
         patch.object(bench, "LocalExecutor", InProcessExecutor),
         patch.object(tune, "default_panel", lambda without: ("octomap",)),
+        patch.object(server, "Explorer", AnsweredExplorer),
+        patch.object(Figure, "draw_without_rendering", lambda figure: None),
         patch.object(viewer, "open_window", lambda *files: None),
         patch.object(shot, "_window", lambda source, size: nullcontext()),
         patch.object(shot, "_picture", lambda client, view: None),
@@ -110,6 +141,17 @@ def labels_of_demo(folder: Path) -> None:
     command("run", "octomap", "@demo", "-o", ">out", "--record", "none")(folder)
 
 
+def recorded_demo(folder: Path) -> None:
+    tiny_benchmark(folder)
+    command("run", "octomap", "@demo", "-o", ">out")(folder)
+
+
+def board(folder: Path) -> None:
+    labels_of_demo(folder)
+    command("board", "@out", "-o", "@board")(folder)
+    (folder / "board/index.html").unlink()  # is only written
+
+
 def corrected_demo(folder: Path) -> None:
     labels_of_demo(folder)
     digest = json.loads((folder / "out/result.json").read_text())["sequence"]["digest"]
@@ -119,7 +161,7 @@ def corrected_demo(folder: Path) -> None:
 
 
 def implants(folder: Path) -> None:
-    write_room(folder / "room", frames=6, rays=1000)
+    write_room(folder / "room", frames=4, rays=500)
     command("implant", "@room", ">implants", "--panel", "none", *ONE_CYCLIST)(folder)
     (folder / "implants/implants.toml").rename(folder / "implants.toml")
     remove(folder / "implants")
@@ -151,6 +193,14 @@ COMMANDS = {
     "dynaviz repair": subject(recordings, "run.rrd", ("repair", "@run.rrd", "-o", ">repaired.rrd")),
     "dynaviz view": subject(recordings, "run.rrd", ("view", "@run.rrd")),
     "dynaviz shot": subject(recordings, "run.rrd", ("shot", "@run.rrd", "-o", ">shot.png")),
+    "dynaviz explore": subject(recordings, "run.rrd", ("explore", "@run.rrd", "@other.rrd", "--no-browser")),
+    "dynaviz why": subject(
+        recorded_demo,
+        "**/*",
+        *(("why", run, "--frame", "1", "--point", "9", "--json", ">why.json") for run in ("@out", "@out/run.rrd")),
+    ),
+    "dynaviz board": subject(board, "**/*", ("board", "@out", "-o", "@board")),
+    "dynaviz board --check": subject(board, "**/*", ("board", "@out", "-o", "@board", "--check", "--rerun")),
     "dynaviz rescore": subject(corrected_demo, "out/corrections.json", ("rescore", "@out", "--sequence", "@demo")),
     "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
     "dynaviz failures RESULT": subject(scored, "out/result.json", ("failures", "@out/result.json")),
