@@ -13,7 +13,8 @@ from dynaviz.errors import DataError
 from dynaviz.results.result import Result
 from dynaviz.scan import Sequence
 
-_OPENING = ("frames", "stride", "sensor", "poses", "points_in", "deskew")  # options of commands that open a sequence
+# Options of commands that open a sequence.
+_OPENING = ("frames", "stride", "sensor", "poses", "points_in", "deskew", "extrinsic")
 _FLAGS = ("online", "offline", "view", "map", "no-map", "deskew", "no-deskew", "quiet")  # options without a value
 
 
@@ -78,11 +79,11 @@ def open_sequence_of(result: Result, folder: Path, given: str | os.PathLike[str]
         source = os.fspath(folder.parent / "street")
     if given is None and source is None:
         return None
-    return api.open(os.fspath(given or source), **options)
+    return api.open(source if given is None else os.fspath(given), **options)
 
 
 def sequence_options(words: Several[str]) -> dict[str, Any]:
-    """The sequence of a ``run`` or ``score`` command, and the options with which it was opened; {} for others."""
+    """The sequence of a ``run`` or ``score`` command, or its drives, and how it was opened; {} for other commands."""
     places, options = [], dict[str, Any]()
     left = iter(words)
     for word in left:
@@ -93,11 +94,11 @@ def sequence_options(words: Several[str]) -> dict[str, Any]:
             options[name.replace("-", "_")] = value if joined else True if name in _FLAGS else next(left, None)
         elif not word.startswith("-"):
             places.append(word)
-    if len(places) != 3 or places[0] not in ("run", "score"):
+    if len(places) < 3 or places[0] not in ("run", "score"):
         return {}
     if options.pop("no_deskew", False):
         options["deskew"] = False
     opening = {name: value for name, value in options.items() if name in _OPENING}
     if "stride" in opening:
         opening["stride"] = int(opening["stride"])
-    return {"sequence": places[2], **opening}
+    return {"sequence": places[2] if len(places) == 3 else places[2:], **opening}

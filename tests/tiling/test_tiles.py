@@ -133,6 +133,17 @@ def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMe
         dv.run("octomap", long_room, out=tmp_path, workers=2)
 
 
+def test_several_drives_are_one_map(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
+    first, second = (write_room(tmp_path / name, frames=6, seed=seed) for seed, name in enumerate(("first", "second")))
+    code, _, err = run_command("run", "octomap", first, second, "-o", tmp_path / "run", "--tiles", SIZE)
+    assert code == 0, err
+    result, both = dv.Result.load(tmp_path / "run/result.json"), dv.open([first, second])
+    assert result.sequence.name == "first+second"
+    assert [scan.index for scan in (both[0], both[6], both[11])] == [0, 6, 11]
+    assert result.labels_sha256 == dv.run("octomap", both).labels_sha256
+    assert dv.why(tmp_path / "run", 7, 0).sequence == "first+second"
+
+
 def test_every_point_has_one_tile() -> None:
     random = np.random.default_rng(0)
     points = random.uniform(-5000, 5000, (1000, 3)).astype(np.float32)

@@ -1,0 +1,138 @@
+"""What tiles cost, on drives of a simulated street, and what they keep: labels, memory, and a run that loses a worker.
+
+    python benchmarks/tiles.py equal [SEQUENCE]    labels of every method on tiles of 60 m and as a whole
+    python benchmarks/tiles.py cost                processor time on tiles of 200 m and as a whole; two workers and one
+    python benchmarks/tiles.py memory              peak memory at 1, 4 and 16 times the length
+    python benchmarks/tiles.py city                20 km on a Dask cluster of two workers, one of which is killed
+
+``cost`` and ``city`` state elapsed time: run them with nothing else running.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from scenes import Drive
+
+import dynaviz as dv
+from dynaviz.engine.loop import peak_rss_mb
+from dynaviz.results.result import Result
+from dynaviz.tiling.run import tileable
+
+BLOCK = 18.0  # metres after which a drive repeats, with 24 frames
+KILOMETRES = 20
+
+
+def drive(points: int, metres: float, folder: Path) -> Drive:
+    """A drive of some length with about this many points per frame."""
+    return Drive.of(points, round(metres / BLOCK * 24), folder)
+
+
+def equal(sequence: str | None, folder: Path) -> None:
+    """Compare the labels of every method on tiles with those of one run."""
+    whole = dv.open(sequence, frames="0:12") if sequence else drive(60_000, 9.0, folder)
+    for method in tileable():
+        labels = []
+        for name, tiles in (("whole", None), ("tiles", 60.0)):
+            dv.run(method, whole, out=folder / name, record="none", tiles=tiles)
+            with np.load(folder / name / "labels.npz") as z:
+                labels.append(np.unpackbits(z["dynamic"])[: z["points"].sum()])
+        differ = int((labels[0] != labels[1]).sum())
+        print(f"{method:12} {differ:6} of {len(labels[0]):,} points differ", flush=True)
+
+
+def cost(folder: Path) -> None:
+    """Print processor time against a run without tiles, and elapsed time of two workers against one."""
+    whole = drive(20_000, 1000.0, folder)
+    for method in ("octomap", "seethrough"):
+        spent = []
+        for name, tiles in (("whole", None), ("tiles", 200.0)):
+            start = time.process_time()
+            dv.run(method, whole, out=folder / f"{method}-{name}", record="none", tiles=tiles, threads=1)
+            spent.append(time.process_time() - start)
+        print(
+            f"{method}: {spent[0]:.0f} s as a whole, {spent[1]:.0f} s on tiles: x {spent[1] / spent[0]:.2f}", flush=True
+        )
+    elapsed = []
+    for workers in (1, 2):
+        start = time.perf_counter()
+        dv.run("octomap_g", whole, out=folder / f"workers{workers}", record="none", tiles=200.0, workers=workers)
+        elapsed.append(time.perf_counter() - start)
+    print(
+        f"octomap_g: {elapsed[0]:.0f} s with one worker, {elapsed[1]:.0f} s with two: x {elapsed[0] / elapsed[1]:.2f}"
+    )
+
+
+def memory(folder: Path) -> None:
+    """Print the peak memory of a process that runs drives of growing length."""
+    for times in (1, 4, 16):
+        code = (
+            "from pathlib import Path; import dynaviz as dv; from tiles import drive, peak_rss_mb\n"
+            f"folder = Path({str(folder)!r}); sequence = drive(2000, {400.0 * times}, folder)\n"
+            f"dv.run('octomap', sequence, out=folder / 'memory{times}', record='none', tiles=200.0, threads=1)\n"
+            "print(peak_rss_mb())"
+        )
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=_path())
+        print(f"{400 * times:6} m: {float(found.stdout):.0f} MB", flush=True)
+
+
+def city(folder: Path) -> None:
+    """Clean a drive of 20 km on a cluster; kill a worker in the middle."""
+    from distributed import LocalCluster
+
+    whole, out = drive(2000, 1000.0 * KILOMETRES, folder), folder / "city"
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        victim = next(iter(cluster.workers.values())).pid
+
+        def kill() -> None:
+            while len(list(out.glob("tiles/*/answers.npz"))) < 10:
+                time.sleep(1.0)
+            os.kill(victim, signal.SIGKILL)
+            print(f"killed a worker after {time.perf_counter() - start:.0f} s", flush=True)
+
+        start = time.perf_counter()
+        threading.Thread(target=kill, daemon=True).start()
+        result = dv.run("octomap", whole, out=out, record="none", tiles=500.0, scheduler=cluster.scheduler_address)
+    _describe(result, out, time.perf_counter() - start)
+
+
+def _describe(result: Result, out: Path, seconds: float) -> None:
+    with np.load(out / "labels.npz") as z:
+        names = z["reason_names"].tolist()
+        lost = int((z["reasons"] == names.index("out_of_reach")).sum())
+    tiling, points = result.sections.tiling, result.sequence.points
+    assert tiling
+    print(f"{result.sequence.frames:,} frames, {points:,} points, {tiling.tiles} tiles in {seconds:.0f} s")
+    print(f"{lost} points out of reach; SA {result.metrics['SA']:.2f}, DA {result.metrics['DA']:.2f}")
+    print(f"{peak_rss_mb():.0f} MB in this process, {result.runtime.peak_rss_mb:.0f} MB at most in those of the tiles")
+
+
+def _path() -> dict[str, str]:
+    """The environment in which other processes find this folder's modules, to unpickle a drive."""
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("equal", "cost", "memory", "city"))
+    parser.add_argument("sequence", nargs="?")
+    arguments = parser.parse_args()
+    os.environ.update(_path())
+    with tempfile.TemporaryDirectory() as name:
+        if arguments.what == "equal":
+            equal(arguments.sequence, Path(name))
+        else:
+            {"cost": cost, "memory": memory, "city": city}[arguments.what](Path(name))
+
+
+if __name__ == "__main__":
+    main()
