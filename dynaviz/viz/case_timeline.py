@@ -188,9 +188,10 @@ def see(info: MethodInfo, state: str | None) -> str:
     meaning = {known.name: known.meaning for known in info.emits}
     if state is not None:
         return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
-    if any(issubclass(known.kind, paths.SOLID) for known in info.emits):
-        return "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
-    return "- **State**: pictures of what the method saw, in the tabs next to the frame.\n" if meaning else ""
+    if any(issubclass(known.kind, paths.FLAT) for known in info.emits):
+        return "- **State**: pictures of what the method saw, in the tabs next to the frame.\n"
+    none = "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
+    return none if meaning else ""
 
 
 def circles(low: F64, high: F64) -> F32:

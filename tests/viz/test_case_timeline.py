@@ -146,10 +146,10 @@ def test_rays_to_an_arc_of_ground_are_compared_with_level_ground(ground: bool) -
     assert (normal is not None and normal.tolist() == [0, 0, 1]) if ground else normal is None
 
 
-def test_a_case_refers_to_pictures_where_the_method_has_nothing_else() -> None:
+def test_a_case_refers_to_pictures_where_nothing_else_shows_it() -> None:
     states = State("hits", Voxels, "Voxels that were hit"), State("scan", RangeImage, "Nearest returns")
-    both, pictures, none = (MethodInfo("m", "M", "", (), emits) for emits in (states, states[1:], ()))
+    both, voxels, none = (MethodInfo("m", "M", "", (), emits) for emits in (states, states[:1], ()))
     assert "the tab *hits* shows this place: Voxels that were hit." in see(both, "hits")
-    assert "none was recorded here" in see(both, None)
-    assert "pictures of what the method saw" in see(pictures, None)
+    assert "pictures of what the method saw" in see(both, None)
+    assert "none was recorded here" in see(voxels, None)
     assert see(none, None) == ""
