@@ -13,6 +13,7 @@ from typing import Any, Literal, cast, get_args
 import msgspec
 
 from dynaviz import params, registry
+from dynaviz.attributes import origin_of
 from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
 from dynaviz.datasets.in_memory import ArraySequence
@@ -43,6 +44,7 @@ def open(
     poses: str | os.PathLike[str] | None = None,
     points_in: str | None = None,
     deskew: bool | None = None,
+    extrinsic: str | None = None,
 ) -> Sequence:
     """Open a sequence of any known format.
 
@@ -57,6 +59,8 @@ def open(
             estimates them once and keeps them in ``recordings/SEQUENCE``.
         points_in: for folders and bags: ``sensor`` or ``world``, the frame of the stored points.
         deskew: for bags: False disables motion compensation of sweeps whose points have times.
+        extrinsic: for folders and bags whose poses are those of a vehicle: the pose of the lidar on it,
+            ``X,Y,Z,ROLL,PITCH,YAW`` in metres and degrees, or a file with one pose.
 
     Raises:
         DataError: if the path contains no known format.
@@ -67,10 +71,12 @@ def open(
         return select_frames(ArraySequence.of(path, points_in), frames, stride, chosen)
     pose_source = None if poses is None else os.fspath(poses)
     if pose_source is not None and is_odometry(pose_source):
-        options = {"points_in": points_in, "deskew": deskew}
+        options = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
         sequence, _ = open_estimated(os.fspath(path), pose_source, None, frames, **options)
         return select_frames(sequence, None, stride, chosen)
-    sequence = open_sequence(os.fspath(path), poses=pose_source, points_in=points_in, deskew=deskew)
+    sequence = open_sequence(
+        os.fspath(path), poses=pose_source, points_in=points_in, deskew=deskew, extrinsic=extrinsic
+    )
     return select_frames(sequence, frames, stride, chosen)
 
 
@@ -324,8 +330,9 @@ def _run_and_record(
         listeners: list[Listener] = [check] if check else []
         if folder is not None:
             listeners.append(RemoveStaleOutputs(folder, recording, maps))
-            written = (LabelsFile, MapFiles) if maps else (LabelsFile,)
-            listeners += [stack.enter_context(kind(folder)) for kind in written]
+            listeners.append(stack.enter_context(LabelsFile(folder)))
+            if maps:
+                listeners.append(stack.enter_context(MapFiles(folder, origin_of(spec.sequence))))
         if recording is not None:
             from dynaviz.viz.recorder import Recorder
 

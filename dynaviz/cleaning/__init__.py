@@ -20,8 +20,9 @@ from dynaviz.odometry.estimate import EstimatedPoses
 from dynaviz.odometry.opening import DEFAULT, is_odometry, open_estimated
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode
-from dynaviz.scan import Sequence, select_frames
-from dynaviz.sensors import load_sensor
+from dynaviz.scan import Sequence, SequenceSlice, select_frames
+from dynaviz.sensing import estimate_sensor, sentence
+from dynaviz.sensors import Sensor, load_sensor
 
 __all__ = ["BEST", "Cleaned", "clean"]
 
@@ -43,6 +44,7 @@ def clean(
     poses: str | os.PathLike[str] | None = None,
     points_in: str | None = None,
     deskew: bool | None = None,
+    extrinsic: str | None = None,
     sensor: str | None = None,
     preset: str | None = None,
     config: str | os.PathLike[str] | None = None,
@@ -64,7 +66,7 @@ def clean(
         voxel_size: metres: the map contains one point per voxel, the first one.
         tiles: ``autoware`` writes Autoware's divided map, PCD files of 20 m x 20 m with metadata.
         keep_dynamic: file for the removed points, in any of the formats.
-        frames, stride, points_in, deskew, sensor: as for ``dynaviz.open``.
+        frames, stride, points_in, deskew, extrinsic, sensor: as for ``dynaviz.open``.
         poses: as for ``dynaviz.open``; None estimates poses with KISS-ICP if the sequence has none.
         preset, config, settings, record, threads, command, progress: as for ``dynaviz.run``.
 
@@ -78,7 +80,7 @@ def clean(
     folder = run_folder(Path(out))
     estimated = None
     if isinstance(sequence, str | os.PathLike):
-        options = {"points_in": points_in, "deskew": deskew}
+        options = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
         source = None if poses is None else os.fspath(poses)
         sequence, estimated = _open(os.fspath(sequence), source, folder, frames, options, progress)
         sequence = select_frames(sequence, None if estimated else frames, stride)
@@ -100,7 +102,9 @@ def clean(
         maps=False,
     )
     maps = write_maps(sequence, result.labels, files, progress)
-    cleaned = Cleaned(result, tuple(maps), folder, estimated, getattr(sequence, "facts", {}))
+    sensor = sentence(estimate_sensor(sequence)) if sequence.sensor.name == Sensor().name else ""
+    whole = sequence.whole if isinstance(sequence, SequenceSlice) else sequence
+    cleaned = Cleaned(result, tuple(maps), folder, estimated, getattr(whole, "facts", {}), sensor)
     write_atomic(folder / "summary.md", cleaned.markdown().encode())
     return cleaned
 

@@ -28,6 +28,7 @@ class Cleaned:
         folder: files of the run: summary, labels, recording, and estimated poses.
         poses: estimated poses; None if the sequence had poses.
         facts: further facts of the sequence, such as the source of its poses.
+        sensor: estimates of an unknown sensor in one line; empty for a known one.
     """
 
     result: Result
@@ -35,6 +36,7 @@ class Cleaned:
     folder: Path
     poses: EstimatedPoses | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
+    sensor: str = ""
 
     @property
     def removals(self) -> Removals:
@@ -95,6 +97,8 @@ class Cleaned:
             yield f"\nPoses were estimated with {self.poses}. They are in `{self.poses.file}`; `--poses` reads them."
         elif "poses" in self.facts:
             yield f"\nPoses: {self.facts['poses']}."
+        if self.sensor:
+            yield f"\nThe sensor is unknown. Estimated from the scans: {self.sensor}. `--sensor` overrides this."
 
     def _cases(self) -> Iterator[str]:
         """The clusters to look at first, or the scores and failures of a sequence with ground truth."""

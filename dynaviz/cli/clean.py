@@ -13,6 +13,7 @@ import typer
 from dynaviz.cli.console import print_json, program, progress, show
 from dynaviz.cli.options import (
     Deskew,
+    Extrinsic,
     Frames,
     Json,
     PointsIn,
@@ -69,6 +70,7 @@ def clean(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
+    extrinsic: Extrinsic = None,
     sensor: SensorName = None,
     preset: Preset = None,
     settings: Annotated[
@@ -106,6 +108,7 @@ def clean(
             poses=poses,
             points_in=points_in,
             deskew=deskew,
+            extrinsic=extrinsic,
             sensor=sensor,
             preset=preset,
             settings=tuple(settings or ()),

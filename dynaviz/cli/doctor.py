@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import Deskew, Frames, Json, PointsIn, Poses, Quiet, SensorName
+from dynaviz.cli.options import Deskew, Extrinsic, Frames, Json, PointsIn, Poses, Quiet, SensorName
 
 
 def add_to(app: typer.Typer) -> None:
@@ -24,6 +24,7 @@ def doctor(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
+    extrinsic: Extrinsic = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -39,7 +40,15 @@ def doctor(
     from dynaviz.cli.options import open_sequence
     from dynaviz.diagnosis import doctor as examine
 
-    opened = open_sequence(sequence, frames=frames, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
+    opened = open_sequence(
+        sequence,
+        frames=frames,
+        sensor=sensor,
+        poses=poses,
+        points_in=points_in,
+        deskew=deskew,
+        extrinsic=extrinsic,
+    )
     with progress(f"doctor on {opened.name}") as report:
         diagnosis = examine(opened, progress=report)
     if not print_json(diagnosis.to_dict(), json):

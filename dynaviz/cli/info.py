@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import Deskew, Json, PointsIn, Poses, Quiet, open_sequence
+from dynaviz.cli.options import Deskew, Extrinsic, Json, PointsIn, Poses, Quiet, open_sequence
 
 if TYPE_CHECKING:
     from dynaviz.arrays import F64
@@ -43,6 +43,7 @@ def info(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
+    extrinsic: Extrinsic = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -80,7 +81,9 @@ def info(
     else:
         if left := unfinished(Path(path)):
             raise left
-        facts = _sequence_facts(open_sequence(path, poses=poses, points_in=points_in, deskew=deskew))
+        facts = _sequence_facts(
+            open_sequence(path, poses=poses, points_in=points_in, deskew=deskew, extrinsic=extrinsic)
+        )
         if not print_json(facts, json):
             _show_pairs(path, facts)
 
@@ -115,7 +118,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
     return {
         "name": sequence.name,
         "format": type(sequence).__name__,
-        "sensor": f"{sequence.sensor.name} ({sequence.sensor.title})",
+        "sensor": _sensor(sequence),
         "frames": f"{summary.frames:,}",
         "points": f"{summary.points:,} ({summary.points // max(summary.frames, 1):,} per frame)",
         "ground truth": counted.truth() if sequence.has_labels else "no",
@@ -126,6 +129,16 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "digest": summary.digest,
         **(sequence.facts if isinstance(sequence, HasFacts) else {}),
     }
+
+
+def _sensor(sequence: Sequence) -> str:
+    """The sensor, or estimates of an unknown one."""
+    from dynaviz.sensing import estimate_sensor, sentence
+
+    sensor = sequence.sensor
+    if sensor.name != "unknown":
+        return f"{sensor.name} ({sensor.title})"
+    return f"unknown; estimated from the scans: {sentence(estimate_sensor(sequence))}"
 
 
 class _Counted:

@@ -85,6 +85,13 @@ Poses = Annotated[
         "TF frame.",
     ),
 ]
+Extrinsic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of the vehicle.",
+    ),
+]
 PointsIn = Annotated[PointFrame | None, typer.Option(help="Coordinate frame of the stored points. [default: sensor]")]
 Deskew = Annotated[
     bool | None,
@@ -106,7 +113,7 @@ def recording_in(path: Path) -> Path:
     return path / "run.rrd" if path.is_dir() else path
 
 
-def open_sequence(path: str, **options: Any) -> Sequence:
+def open_sequence(path: str | list[str], **options: Any) -> Sequence:
     """``dynaviz.open``, imported on first use."""
     from dynaviz import api
 

@@ -12,6 +12,7 @@ import typer
 from dynaviz.cli.console import print_json, program, progress, show, written
 from dynaviz.cli.options import (
     Deskew,
+    Extrinsic,
     Frames,
     Json,
     Method,
@@ -62,6 +63,7 @@ def run(
     poses: Poses = None,
     points_in: PointsIn = None,
     deskew: Deskew = None,
+    extrinsic: Extrinsic = None,
     record: Record = RecordModeOption.errors,
     view: Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")] = False,
     threads: Threads = None,
@@ -95,7 +97,14 @@ def run(
     from dynaviz import api
 
     opened = open_sequence(
-        sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew
+        sequence,
+        frames=frames,
+        stride=stride,
+        sensor=sensor,
+        poses=poses,
+        points_in=points_in,
+        deskew=deskew,
+        extrinsic=extrinsic,
     )
     folder = out or Path("recordings") / opened.name / method
     with progress(f"{method} on {opened.name}") as report:

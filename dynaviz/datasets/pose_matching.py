@@ -12,6 +12,7 @@ from dynaviz.arrays import F64, I64
 from dynaviz.attributes import far_origin
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.poses import PoseFile, read_poses
+from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
 
 STAMP_TOLERANCE = 1_000_000  # nanoseconds a scan may lie outside the poses, because stamps are rounded
@@ -38,6 +39,13 @@ class MatchedPoses:
     description: str
     trajectory: Trajectory | None = None
     origin: F64 = field(default_factory=lambda: np.zeros(3))
+
+    def mounted(self, mount: F64) -> MatchedPoses:
+        """The poses of a sensor with this pose (4, 4) on the vehicle whose poses these are."""
+        trajectory = self.trajectory and Trajectory(
+            self.trajectory.times, geometry.compose(self.trajectory.poses, mount)
+        )
+        return replace(self, poses=geometry.compose(self.poses, mount), trajectory=trajectory)
 
     def near_zero(self) -> MatchedPoses:
         """The poses in a world whose origin is near the first of them; see ``dynaviz.attributes.far_origin``."""

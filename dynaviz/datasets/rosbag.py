@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64, I64, single
 from dynaviz.attributes import Attributes, far_origin
+from dynaviz.datasets.extrinsic import parse_extrinsic
 from dynaviz.datasets.pose_matching import NO_POSES, covered_scans, match_poses, parse_points_in
 from dynaviz.datasets.transforms import Chain, TransformTree, frame_name
 from dynaviz.errors import DataError, NoPoses, UsageError
@@ -22,7 +23,7 @@ from dynaviz.io.rosbag import Bag, is_bag
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial import geometry
-from dynaviz.spatial.trajectory import FIELDS, Moved, PosesOverTime, Trajectory, deskew, point_times, unit_of
+from dynaviz.spatial.trajectory import FIELDS, Mounted, Moved, PosesOverTime, Trajectory, deskew, point_times, unit_of
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
@@ -87,7 +88,13 @@ class RosBagSequence:
 
     @classmethod
     def open(
-        cls, path: Path, *, poses: str | None = None, points_in: str | None = None, deskew: bool | None = None
+        cls,
+        path: Path,
+        *,
+        poses: str | None = None,
+        points_in: str | None = None,
+        deskew: bool | None = None,
+        extrinsic: str | None = None,
     ) -> Self:
         """Open a bag and read all stamps and poses; clouds are read on access.
 
@@ -96,6 +103,7 @@ class RosBagSequence:
             poses: a topic, a TF frame or a file; ``none`` leaves each cloud in its own frame.
             points_in: ``sensor`` (default) or ``world``.
             deskew: False disables motion compensation of sweeps whose points have times.
+            extrinsic: pose of the lidar on the vehicle, if the poses are those of the vehicle.
 
         Raises:
             DataError: if the bag is corrupt, has no clouds or no poses, or has several sources of either.
@@ -117,6 +125,9 @@ class RosBagSequence:
         else:
             trajectory, description = _pose_source(bag, clouds, odometries, transforms, poses, frame)
             positions = covered_scans(trajectory, clouds.stamps, description, file)
+            T = trajectory.at(clouds.stamps[positions])
+        if (mount := parse_extrinsic(extrinsic)) is not None:
+            trajectory = Mounted(trajectory, mount)
             T = trajectory.at(clouds.stamps[positions])
         origin = far_origin(T[0, :3, 3])
         if origin.any():

@@ -16,6 +16,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, U16, single
 from dynaviz.attributes import Attributes
+from dynaviz.datasets.extrinsic import parse_extrinsic
 from dynaviz.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
 from dynaviz.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
 from dynaviz.errors import DataError, NoPoses
@@ -65,13 +66,16 @@ class ScanFolderSequence:
         return path.is_dir() and _scans_in(path) is not None
 
     @classmethod
-    def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
+    def open(
+        cls, path: Path, *, poses: str | None = None, points_in: str | None = None, extrinsic: str | None = None
+    ) -> Self:
         """Open a folder.
 
         Args:
             path: folder of the scans, or the parent of the only folder with scans.
             poses: pose file; None searches next to the scans; ``none`` leaves each scan in its own frame.
             points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
+            extrinsic: pose of the sensor on the vehicle, if the poses are those of the vehicle.
 
         Raises:
             DataError: if there are no scans or no poses, or they do not match.
@@ -89,7 +93,8 @@ class ScanFolderSequence:
         else:
             file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
             matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
-        matched = matched.near_zero()
+        mount = parse_extrinsic(extrinsic)
+        matched = (matched if mount is None else matched.mounted(mount)).near_zero()
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
         columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()

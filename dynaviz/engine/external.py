@@ -15,10 +15,12 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from dynaviz.arrays import F32, Bool
+from dynaviz.arrays import F32, F64, Bool, single
+from dynaviz.attributes import origin_of
 from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
+from dynaviz.io.fields import coordinates, read_fields
 from dynaviz.io.npy import open_npy
 from dynaviz.io.points import read_points
 from dynaviz.method import Context, Labels, MethodInfo, Reason
@@ -64,6 +66,7 @@ class ExternalMap:
         path: the map (``dynaviz.io.points.read_points``), in the world frame of the sequence.
         name: for tables.
         radius: metres, 0 or more.
+        origin: (3,) float64, metres: subtracted from the map, as from the sequence (``dynaviz.attributes.origin_of``).
 
     Raises:
         UsageError: for an invalid radius.
@@ -72,10 +75,11 @@ class ExternalMap:
 
     scoring = "nn"
 
-    def __init__(self, path: Path, name: str, radius: float = RADIUS) -> None:
+    def __init__(self, path: Path, name: str, radius: float = RADIUS, origin: F64 | None = None) -> None:
         if not 0 <= radius < np.inf:
             raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}")
-        points = read_points(path)
+        far = origin is not None and origin.any()
+        points = single(coordinates(read_fields(path)) - origin) if far else read_points(path)
         chosen = finite(points)
         self.path, self.points, self.params = path, np.compress(chosen, points, 0), MapParams(radius)
         self.total, self.not_finite = len(points), len(points) - len(self.points)
@@ -220,7 +224,9 @@ def read_external(
         return LabelFolder(path, name, sequence, key)
     if key is not None:
         raise UsageError(f"key = {key}: give it only for a folder of .npz files, one per scan")
-    return PrecomputedLabels(labels, name) if labels.suffix.lower() == ".npz" else ExternalMap(path, name, radius)
+    if labels.suffix.lower() == ".npz":
+        return PrecomputedLabels(labels, name)
+    return ExternalMap(path, name, radius, origin_of(sequence))
 
 
 def finite(points: F32) -> Bool:

@@ -10,6 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from dynaviz.arrays import F64
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.summary import SequenceSummary
@@ -96,10 +97,16 @@ class RemoveStaleOutputs(Listener):
 
 
 class MapFiles(Listener):
-    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points)."""
+    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points).
 
-    def __init__(self, folder: Path):
-        kinds = dict.fromkeys("xyz", np.float32)
+    Args:
+        folder: the folder.
+        origin: (3,) float64, metres: added to all points, which are then float64, if it is not zero.
+    """
+
+    def __init__(self, folder: Path, origin: F64 | None = None):
+        self._origin = np.zeros(3) if origin is None else origin
+        kinds = dict.fromkeys("xyz", np.float64 if self._origin.any() else np.float32)
         self._kept = PcdWriter(folder / "static_map.pcd", kinds, np.eye(4))
         self._removed = PcdWriter(folder / "dynamic_points.pcd", kinds, np.eye(4))
         self._stack = contextlib.ExitStack()
@@ -115,7 +122,9 @@ class MapFiles(Listener):
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Append the points of a frame."""
         for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
-            writer.append(**dict(zip("xyz", labelled.scan.points[chosen].T, strict=True)))
+            points = labelled.scan.points[chosen]
+            columns = (points.astype(np.float64) + self._origin if self._origin.any() else points).T
+            writer.append(**dict(zip("xyz", columns, strict=True)))
 
 
 def write_summary(folder: Path, run: RunSpec, result: Result) -> None:

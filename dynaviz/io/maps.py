@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import atomic_file
+from dynaviz.io.las import import_laspy
 from dynaviz.io.las_map import LasMap
 from dynaviz.io.pcd import PcdWriter
 
@@ -62,8 +63,9 @@ def open_map(path: Path, fields: Dtypes, origin: F64) -> MapWriter:
 
 
 def check_map_path(path: Path) -> None:
-    """Raise UsageError if the suffix of a path is not that of a map that can be written."""
-    _writer(path)
+    """Raise UsageError if the suffix of a path is not that of a map, MissingDependency if its package is missing."""
+    if _writer(path) is LasMap:
+        import_laspy(path)
 
 
 def _writer(path: Path) -> Callable[[Path, Dtypes, F64], MapWriter]:

@@ -48,6 +48,8 @@ def open_estimated(
     """
     if options.get("points_in") == "world":
         raise UsageError(f"--poses {odometry}: needs points in the sensor frame, not --points-in world")
+    if options.pop("extrinsic", None) is not None:
+        raise UsageError(f"--poses {odometry}: estimates the poses of the lidar itself; leave out --extrinsic")
     own = _with_own_poses(text, options)
     if own is not None and not _accepts_poses(own):
         own = select_frames(own, frames)

@@ -61,6 +61,28 @@ class Moved:
 
 
 @dataclass(frozen=True, eq=False)
+class Mounted:
+    """Poses over time of something that is mounted on a vehicle.
+
+    Attributes:
+        poses: of the vehicle.
+        mount: (4, 4) float64, metres: its pose on the vehicle.
+    """
+
+    poses: PosesOverTime
+    mount: F64
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, nanoseconds."""
+        return self.poses.span
+
+    def at(self, times: ArrayLike) -> F64:
+        """(N, 4, 4) float64, metres: the poses at (N,) int64 nanoseconds."""
+        return geometry.compose(self.poses.at(times), self.mount)
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses at some times, with interpolation: constant rotation rate about one axis, positions along a line.
 

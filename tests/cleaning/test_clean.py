@@ -14,6 +14,7 @@ from helpers.worlds import room
 import dynaviz as dv
 from dynaviz import registry
 from dynaviz.arrays import F64
+from dynaviz.engine.external import read_external
 from dynaviz.errors import UsageError
 from dynaviz.io.fields import coordinates, read_fields
 from dynaviz.io.maps import TiledMap
@@ -216,3 +217,14 @@ def test_the_command_prints_json(run_command: Command, tmp_path: Path) -> None:
     found = json.loads(out)
     assert found["points"] == 6000
     assert found["maps"][0]["attributes"] == ["ring", "intensity"]
+
+
+def test_a_run_far_from_zero_writes_far_maps_that_can_be_scored(tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans", offset=FAR)
+    result = dv.run(METHOD, scans, out=tmp_path / "run", record="none", threads=1)
+    xyz = coordinates(read_fields(tmp_path / "run/static_map.pcd"))
+    np.testing.assert_array_equal(xyz, result.static_map())
+    np.testing.assert_array_equal(dv.Result.load(tmp_path / "run/result.json").static_map(), xyz)
+    assert (xyz.min(0) > FAR - 50).all()
+    external = read_external(tmp_path / "run/static_map.pcd", dv.open(scans))
+    assert np.abs(external.points).max() < 50

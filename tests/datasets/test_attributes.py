@@ -11,6 +11,7 @@ from helpers.scan_folders import write_kitti_poses
 
 import dynaviz as dv
 from dynaviz.attributes import attributes_of, far_origin, origin_of
+from dynaviz.errors import UsageError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.velodyne import detect_columns
 from dynaviz.scan import select_frames
@@ -70,7 +71,7 @@ def test_bags_keep_all_fields_and_shift_far_poses(tmp_path: Path) -> None:
         for k in range(FRAMES):
             columns = {axis: LOCAL[k][:, n] for n, axis in enumerate("xyz")}
             bag.cloud(0.1 * k, columns | {"ring": RINGS[k], "intensity": INTENSITY[k]})
-            bag.odometry(0.1 * k, at(*(UTM + [k, 0, 0]), 0.0))
+            bag.odometry(0.1 * k, at(*(UTM + np.array([k, 0, 0])), 0.0))
     sequence = dv.open(bag.path)
     np.testing.assert_array_equal(origin_of(sequence), [512_000, 5_403_000, 0])
     np.testing.assert_allclose(sequence[1].T_world_sensor[:3, 3], [1.25, 0.5, 380.0], atol=1e-6)
@@ -103,3 +104,15 @@ def test_columns_of_bin_files_are_detected(tmp_path: Path, columns: int, names: 
     sequence = dv.open(tmp_path)
     np.testing.assert_array_equal(sequence[0].points, table[:, :3])
     assert list(attributes_of(sequence, 0)) == names.split()[3:]
+
+
+def test_an_extrinsic_turns_poses_of_a_vehicle_into_those_of_its_lidar(tmp_path: Path) -> None:
+    folder = write_scans(tmp_path / "scans", np.zeros(3))
+    (tmp_path / "mount.txt").write_text("0 -1 0 1.5  1 0 0 0  0 0 1 2")
+    for extrinsic in ("1.5,0,2,0,0,90", str(tmp_path / "mount.txt")):
+        scan = dv.open(folder, extrinsic=extrinsic)[2]
+        np.testing.assert_allclose(scan.T_world_sensor[:3, 3], [2.5, 0.5, 2.0], atol=1e-12)
+        x, y, z = LOCAL[2].T
+        np.testing.assert_allclose(scan.points, np.column_stack([2.5 - y, 0.5 + x, 2 + z]), atol=1e-4)
+    with pytest.raises(UsageError, match="--extrinsic 1,2,3: has 3 numbers"):
+        dv.open(folder, extrinsic="1,2,3")

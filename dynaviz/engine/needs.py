@@ -1,0 +1,29 @@
+"""Check that a method has all facts of the sensor that it needs, before a sequence is read."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dynaviz.method import Context, Method
+from dynaviz.scan import Scan, Sequence
+from dynaviz.sensing import with_needed_facts
+from dynaviz.sensors import Sensor
+from dynaviz.spatial.extent import Extent
+
+
+def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
+    """The sequence, with estimates in place of facts of the sensor that the method needs and that are not given.
+
+    Args:
+        method, params: what will run.
+        sequence: what it will run on; only its first scan is read, if nothing is missing.
+
+    Raises:
+        UsageError: if the method needs a fact that cannot be estimated.
+    """
+
+    def begin(scan: Scan, sensor: Sensor) -> None:
+        raw_map = scan.points if method.info.needs_map else None
+        method(params).begin(Context(Extent.of(scan), sensor, raw_map=raw_map))
+
+    return with_needed_facts(begin, sequence)

@@ -1,0 +1,89 @@
+"""Facts of unknown sensors, estimated from scans of known ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.errors import DataError, UsageError
+from dynaviz.scan import Sequence, select_frames
+from dynaviz.sensing import estimate_sensor, sentence
+from dynaviz.sensors import Sensor, load_sensor, sensor_names
+
+
+def unknown(text: str) -> Sequence:
+    return select_frames(dv.open(text), sensor=Sensor())
+
+
+@pytest.mark.parametrize("scene", ["demo", "hall_vlp16", "street_hdl64"])
+def test_simulated_sensors_are_found(scene: str) -> None:
+    sequence = dv.open(f"simulate:{scene}?frames=3")
+    known, found = sequence.sensor, estimate_sensor(sequence)
+    assert found.rings == known.rings
+    assert known.elevation is not None
+    assert found.elevation == pytest.approx(known.elevation, abs=1.0)
+    assert found.height == pytest.approx(known.height, abs=0.05)
+    assert found.rate == pytest.approx(10.0)
+    assert found.azimuth == (-180.0, 180.0)
+
+
+def test_a_method_gets_the_estimates_that_it_needs() -> None:
+    with pytest.warns(UserWarning, match=r"sensor is unknown; estimated from the scans: 0\.\d+ m above the ground, 16"):
+        estimated = dv.run("erasor", unknown("simulate:demo?frames=3"), threads=1)
+    assert (estimated.counts["static_kept"], estimated.counts["dynamic_removed"]) > (0, 0)
+
+
+def test_what_cannot_be_estimated_is_reported_before_the_sequence_is_read() -> None:
+    class ReadOnce:
+        name, sensor, has_labels = "little", Sensor(), False
+        positions: tuple[int, ...] = ()
+
+        def __len__(self) -> int:
+            return 50
+
+        def __getitem__(self, position: int) -> dv.scan.Scan:  # type: ignore[name-defined]  # loaded on access
+            self.positions += (position,)
+            scan = room(frames=1).scans[0]
+            return dataclasses.replace(scan, points=scan.points[:20], labels=None, instances=None)
+
+    sequence = ReadOnce()
+    with pytest.raises(UsageError, match="erasor needs the height of the sensor"):
+        dv.run("erasor", sequence, threads=1)
+    assert len(sequence.positions) < 20
+
+
+def test_estimates_in_one_line() -> None:
+    sensor = Sensor(rings=32, elevation=(-25.0, 15.0), height=1.8, azimuth=(-60.0, 60.0), max_range=98.4, rate=10.0)
+    expected = "1.80 m above the ground, 32 rows, from -25.0 to 15.0 degrees, azimuth -60 to 60, up to 98 m, 10.0 Hz"
+    assert sentence(sensor) == expected
+
+
+def test_a_sensor_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('title = "Mine"\nrings = 20\nelevation = [-20.0, 20.0]\nheight = 1\n')
+    assert load_sensor(str(file)) == Sensor("mine", "Mine", 20, (-20.0, 20.0), height=1)
+    for text, message in [
+        ("ringz = 3", "a sensor has no 'ringz'"),
+        ("rings = 2.5", "invalid rings = 2.5"),
+        ("elevation = [20.0, -20.0]", "invalid elevation"),
+        ("height = -1", "invalid height"),
+        ("rings = ", "cannot be read"),
+    ]:
+        (tmp_path / f"{len(message)}.toml").write_text(text)
+        with pytest.raises(DataError, match=message):
+            load_sensor(str(tmp_path / f"{len(message)}.toml"))
+
+
+def test_every_sensor_is_complete() -> None:
+    assert len(sensor_names()) >= 12
+    for sensor in map(load_sensor, sensor_names()):
+        assert sensor.elevation is not None
+        assert sensor.elevation[0] < sensor.elevation[1]
+        assert (sensor.rings is None) == (sensor.points_per_sweep is not None)
+        assert not sensor.elevations or len(sensor.elevations) == sensor.rings
+        assert np.all(np.diff(sensor.elevations) > 0)
