@@ -151,6 +151,7 @@ def _link(number: int, boxes: str) -> str:
 
 def _suspicious(case: RemovedCluster, number: int) -> tuple[Any, ...]:
     why = next((reason for reason in case.why if reason != case.what), "")
+    why = why.replace("points that were kept", "kept points")  # short, or the panel cuts off the last column
     named = f"{case.what}: {why}" if case.what and why else case.what or why
     return _link(number, paths.CLUSTER_CASES), f"{case.points:,}", named, case.worst_frame
 
