@@ -3,6 +3,7 @@
 import sys
 
 from dynaviz import isolated
+from dynaviz.errors import interrupted
 
 
 def main() -> None:
@@ -14,7 +15,9 @@ def _main() -> None:
     """Import the command line and run it. Ctrl-C during the import, the first 0.3 s, ends it without a traceback."""
     try:
         from dynaviz.cli import main as run_command
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        if not interrupted(error):
+            raise
         print("dynaviz: interrupted.", file=sys.stderr)
         sys.exit(130)
     run_command()

@@ -51,3 +51,10 @@ class PluginError(DynavizError):
 
 class MissingDependency(DynavizError):
     """A missing dependency; the message gives the command that installs it."""
+
+
+def interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error; extension modules report it as an ImportError if it arrives while they load."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None

@@ -44,7 +44,7 @@ from dynaviz.cli import (
     why,
 )
 from dynaviz.cli.console import set_quiet
-from dynaviz.errors import DataError, DynavizError, UsageError
+from dynaviz.errors import DataError, DynavizError, UsageError, interrupted
 
 try:
     from typer import TyperException as CommandLineError
@@ -127,7 +127,7 @@ def main() -> None:
         print("dynaviz:", DataError(error.filename, "File name too long", hint="Give a shorter path"), file=sys.stderr)
         sys.exit(2)
     except BaseException as error:
-        if not _interrupted(error):
+        if not interrupted(error):
             raise
         _leave(130, error)
 
@@ -156,13 +156,6 @@ def _one_line_warnings() -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
         yield
-
-
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error; extension modules report it as an ImportError if it arrives while they load."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 def _notes(error: BaseException | None) -> Iterator[str]:

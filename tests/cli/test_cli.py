@@ -186,17 +186,23 @@ def test_help_begins_with_examples(run_command: Command) -> None:
         assert out.index(f"  dynaviz {verb}") < out.index("Options:")
 
 
+@pytest.mark.parametrize("extension", [False, True])
 def test_an_interrupt_while_the_command_line_is_imported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], extension: bool
 ) -> None:
+    """An extension module, such as those of numpy, reports it as an ImportError."""
+
     class Interrupt:
         @staticmethod
         def find_spec(name: str, *_: object) -> None:
+            if name == "dynaviz.cli" and extension:
+                raise ImportError("initialization failed") from KeyboardInterrupt()
             if name == "dynaviz.cli":
                 raise KeyboardInterrupt
 
     monkeypatch.setattr(sys, "meta_path", [Interrupt, *sys.meta_path])
     monkeypatch.delitem(sys.modules, "dynaviz.cli")
+    monkeypatch.setattr(sys, "argv", ["dynaviz"])
     with pytest.raises(SystemExit) as end:
         start.main()
     assert (end.value.code, capsys.readouterr().err) == (130, "dynaviz: interrupted.\n")
