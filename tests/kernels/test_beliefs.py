@@ -59,6 +59,26 @@ def test_rays_are_integer_lines_up_to_the_greatest_range():
         grid.observed = blocks[:0], bits[:0]
 
 
+@pytest.mark.plain
+def test_voxels_expire_in_their_scan_and_blocks_without_old_ones_are_skipped():
+    random = np.random.default_rng(0)
+    seen = random.integers(0, 30, (40, VOXELS)).astype(np.int32)
+    bits = (random.random((40, VOXELS)) < 0.02) & (seen > 0)
+    known = np.packbits(bits.reshape(40, 8, 64), -1, "little").view(np.uint64).reshape(40, 8)
+    never = kernels.beliefs.NEVER
+    first = np.where(bits, seen, never).min(1).astype(np.int32)
+    blocks = np.arange(40, dtype=np.int32)
+    for oldest in (3, 4, 11, 30):
+        kernels.beliefs.expire(blocks, oldest, seen, known, first)
+        bits &= seen > oldest
+        np.testing.assert_array_equal(np.unpackbits(known.view(np.uint8), bitorder="little").reshape(40, -1), bits)
+        np.testing.assert_array_equal(first, np.where(bits, seen, never).min(1))
+    assert (first == never).all()
+    known[0, 0], first[0] = 1, 31
+    kernels.beliefs.expire(blocks, 30, seen, known, first)
+    assert known[0, 0] == 1, "a block was searched that can contain no old voxel"
+
+
 # Looks until the state changes, by squared distance: from new to free, new to occupied, occupied to free, and back.
 LOOKS = {
     0: (None, 1, None, 1),

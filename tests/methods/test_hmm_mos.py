@@ -187,3 +187,21 @@ def test_presets_have_the_published_values():
     for preset, expected in published.items():
         p = resolve(HmmMos, preset).params
         assert (p.min_range, p.max_range, p.window, p.port) == expected
+
+
+def test_blocks_out_of_reach_are_forgotten_on_a_drive_that_never_returns():
+    """What a scan costs then does not depend on the length of the drive."""
+    random, scans = np.random.default_rng(0), []
+    for k in range(60):
+        T_world_sensor = pose(2 * k, 0, 0)
+        points = random.uniform(-8, 8, (40, 3)) + T_world_sensor[:3, 3]
+        scans.append(Scan(k, points.astype(np.float32), T_world_sensor))
+    method = HmmMos(HmmMosParams(max_range=10.0))
+    method.begin(Context(Extent.of(*scans)))
+    used = []
+    for scan in scans:
+        method.observe(scan)
+        used.append(len(method._map._used))
+        assert len(set(method._map._used.tolist())) == used[-1]
+    assert max(used[30:]) < 1.2 * max(used[15:30])
+    assert max(used) < len(method._map) / 2

@@ -71,7 +71,12 @@ def _table(content: bytes) -> bytes:
 @pytest.mark.parametrize("damage", [garbled, out_of_bounds])
 def test_a_damaged_chunk(whole: Path, tmp_path: Path, run_command: Command, damage: Damage) -> None:
     broken = damaged(whole, tmp_path / "run.rrd", damage)
-    for words in (("info", broken), ("failures", broken), ("compare", whole, broken, "-o", tmp_path / "both.rrd")):
+    for words in (
+        ("info", broken),
+        ("failures", broken),
+        ("compare", whole, broken, "-o", tmp_path / "both.rrd"),
+        ("why", broken, "--frame", 0, "--point", 0),
+    ):
         code, _, err = run_command(*words)
         assert (code, err.count("\n")) == (2, 1), err
         assert "contains a damaged chunk" in err
