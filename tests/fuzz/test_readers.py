@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from dynaviz import registry
 
 DEFAULT_EXAMPLES = 5  # damaged files per reader
-SLOW = ("dynaviz implant", "dynaviz tune", "dynaviz report (HTML)", "dynaviz bench")  # a second or more per file
+SLOW = ("dynaviz tune (with the search)", "dynaviz report (HTML, drawn)", "dynaviz bench")  # a second or more per file
 EXAMPLES = int(os.environ.get("FUZZ", DEFAULT_EXAMPLES))
 
 

@@ -8,19 +8,21 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from matplotlib.figure import Figure
+from typer import Exit
 
 from dynaviz.benchmarking import bench, tune
 from dynaviz.cli import main
 from dynaviz.explorer import server
 from dynaviz.explorer.answers import Explored
 from dynaviz.viz import shot, viewer
+from dynaviz_eval.report import figures
 from helpers.damage import remove
 from helpers.guessing_method import record_with_metrics
 from helpers.readable_files import Subject, baseline, config, scored, tiny_benchmark
@@ -30,7 +32,8 @@ from helpers.worlds import room
 _PROGRESS = re.compile(r"(?!dynaviz:).* [\d,]+/[\d,]+ [a-z]|\[\d+/\d+|compiling kernels")
 
 ONE_CYCLIST = ("--cars", "0", "--trucks", "0", "--cyclists", "1", "--persons", "0", "--parks", "0")
-BRIEF_SEARCH = (
+TUNE = (
+    *("tune", "implant:@room?cars=0&trucks=0&cyclists=1&persons=0&parks=0"),
     *("-m", "octomap", "-o", ">tuned", "--trials", "1", "--seeds", "1", "--holdout", "1"),
     *("--range", "resolution=0.2:0.4"),
 )
@@ -107,7 +110,26 @@ def in_this_process() -> Iterator[None]:
         yield
 
 
-def subject(make: Callable[[Path], object], target: str, *commands: tuple[str, ...]) -> Subject:
+@contextlib.contextmanager
+def undrawn() -> Iterator[None]:
+    """Figures are composed, but not drawn."""
+    with patch.object(figures, "svg", lambda figure, name, title: "<svg/>"):
+        yield
+
+
+@contextlib.contextmanager
+def without_search() -> Iterator[None]:
+    """Tuning ends with success once everything is read and written that the search needs."""
+    with patch.object(tune, "bench", side_effect=Exit):
+        yield
+
+
+def subject(
+    make: Callable[[Path], object],
+    target: str,
+    *commands: tuple[str, ...],
+    shortened: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Subject:
     """Commands that read the same files; each runs even if one before it refuses them."""
 
     def make_in(folder: Path) -> Path:
@@ -115,7 +137,7 @@ def subject(make: Callable[[Path], object], target: str, *commands: tuple[str, .
         return folder
 
     def read(folder: Path) -> bool:
-        with in_this_process():
+        with in_this_process(), shortened():
             did = [command(*words)(folder) for words in commands]
         return all(did)
 
@@ -207,7 +229,10 @@ COMMANDS = {
     "dynaviz report": subject(
         scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv", "latex"))
     ),
-    "dynaviz report (HTML)": subject(scored, "out/result.json", ("report", "@out", "--format", "html")),
+    "dynaviz report (HTML)": subject(
+        scored, "out/result.json", ("report", "@out", "--format", "html"), shortened=undrawn
+    ),
+    "dynaviz report (HTML, drawn)": subject(scored, "out/result.json", ("report", "@out", "--format", "html")),
     "dynaviz check": subject(
         runs, "out/*.json", ("check", "@out/result.json", "--min", "AA=50", "--baseline", "@out/baseline.json")
     ),
@@ -229,7 +254,6 @@ COMMANDS = {
     "dynaviz implant": subject(
         implants, "**/*", ("implant", "@room", ">new", "--panel", "none", "--scene", "@implants.toml")
     ),
-    "dynaviz tune": subject(
-        implants, "**/*", ("tune", "implant:@room?cars=0&trucks=0&cyclists=1&persons=0&parks=0", *BRIEF_SEARCH)
-    ),
+    "dynaviz tune": subject(implants, "room/**/*", TUNE, shortened=without_search),
+    "dynaviz tune (with the search)": subject(implants, "room/**/*", TUNE),
 }
