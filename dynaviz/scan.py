@@ -120,6 +120,13 @@ class Scan:
         """The scan without labels, classes and instances, as methods receive it."""
         return dataclasses.replace(self, labels=None, classes=None, instances=None, class_names={})
 
+    def moved(self, offset: F64) -> Scan:
+        """The scan with ``offset``, (3,) metres, added to all positions; in float64 before rounding."""
+        T_world_sensor = self.T_world_sensor.copy()
+        T_world_sensor[:3, 3] += offset
+        points = (self.points.astype(np.float64) + offset).astype(np.float32)
+        return dataclasses.replace(self, points=points, T_world_sensor=T_world_sensor, origins=self.origins + offset)
+
     def unscored(self) -> Scan:
         """The scan with all points unlabelled, as if its sequence had ground truth for other scans only."""
         labels = None if self.labels is None else np.full(len(self), Label.UNLABELLED, np.uint8)

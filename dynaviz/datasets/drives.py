@@ -10,6 +10,8 @@ from itertools import accumulate
 
 import numpy as np
 
+from dynaviz.arrays import F64
+from dynaviz.attributes import Attributes, attributes_of, origin_of
 from dynaviz.errors import UsageError
 from dynaviz.scan import Scan, Sequence
 from dynaviz.sensors import Sensor
@@ -56,13 +58,30 @@ class Drives:
     def __len__(self) -> int:
         return sum(map(len, self.drives))
 
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: that of the first drive, to which the others are moved."""
+        return origin_of(self.drives[0])
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the drive's frame."""
+        drive, row = self._place(position)
+        return attributes_of(self.drives[drive], row)
+
     def __getitem__(self, position: int) -> Scan:
-        ends = list(accumulate(map(len, self.drives)))
-        if not 0 <= position < ends[-1]:
-            raise IndexError(position)
-        drive = bisect.bisect_right(ends, position)
-        scan = self.drives[drive][position - (ends[drive] - len(self.drives[drive]))]
+        drive, row = self._place(position)
+        scan = self.drives[drive][row]
+        if (offset := origin_of(self.drives[drive]) - self.origin).any():
+            scan = scan.moved(offset)
         instances = scan.instances
         if instances is not None and drive:
             instances = np.where(instances > 0, instances + drive * OBJECTS, instances).astype(np.int32)
         return dataclasses.replace(scan, index=position, instances=instances)
+
+    def _place(self, position: int) -> tuple[int, int]:
+        """The drive of a frame, and its position in it."""
+        ends = list(accumulate(map(len, self.drives)))
+        if not 0 <= position < ends[-1]:
+            raise IndexError(position)
+        drive = bisect.bisect_right(ends, position)
+        return drive, position - (ends[drive] - len(self.drives[drive]))

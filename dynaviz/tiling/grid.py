@@ -35,19 +35,18 @@ class TileGrid:
         return np.array([tile, np.add(tile, 1)], np.float64) * self.size
 
     def local_origin(self, tile: Tile, near: float) -> F64:
-        """(3,) float64, metres: where a tile's run has its origin; the world's if all of it is near that.
+        """(3,) float64, metres: where a tile's run has its origin; 0 along axes on which it is near the world's.
 
-        Far from the world's origin, voxel keys end and coordinates lose precision.
+        Far from the world's origin, voxel keys end. Moving points there and back changes no bit of them.
 
         Args:
             tile: the tile.
-            near: metres; within this distance of the world's origin, coordinates stay as they are, so that the labels
-                are those of a run without tiles.
+            near: metres, at least twice the size: within this distance, coordinates stay as they are, so that the
+                labels are those of a run without tiles.
         """
         corners = self.bounds(tile)
-        if np.abs(corners).max() <= near:
-            return np.zeros(3)
-        return np.append(np.round(corners.mean(0) / GRAIN) * GRAIN, 0.0)
+        far = np.abs(corners).max(0) > near
+        return np.append(np.where(far, np.round(corners.mean(0) / GRAIN) * GRAIN, 0.0), 0.0)
 
 
 def unpacked(packed: int) -> Tile:

@@ -48,8 +48,8 @@ class TileOptions:
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
-        if not 10 <= self.size < 100_000:
-            raise UsageError(f"--tiles {self.size:g}: give the edge of a tile in metres, from 10 to 100000")
+        if not 10 <= self.size <= 1000:
+            raise UsageError(f"--tiles {self.size:g}: give the edge of a tile in metres, from 10 to 1000")
         if self.workers < 1:
             raise UsageError(f"--workers {self.workers}: give 1 or more")
 

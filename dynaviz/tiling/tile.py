@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -95,15 +94,7 @@ class TileFrames:
             scan = Scan(int(self.numbers[position]), np.empty((0, 3), np.float32), pose)
         else:
             scan = self.whole[row].without_truth()
-        return moved(scan, self.origin) if self.origin.any() else scan
-
-
-def moved(scan: Scan, origin: F64) -> Scan:
-    """The scan with ``origin``, (3,) metres, as the world's origin."""
-    pose = scan.T_world_sensor.copy()
-    pose[:3, 3] -= origin
-    points = (scan.points.astype(np.float64) - origin).astype(np.float32)
-    return dataclasses.replace(scan, points=points, T_world_sensor=pose, origins=scan.origins - origin)
+        return scan.moved(-self.origin) if self.origin.any() else scan
 
 
 @dataclass(frozen=True)
@@ -184,7 +175,8 @@ class TileAnswers(Listener):
         """Keep the answers for the tile's points."""
         if self._frames.rows[labelled.frame] < 0:
             return
-        scan = moved(labelled.scan, -self._frames.origin) if self._frames.origin.any() else labelled.scan
+        origin = self._frames.origin
+        scan = labelled.scan.moved(origin) if origin.any() else labelled.scan
         own = self._grid.owners(scan) == self._tile
         if own.any():
             self._numbers.append(scan.index)

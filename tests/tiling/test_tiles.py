@@ -12,12 +12,13 @@ from helpers.toy_method import write_room
 from helpers.worlds import room
 
 import dynaviz as dv
+from dynaviz.datasets.drives import OBJECTS, Drives
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Scan
 from dynaviz.testing import InMemory
 from dynaviz.tiling.grid import TileGrid, packed, unpacked
 from dynaviz.tiling.index import SequenceIndex
-from dynaviz.tiling.tile import CYCLE, TileFrames, TileTask
+from dynaviz.tiling.tile import CYCLE, NEAR, TileFrames, TileTask
 
 SIZE = 12.0  # metres: the room lies in four tiles
 
@@ -123,7 +124,7 @@ def test_a_method_that_needs_the_whole_map_is_refused(long_room: InMemory, tmp_p
         dv.run("removert", long_room, out=tmp_path, tiles=SIZE, preset="port")
 
 
-@pytest.mark.parametrize(("tiles", "words"), [(3.0, "from 10 to 100000"), (float("nan"), "from 10")])
+@pytest.mark.parametrize(("tiles", "words"), [(3.0, "from 10 to 1000"), (float("nan"), "from 10")])
 def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMemory, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=words):
         dv.run("octomap", long_room, out=tmp_path, tiles=tiles)
@@ -131,6 +132,26 @@ def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMe
         dv.run("octomap", long_room, tiles=SIZE)
     with pytest.raises(UsageError, match="give tiles=METRES"):
         dv.run("octomap", long_room, out=tmp_path, workers=2)
+
+
+def test_drives_far_from_zero_have_one_origin() -> None:
+    scans = room(frames=2, rays=50).scans
+
+    @dataclasses.dataclass(frozen=True)
+    class Far(InMemory):
+        origin: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(3))
+
+    def far(kilometre: float) -> Far:
+        return Far(scans, "far", room(1).sensor, np.array([1000.0 * kilometre, 0, 0]))
+
+    both = Drives.of([far(500), far(502)])
+    assert both.origin.tolist() == [500_000, 0, 0]
+    assert (both[1].points == scans[1].points).all()
+    assert both[2].position.tolist() == np.add(scans[0].position, [2000, 0, 0]).tolist()
+    assert set(both[3].instances.tolist()) == {0, OBJECTS + 1}
+    other = InMemory(scans, "other", dataclasses.replace(room(1).sensor, name="another"))
+    with pytest.raises(UsageError, match="different sensors cannot be joined: another, test"):
+        Drives.of([far(500), other])
 
 
 def test_several_drives_are_one_map(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
@@ -159,6 +180,23 @@ def test_every_point_has_one_tile() -> None:
         assert (own >= low).all()
         assert (own < high).all()
     assert set(owners[::50].tolist()) == {packed((1, -2))}
+
+
+@pytest.mark.parametrize("size", [37.0, 1000.0])
+def test_moving_a_far_tile_to_its_origin_and_back_changes_no_point(size: float) -> None:
+    random, grid = np.random.default_rng(1), TileGrid(size)
+    points = random.uniform(-60_000, 60_000, (2000, 3)).astype(np.float32)
+    points[1000:, 1] /= 40  # far along x only
+    scan = Scan(0, points, np.eye(4))
+    owners, moves = grid.owners(scan), 0
+    for tile in np.unique(owners).tolist():
+        origin = grid.local_origin(unpacked(tile), NEAR)
+        own = Scan(0, points[owners == tile], np.eye(4))
+        local = own.moved(-origin)
+        assert np.abs(local.points[:, :2]).max() <= NEAR
+        assert (local.moved(origin).points == own.points).all()
+        moves += bool(origin.any())
+    assert moves > 100
 
 
 def test_all_frames_whose_rays_touch_a_tile_are_found(long_room: InMemory) -> None:
