@@ -135,7 +135,7 @@ def test_an_impossible_size_is_refused(tiles: float, words: str, long_room: InMe
 
 
 def test_drives_far_from_zero_have_one_origin() -> None:
-    scans = room(frames=2, rays=50).scans
+    scans = room(frames=2, rays=3000).scans
 
     @dataclasses.dataclass(frozen=True)
     class Far(InMemory):
