@@ -59,7 +59,7 @@ def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str,
         points = np.round(scan.points * 64) / 64  # exact in float32 at both places, and so is the pose
         pose = np.round(scan.T_world_sensor * 64) / 64
         pose[0, 3] += x
-        return dataclasses.replace(scan, points=points + np.array([x, 0, 0]), T_world_sensor=pose, origins=None)
+        return Scan(scan.index, points + np.float32([x, 0, 0]), pose, labels=scan.labels)
 
     scans = room(frames=12, rays=4000).scans
     near, far = (InMemory([placed(scan, x) for scan in scans], "room", room(1).sensor) for x in (0.0, 12_800.0))
@@ -148,6 +148,7 @@ def test_drives_far_from_zero_have_one_origin() -> None:
     assert both.origin.tolist() == [500_000, 0, 0]
     assert (both[1].points == scans[1].points).all()
     assert both[2].position.tolist() == np.add(scans[0].position, [2000, 0, 0]).tolist()
+    assert both[3].instances is not None
     assert set(both[3].instances.tolist()) == {0, OBJECTS + 1}
     other = InMemory(scans, "other", dataclasses.replace(room(1).sensor, name="another"))
     with pytest.raises(UsageError, match="different sensors cannot be joined: another, test"):
