@@ -61,9 +61,8 @@ class OutcomeCounts:
 
 def before(info: MethodInfo, sequence: str, params: Mapping[str, Any], mode: str) -> str:
     """The report until the run finishes."""
-    return "\n\n".join(
-        [_title(info, sequence), "**This run did not finish.**", _parameters(params), _how_to_read(mode)]
-    )
+    unfinished = "**The recording is still loading, or this run did not finish.**"
+    return "\n\n".join([_title(info, sequence), unfinished, _parameters(params), _how_to_read(mode)])
 
 
 def report(info: MethodInfo, result: Result, counts: OutcomeCounts, mode: str) -> str:
