@@ -65,7 +65,7 @@ class FreeSpace:
         ground = _ground(survey, cells - first, (int(size[0]), int(size[1])), first)
         origin, shape = first * GROUND, (int(size[0]) * GROUND, int(size[1]) * GROUND)
         space = cls(origin, shape, ground, np.full(shape, np.inf, np.float32), np.empty((0, 2)), np.empty(0, np.uint64))
-        centres = (survey.columns + 0.5) * CELL
+        centres: F64 = ((survey.columns + 0.5) * CELL).astype(np.float64)
         above = survey.height - space.height(centres)
         passed = _passed(survey, (cells - first) @ (size[1], 1), above)
         obstacle = (above > OBSTACLE) & ~passed
@@ -85,7 +85,8 @@ class FreeSpace:
 
     def passed(self, when: np.uint64) -> F64:
         """(N, 2) float64, metres: columns in which a mover is at a part of the recording."""
-        return self.passing[(self.parts & when) != 0]
+        there: F64 = self.passing[(self.parts & when) != 0]
+        return there
 
     def known_ground(self) -> F64:
         """(N, 2) float64, metres: centres of the ground cells with a known height."""

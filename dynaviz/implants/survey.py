@@ -76,8 +76,7 @@ class Survey:
         for position in range(len(sequence)):
             scan = sequence[position]
             points, others = _split(scan, None if moving is None else moving(position))
-            known = scan.labels is not None
-            voxels.add(points, ALWAYS if known else part(position, len(sequence)))
+            voxels.add(points, part(position, len(sequence)) if scan.labels is None else ALWAYS)
             _, first = np.unique(pack(others, CELL), return_index=True)
             dynamic.append(others[first])
             farthest.append(_farthest(scan))
