@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
@@ -40,6 +39,8 @@ def parse_extrinsic(text: str | None) -> F64 | None:
         raise UsageError(f"--extrinsic {text}: neither numbers nor a file. {_HINT}") from None
     if len(numbers) != 6 or not np.isfinite(numbers).all():
         raise UsageError(f"--extrinsic {text}: has {len(numbers)} numbers. {_HINT}")
+    from scipy.spatial.transform import Rotation
+
     T = np.eye(4)
     T[:3, 3] = numbers[:3]
     T[:3, :3] = Rotation.from_euler("ZYX", numbers[:2:-1], degrees=True).as_matrix()

@@ -24,6 +24,7 @@ SUFFIXES = (".las", ".laz", ".pcd", ".ply")
 TIMES = ("gps_time", "GpsTime", "time", "timestamp", "t", "stamp")
 PERIOD = 100_000_000  # nanoseconds of a scan
 TICK = 1_000_000  # nanoseconds; resolution of the positions of the sensor
+_NEVER = -(1 << 62)  # nanoseconds; before every trajectory
 _HINT = "Give the trajectory of the sensor with --poses FILE (TUM, or CSV with a stamp), on the clock of the points"
 _NEEDS_SCANS = (
     "Methods must know from where each point was seen: give the single scans with their poses, or a map that keeps "
@@ -54,8 +55,10 @@ class MergedMapSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a file that may be a map."""
-        return path.suffix.lower() in SUFFIXES and path.is_file()
+        """Whether a path is a file that may be a map: not one of numbered scans, nor a file next to scans."""
+        if path.suffix.lower() not in SUFFIXES or path.stem[-1:].isdigit():
+            return False
+        return path.is_file() and not (path.parent / "pcd").is_dir()
 
     @classmethod
     def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
@@ -68,7 +71,8 @@ class MergedMapSequence:
         if parse_points_in(points_in or "world") != "world":
             raise UsageError(f"--points-in {points_in}: the points of a merged map are in the world frame")
         fields = read_fields(path)
-        name = next((name for name in TIMES if name in fields and np.ptp(fields[name]) > 0), None)
+        with np.errstate(invalid="ignore"):
+            name = next((name for name in TIMES if name in fields and np.ptp(fields[name]) > 0), None)
         if name is None:
             raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
         if poses is None or not Path(poses).is_file():
@@ -138,15 +142,16 @@ def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
     """Times on the clock of the trajectory.
 
     Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory, the first is used.
-    LAS stores GPS seconds, or GPS seconds minus 1e9.
+    LAS stores GPS seconds, or GPS seconds minus 1e9. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
     """
     first, last = trajectory.span
-    best, most = np.round(values.astype(np.float64) * 1e9), -1.0
+    best, most = np.empty(0), -1.0
     for offset in (0.0, 1e9):
         for unit in (1e9, 1e6, 1e3, 1.0):
             exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
-            times = values.astype(np.int64) if exact else np.round((values.astype(np.float64) + offset) * unit)
+            with np.errstate(over="ignore", invalid="ignore"):
+                times = values.astype(np.int64) if exact else np.round((values.astype(np.float64) + offset) * unit)
             share = float(((times >= first) & (times <= last)).mean())
             if share > most:
                 best, most = times, share
-    return best.astype(np.int64)
+    return np.where(np.abs(best) < -_NEVER, best, _NEVER).astype(np.int64)
