@@ -113,7 +113,6 @@ def of_demo(folder: Path) -> None:
     for name, recording in runs.items():
         dv.run(name, street, record=recording)
     octomap = runs["octomap"]
-    save(picture(octomap, folder, 41, None, WIDE, case=1), "recording.jpg")  # as it opens
     save(picture(octomap, folder, 41, None, WINDOW, case=2), "pictures/window.jpg")
     for name, recording in runs.items():
         save(picture(recording, folder, 41, "case", CASE, case=1), f"pictures/case_{name}.jpg")

@@ -25,7 +25,7 @@ SIZE = {"width": 1440, "height": 810}  # pixels
 MOST = 300_000  # ms; drawing in software
 QUALITY = 80  # of WebP
 PICTURES = {  # runs, where to go, and whether to show the ledger
-    "explorer.webp": (("octomap",), "", True),
+    "explorer.webp": (("octomap",), "?case=4", True),  # a truck that the drive leaves too early
     "pictures/explorer_two.webp": (("octomap", "octomap_gf"), "?layout=frame", False),
 }
 
@@ -50,13 +50,26 @@ def picture(chromium: Any, url: str, ledger: bool) -> bytes:
     page.set_default_timeout(MOST)
     page.goto(url)
     page.wait_for_selector("body[data-ready=viewer]")
+    wait(page)
     if ledger:
         page.click("#point .start")
         page.wait_for_selector("#point .ledger table")
-    page.evaluate("async () => { for (let n = 0; n < 20; n++) await new Promise(requestAnimationFrame) }")
+        page.evaluate("document.querySelector('#why').scrollTo(0, 1e6)")
+    page.wait_for_timeout(3000)  # for the rays
     png: bytes = page.screenshot()
     page.close()
     return png
+
+
+def wait(page: Any) -> None:
+    """Wait until the viewers have replaced their layout for loading, and no longer change."""
+    before, loading = b"", True
+    for _ in range(200):
+        now = page.locator("#viewers").screenshot()
+        if now == before and not loading:
+            return
+        loading, before = loading and before in (b"", now), now
+        page.wait_for_timeout(500)
 
 
 if __name__ == "__main__":

@@ -113,5 +113,5 @@ def test_readmes_are_part_of_the_site_with_links_that_lead_somewhere(site: Site)
 
 
 def test_all_pictures_together_are_small() -> None:
-    pictures = [path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".svg")]
+    pictures = [path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg", ".svg", ".webp")]
     assert sum(path.stat().st_size for path in pictures) < 4_000_000
