@@ -55,10 +55,10 @@ class MergedMapSequence:
 
     @classmethod
     def matches(cls, path: Path) -> bool:
-        """Whether a path is a file that may be a map: not one of numbered scans, nor a file next to scans."""
-        if path.suffix.lower() not in SUFFIXES or path.stem[-1:].isdigit():
+        """Whether a path is a file that may be a map: not one of several numbered scans, nor a file next to scans."""
+        if path.suffix.lower() not in SUFFIXES or not path.is_file() or (path.parent / "pcd").is_dir():
             return False
-        return path.is_file() and not (path.parent / "pcd").is_dir()
+        return not path.stem[-1:].isdigit() or len(list(path.parent.glob(f"*[0-9]{path.suffix}"))) == 1
 
     @classmethod
     def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
@@ -71,8 +71,7 @@ class MergedMapSequence:
         if parse_points_in(points_in or "world") != "world":
             raise UsageError(f"--points-in {points_in}: the points of a merged map are in the world frame")
         fields = read_fields(path)
-        with np.errstate(invalid="ignore"):
-            name = next((name for name in TIMES if name in fields and np.ptp(fields[name]) > 0), None)
+        name = next((name for name in TIMES if name in fields and _vary(fields[name])), None)
         if name is None:
             raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
         if poses is None or not Path(poses).is_file():
@@ -136,6 +135,11 @@ class MergedMapSequence:
             origins=origins,
             times=((times - middle) * 1e-9).astype(np.float32),
         )
+
+
+def _vary(values: NDArray[Any]) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(len(finite)) and bool(finite.min() < finite.max())
 
 
 def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:

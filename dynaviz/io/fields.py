@@ -55,7 +55,8 @@ def without_axes(fields: Mapping[str, NDArray[Any]]) -> Fields:
 
 def coordinates(fields: Mapping[str, NDArray[Any]]) -> F64:
     """(N, 3) float64, metres."""
-    return np.column_stack([fields[axis].astype(np.float64) for axis in AXES])
+    with np.errstate(invalid="ignore"):  # signalling NaNs become quiet
+        return np.column_stack([fields[axis].astype(np.float64) for axis in AXES])
 
 
 def columns_of(rows: NDArray[Any]) -> Fields:

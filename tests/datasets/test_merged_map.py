@@ -58,3 +58,14 @@ def test_the_reason_is_clear_where_it_cannot_be_split(tmp_path: Path) -> None:
         dv.open(path)
     with pytest.raises(DataError, match="points and poses do not overlap in time"):
         dv.open(path, poses=poses)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -1e18])
+def test_a_point_without_a_valid_time_is_left_out(tmp_path: Path, value: float) -> None:
+    times = START / 1e9 + SECONDS
+    times[5] = value
+    path, poses = write(tmp_path, times, ".pcd")
+    sequence = dv.open(path, poses=poses)
+    rows = np.concatenate([attributes_of(sequence, k)["intensity"] for k in range(len(sequence))])
+    assert sorted(rows.tolist()) == [k for k in range(N) if k != 5]

@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from dynaviz import registry
+from dynaviz.cli import app
 
 DEFAULT_EXAMPLES = 5  # damaged files per reader
 SLOW = ("dynaviz tune (with the search)", "dynaviz report (HTML, drawn)", "dynaviz bench")  # a second or more per file
@@ -72,6 +73,12 @@ def test_commands_read_or_refuse_damaged_files(name: str, tmp_path: Path) -> Non
         mutants.read(seed)
 
 
+def test_every_command_that_reads_files_has_an_example() -> None:
+    """The others read no files of the user: they list, simulate and download."""
+    names = {command.name for command in app.registered_commands}
+    assert {name.split()[1] for name in COMMANDS} == names - {"list", "simulate", "download", "demo"}
+
+
 def test_every_data_set_has_an_example() -> None:
     names = {handle.name for handle in registry.handles("datasets") if handle.distribution == "dynaviz"}
-    assert set(DATASETS) == names - {"implant", "simulate"}  # they have no files of their own
+    assert set(DATASETS) == names - {"implant", "simulate", "merged"}  # no files of their own; SUBJECTS has the last

@@ -17,6 +17,7 @@ from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.io.boxes import read_boxes
 from dynaviz.io.calib import read_calib
+from dynaviz.io.maps import open_map
 from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import read_poses
@@ -51,11 +52,12 @@ class Subject:
     target: str = "*"
 
 
-def every_scan(name: str, step: int = 1) -> Callable[[Path], None]:
-    """Open a sequence in a given format and read all its scans, or every n-th."""
+def every_scan(name: str, step: int = 1, poses: str | None = None) -> Callable[[Path], None]:
+    """Open a sequence in a given format, with a file of poses next to it, and read all its scans, or every n-th."""
 
     def read(path: Path) -> None:
-        sequence = open_sequence(f"{name}:{path}")
+        options = {} if poses is None else {"poses": str(path.with_name(poses))}
+        sequence = open_sequence(f"{name}:{path}", **options)
         assert len(sequence) > 0
         for position in range(0, len(sequence), step):
             scan = sequence[position]
@@ -132,6 +134,20 @@ def bag(kind: str) -> Subject:
         return writer.path
 
     return Subject(make, every_scan("rosbag"), "**/*")
+
+
+def merged_map(suffix: str) -> Subject:
+    """A map whose points have times, and a trajectory."""
+
+    def make(folder: Path) -> Path:
+        path, xyz = folder / f"survey{suffix}", np.random.default_rng(0).uniform(-20, 20, (90, 3))
+        fields = {"gps_time": STAMPS[0] / 1e9 + np.linspace(0, 0.25, 90), "intensity": np.arange(90, dtype=np.uint16)}
+        with open_map(path, {name: array.dtype for name, array in fields.items()}, np.zeros(3)) as writer:
+            writer.append(xyz, fields)
+        write_tum_poses(folder / "trajectory.tum", [STAMPS[0] + k * 100_000_000 for k in range(4)], POSES[:4])
+        return path
+
+    return Subject(make, every_scan("merged", poses="trajectory.tum"))
 
 
 def paper_frames(folder: Path) -> Path:
@@ -269,6 +285,7 @@ SUBJECTS: dict[str, Subject] = {
     **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
     # Every tenth of its 91 frames is read, so only these and the other files are damaged.
     "semantickitti_paper": Subject(paper_frames, every_scan("semantickitti_paper", 10), "**/*[0sb].*"),
+    **{f"merged{suffix}": merged_map(suffix) for suffix in (".las", ".ply", ".pcd")},
     **{f"files{suffix}": scans_with_poses(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
     "files-csv": scans_with_poses(".bin", "poses.csv"),
     **{f"rosbag-{kind}": bag(kind) for kind in ("sqlite3", "mcap")},
