@@ -25,6 +25,7 @@ IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 SCORE_CURVES = "scores [%]"
 WRONG = "wrong points, or % lost"
 REMOVED = "removed points"
+BEHIND = np.array([-0.63, -0.46, 0.63])  # from the centre of rings to the camera; unit length
 _KINDS = ("false_negative", "false_positive")
 
 
@@ -206,11 +207,15 @@ def _state(method: str, state: State, found: Findings) -> Any:
 
 
 def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
-    """A camera behind and above the sensor at the centre of the rings, moving with it."""
+    """A camera behind and above the centre of rings, mostly the sensor, moving with it.
+
+    The viewer mostly adapts the distance to their size; where it does not, that of the smallest must do.
+    """
+    distance = {"around": 14.0, "aim": 25.0}.get(rings.split("/")[-1], 35.0)
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         tracking_entity=f"/{rings}",
-        position=[-22.0, -16.0, 22.0],
+        position=distance * BEHIND,
         look_target=[0.0, 0.0, 0.0],
         eye_up=[0.0, 0.0, 1.0],
     )
