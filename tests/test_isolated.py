@@ -21,8 +21,7 @@ def command(body: str, words: tuple[str, ...] = COMPARE) -> subprocess.Popen[str
     lines = "".join(f"    {line}\n" for line in body.splitlines())
     start = f"import os, signal, sys, time\nfrom dynaviz import isolated\ndef run():\n{lines}"
     code = f"{start}isolated.run(run, {words!r})"
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, "-c", code], text=True, **pipes)  # type: ignore[call-overload]
+    return subprocess.Popen([sys.executable, "-c", code], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def outcome(body: str, words: tuple[str, ...] = COMPARE) -> tuple[int, str, str]:

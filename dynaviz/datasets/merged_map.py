@@ -149,7 +149,8 @@ def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
     LAS stores GPS seconds, or GPS seconds minus 1e9. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
     """
     first, last = trajectory.span
-    best, most = np.empty(0), -1.0
+    best: NDArray[Any] = np.empty(0)
+    most = -1.0
     for offset in (0.0, 1e9):
         for unit in (1e9, 1e6, 1e3, 1.0):
             exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
