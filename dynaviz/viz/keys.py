@@ -137,7 +137,7 @@ def rings(grid: PolarGrid, picture: int) -> tuple[rr.LineStrips2D, rr.Points2D]:
     names = rr.Points2D(
         np.stack([np.full(len(lengths[1::2]), half), half - lengths[1::2]], 1),
         labels=[f"{d:g} m" for d in distances[1::2]],
-        colors=RING_COLOUR, radii=rr.Radius.ui_points(0.0), show_labels=True, draw_order=10.0,
+        colors=colours.LABEL, radii=rr.Radius.ui_points(0.0), show_labels=True, draw_order=10.0,
     )  # fmt: skip
     return lines, names
 
