@@ -147,14 +147,12 @@ def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | N
 
 def _wraps(rays: Rays) -> int | None:
     """Number of turns of the azimuth in the order of the points, for files that store one row after the other."""
-    step = np.diff(rays.azimuths)
-    turn = np.abs(step) > 180
-    small = np.abs(step[~turn])
-    if not len(small) or np.median(small) > 2 or np.percentile(small, 99) > 60:
+    step = (np.diff(rays.azimuths) + 180) % 360 - 180
+    if not len(step) or np.percentile(np.abs(step), 99) > 30 or np.median(np.abs(step)) > 2:
         return None
-    direction = np.sign(np.median(step[~turn]))
-    turns = int((turn & (np.sign(step) == -direction)).sum())
-    return turns + 1 if 3 < turns < MOST_ROWS and len(rays.ranges) / turns > 100 else None
+    turns = abs(float(step.sum())) / 360
+    rows = round(turns)
+    return rows if 3 < rows < MOST_ROWS and abs(turns - rows) < 0.3 and len(step) / rows > 100 else None
 
 
 def _peaks(elevations: F64) -> int | None:
