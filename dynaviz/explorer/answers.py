@@ -64,6 +64,7 @@ class Explored:
         }
         self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct}
         self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
+            "loading": (lambda query: self.runs[self._letter(query)].focus.loading(), RRD),
             "layout": (self._layout, RRD),
             "marks": (self._marks, RRD),
             "thumbnail": (lambda query: self._thumbnail(self._letter(query), _number(query, "case")), PNG),

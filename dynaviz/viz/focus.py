@@ -20,6 +20,7 @@ from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.scene import EDGES, WIRES
 
 BOX, POINT, RAYS = "world/explore/box", "world/explore/point", "world/explore/rays"
+LOADING = "explore/loading"
 MARKS = (BOX, POINT, RAYS)
 CLOSEST = 12.0  # metres: distance of the eye from a small case
 ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
@@ -42,6 +43,20 @@ class Focus:
         self._recording, self._voxels = recording, voxels
         self._entry = RrdReader(recording.path).recordings()[0]
         self._states = _states(recording)
+
+    def loading(self) -> bytes:
+        """A layout that is drawn fast, for the time in which the viewer loads the recording.
+
+        The viewer reads 10 ms after each picture that it draws. Without a graphics card, those of a case take seconds.
+
+        Returns:
+            The content of an ``.rrd`` file.
+        """
+        stream, sink = self._open()
+        stream.log(LOADING, rr.TextDocument("Loading the recording ..."), static=True)
+        body = rrb.TextDocumentView(origin=LOADING, name="loading")
+        stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
+        return _content(stream, sink)
 
     def layout(self, kind: str, title: str, frame: int, low: F64, high: F64, colour: Outcome | None) -> bytes:
         """A layout, with the box of a case.

@@ -193,6 +193,11 @@ def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: 
     assert message in json.loads(content)["error"]
 
 
+@pytest.mark.parametrize("question", ["loading", "layout?case=1", "layout?case=1&layout=map", "marks"])
+def test_layouts_and_marks_are_recordings(explorer: Explorer, question: str) -> None:
+    assert get(f"{explorer.url}api/{question}{'&' if '?' in question else '?'}run=b")[1].startswith(b"RRF2")
+
+
 def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, Path]) -> None:
     assert get(f"{explorer.url}api/correct?case=1&truth=static")[0] == 404
     assert not (runs["fine"] / "corrections.json").exists()

@@ -109,7 +109,9 @@ async function mark(letter) {
 function openViewer(letter, frame) {
   const place = make('div', { class: 'viewer' })
   by('viewers').append(make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place))
-  viewers[letter] = new Viewer(place, `${letter}.rrd`, layoutOf(letter), frame, {
+  const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
+  // A layout that arrives before the recording replaces the recording's own, so the viewer never draws that.
+  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, layoutOf(letter)], frame, {
     opened: () => {
       if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
     },

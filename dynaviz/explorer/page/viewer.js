@@ -6,12 +6,11 @@ const PANELS = { top: 'hidden', blueprint: 'hidden', selection: 'hidden', time: 
 export class Viewer {
   /**
    * @param element where to show it
-   * @param url of the recording
-   * @param layout promise of the first layout
+   * @param contents promises of .rrd files, in the order in which the viewer reads them
    * @param frame at which it opens
    * @param on functions: opened(), click(item), time(frame), played(playing)
    */
-  constructor(element, url, layout, frame, on) {
+  constructor(element, contents, frame, on) {
     this.on = on
     this.start = frame
     this.opened = false // whether the cursor has reached that frame
@@ -23,7 +22,7 @@ export class Viewer {
     this.waiting = [] // until the recording is sent
     const dark = matchMedia('(prefers-color-scheme: dark)').matches
     const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
-    this.contents = Promise.all([layout, fetch(url).then(answer => answer.arrayBuffer())])
+    this.contents = Promise.all(contents)
     const model = {
       get: name => values[name],
       on: (event, listener) => (this.listeners[event] ??= []).push(listener),
@@ -58,7 +57,6 @@ export class Viewer {
 
   #hear(event) {
     if (event === 'ready') {
-      // A layout that arrives before the recording replaces the recording's own, so the viewer never draws that.
       this.contents.then(contents => {
         const all = [...contents, ...this.waiting]
         this.waiting = this.contents = null
