@@ -110,7 +110,8 @@ def _moment(scan: Scan, times: F64 | None, reference: float) -> int:
     stamp = scan.stamp_ns or 0
     if times is None or not len(times):
         return stamp
-    return stamp + round((times.min() + reference * (times.max() - times.min())) * 1e9)
+    first, last = float(times.min()), float(times.max())
+    return stamp + round((first + reference * (last - first)) * 1e9)
 
 
 def _light(scan: Scan) -> Scan:
