@@ -9,16 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.diagnosis import alignment, trajectory
+from dynaviz.diagnosis import placement, trajectory, upright
+from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.scans import ScanChecker
+from dynaviz.diagnosis.units import FACTORS, check_units
+from dynaviz.diagnosis.views import ScanView, around, pairs
 from dynaviz.errors import DataError
+from dynaviz.pose_noise import PoseNoiseMeter
 from dynaviz.progress import Progress, silent
-from dynaviz.scan import Scan, Sequence
+from dynaviz.scan import Scan, Sequence, SequenceSlice
 
-__all__ = ["Confidence", "Diagnosis", "Finding", "doctor"]
+__all__ = ["Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
 MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive frames in each stretch
+QUICK_PAIRS, QUICK_GAP = 3, 5  # pairs of frames of a quick check, and frames from one to the other
+PAIRS = 6  # pairs of scans that are compared
 MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
 
@@ -46,12 +52,13 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     checker, findings, errors = ScanChecker(sequence), list[Finding](), list[DataError]()
     if not len(sequence):
         raise DataError(sequence.name, "contains no frame", hint="Give the folder of a sequence")
-    chosen = _positions_to_read(len(sequence))
+    chosen, noise = _positions_to_read(len(sequence)), PoseNoiseMeter(len(sequence))
     for done, (position, scan) in enumerate(_read(sequence, chosen), 1):
         if isinstance(scan, DataError):
             errors.append(scan)
         else:
             checker.check(position, scan)
+            noise.add(position, scan)
         progress("reading", done, len(chosen))
     if not checker.positions:
         raise errors[0]
@@ -59,10 +66,34 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     alignment_findings = list(_check_alignment(checker, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
     findings += alignment_findings  # first among equal confidence: other findings may follow from these
-    findings += (finding for finding in checker.findings() if not (misaligned and finding.name == "ego points"))
-    if len(checker.positions) > 1:
+    other_unit = any(finding.name in FACTORS for finding in alignment_findings)
+    follow = {"ego points", *(("far points",) if other_unit else ())} if misaligned else set[str]()
+    findings += (finding for finding in checker.findings() if finding.name not in follow)
+    if len(checker.positions) > 1 and not other_unit:
         findings += trajectory.jumps(checker.positions, checker.indices, checker.poses)
-    return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings)
+    measured = None if misaligned else noise.result()
+    return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured)
+
+
+def quick_check(sequence: Sequence) -> tuple[Finding, ...]:
+    """Compare a few scans of a sequence with each other: the findings on poses, frames and units that are likely.
+
+    Takes less than a second. Simulated sequences, and copies with implants, are not checked: reading them is slow.
+    Errors of reading are not reported: reading the whole sequence reports them.
+    """
+    whole = sequence.whole if isinstance(sequence, SequenceSlice) else sequence
+    if getattr(type(whole), "nested", False) or len(sequence) < 2:
+        return ()
+    gap = min(QUICK_GAP, len(sequence) - 1)
+    starts = np.linspace(0, len(sequence) - 1 - gap, QUICK_PAIRS).astype(int)
+    checker = ScanChecker(sequence)
+    try:
+        for position in sorted({int(start) + k for start in starts for k in (0, gap)}):
+            checker.check(position, sequence[position])
+        found = list(_check_alignment(checker, silent, quick=True))
+    except DataError:
+        return ()
+    return tuple(finding for finding in found if finding.confidence <= Confidence.LIKELY)
 
 
 def _positions_to_read(frames: int) -> list[int]:
@@ -113,36 +144,40 @@ _MISSING = (
 _LIDAR = "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
 
 
-def _check_alignment(checker: ScanChecker, progress: Progress) -> Iterator[Finding]:
+def _check_alignment(checker: ScanChecker, progress: Progress, quick: bool = False) -> Iterator[Finding]:
     """Check whether poses and clouds match; the first explanation found is the only one reported."""
+    if found := check_units(checker.read, checker.with_points, checker.positions, checker.poses):
+        yield found
+        return
     same = trajectory.identical(checker.poses) if len(checker.poses) > 1 else None
     if same:
         for gap in (1, 10):
-            if motion := alignment.moving_clouds(_views(checker, checker.pairs_apart(gap), progress)):
+            if motion := placement.moving_clouds(_views(checker, checker.pairs_apart(gap), progress)):
                 yield Finding("poses missing", motion[1], f"{same}, but {motion[0]}", _MISSING)
                 return
-    views = _views(checker, alignment.pairs(checker.positions, checker.poses, checker.usable), progress)
-    if found := [*(alignment.better_interpretation(views) if views else ()), *trajectory.check_tilt(checker.poses)]:
-        yield found[0]
-    elif views and (problem := alignment.measured_elsewhere(views, 1.5 if same else 2.0)):
+    track, number = (checker.positions, checker.poses, checker.usable), QUICK_PAIRS if quick else PAIRS
+    views = _views(checker, pairs(*track, number), progress)
+    others = lambda: _views(checker, pairs(*track, number, skipped=1), progress)  # noqa: E731
+    if explained := [*(better_interpretation(views, others) if views else ()), *upright.check_up(views, checker.poses)]:
+        yield explained[0]
+    elif views and not quick and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):
         if same:
             yield Finding("poses missing", Confidence.LIKELY, f"{same}, but {problem}", _MISSING)
         else:
             yield Finding("origin elsewhere", Confidence.PERHAPS, problem, _LIDAR)
-    elif found := list(checker.outside_finding()):
-        yield from found
+    elif outside := list(checker.outside_finding()):
+        yield from outside
     else:
-        yield from alignment.ground(views, checker.sequence.sensor.height, checker.sequence.sensor.title)
+        yield from upright.ground(views, checker.sequence.sensor.height, checker.sequence.sensor.title)
 
 
-def _views(
-    checker: ScanChecker, pairs: list[tuple[int, int]], progress: Progress
-) -> list[tuple[alignment.ScanView, alignment.ScanView]]:
+def _views(checker: ScanChecker, chosen: list[tuple[int, int]], progress: Progress) -> Pairs:
     """Read pairs of scans again for comparison; pairs with too few points are left out."""
     views = []
-    for done, rows in enumerate(pairs, 1):
-        a, b = (alignment.ScanView(checker.sequence[checker.positions[row]]) for row in rows)
+    track = checker.positions, checker.poses, checker.stamps
+    for done, rows in enumerate(chosen, 1):
+        a, b = (ScanView(checker.read(row), around(row, *track)) for row in rows)
         if min(len(a.points), len(b.points)) > MIN_POINTS:
             views.append((a, b))
-        progress("comparing", done, len(pairs))
+        progress("comparing", done, len(chosen))
     return views

@@ -1,100 +1,41 @@
 """Check whether clouds and poses match, by comparing other interpretations of the same numbers.
 
-Two measures are used. *Overlap*: with correct poses, the surfaces of two scans coincide. *Hidden points*: seen from
-where it was measured, a cloud hides few of its own points, because rays do not pass through surfaces. An interpretation
-is better if it increases the overlap or, at the same overlap, reduces the hidden points.
+Evidence comes from pairs of scans. *Overlap*: with correct poses, the surfaces of two scans coincide. *Hidden points*:
+seen from where it was measured, a cloud hides few of its own points, because rays do not pass through surfaces; nor do
+they pass through surfaces of the other scan (*crossed* surfaces). Points are measured while the sensor moves, so only
+points that are hidden from its whole way during the sweep count. *Motion*: clouds move with the sensor, which stays at
+one height above the ground and faces forwards rather than backwards.
+
+An interpretation is better if it increases the overlap or, at the same overlap, reduces both the hidden points and
+those behind crossed surfaces, or moves with clouds that the given poses leave behind. It is compared only on pairs in
+which it moves the cloud or the sensor farther than errors of poses do, and it must be better on pairs from which it was
+not chosen as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.diagnosis.finding import Confidence, Finding, settable
-from dynaviz.diagnosis.trajectory import FAULTS, Pose, angle
-from dynaviz.scan import Scan
+from dynaviz.diagnosis.finding import Confidence, Finding
+from dynaviz.diagnosis.trajectory import FAULTS, Pose, facing
+from dynaviz.diagnosis.views import FLAT, ScanView, ground_layer, hidden
 from dynaviz.spatial import geometry
-from dynaviz.spatial.grid import voxel_downsample
 
-CELL = 0.4  # metres; voxel size for comparing scans
-SAMPLE = 20_000  # points in which hidden ones are counted
-REACH = 80.0  # metres from the median along each axis; farther points are too sparse
-ON_SURFACE = 0.1  # metres; largest distance from a plane of a point that lies on it
+Pairs = Sequence[tuple[ScanView, ScanView]]
+
 GAIN, CLEAR_GAIN = 0.06, 0.15  # increase in overlap for a likely and a certain finding
 LESS_HIDDEN = 1.5, 0.008  # factor and share by which another interpretation must reduce hidden points
-MIN_MOVE, MIN_TURN = 1.0, 5.0  # metres and degrees between the two scans of a pair
-MAX_APART = 40  # frames between the two scans of a pair
-
-
-class ScanView:
-    """A downsampled scan for comparison.
-
-    Attributes:
-        index: number of the frame.
-        T: (4, 4) float64, metres: the given pose.
-        stamp: the frame's time, nanoseconds, or None.
-        points: (N, 3) float64, metres, given world frame: one point per voxel of ``CELL``.
-        sample: (M, 3) float64, metres, given world frame: up to ``SAMPLE`` random points, with the density of the scan.
-    """
-
-    def __init__(self, scan: Scan) -> None:
-        self.index, self.T, self.stamp = scan.index, scan.T_world_sensor, scan.stamp_ns
-        xyz = scan.points[np.isfinite(scan.points).all(1)]
-        middle = np.median(xyz, axis=0)
-        xyz = xyz[(np.abs(xyz - middle) < REACH).all(1)]
-        xyz = xyz[np.random.default_rng(0).permutation(len(xyz))]
-        self.sample = xyz[:SAMPLE].astype(np.float64)
-        self.points = (xyz - middle)[voxel_downsample(xyz - middle, CELL)[0]].astype(np.float64) + middle
-
-    @cached_property
-    def surface(self) -> Surface:
-        """The surfaces on which the points lie."""
-        return Surface(self.points)
-
-
-class Surface:
-    """A plane through each point and its 8 nearest neighbours.
-
-    Args:
-        points: (N, 3) float64, metres.
-    """
-
-    def __init__(self, points: F64) -> None:
-        from scipy.spatial import cKDTree
-
-        self.points, self.tree = points, cKDTree(points)
-        around = points[self.tree.query(points, min(9, len(points)))[1]]
-        centred = around - around.mean(1, keepdims=True)
-        self.normals = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))[1][:, :, 0]
-
-    def heights(self, points: F64) -> tuple[F64, F64]:
-        """Signed height above the plane of the nearest point, (N,) metres, inf beyond 1 m, and its normal, (N, 3)."""
-        distances, nearest = self.tree.query(points, distance_upper_bound=1.0)
-        found = np.isfinite(distances)
-        row = np.where(found, nearest, 0)
-        normals = self.normals[row]
-        return np.where(found, ((points - self.points[row]) * normals).sum(1), np.inf), normals
-
-    def overlap(self, points: F64) -> float:
-        """Share of points that lie on the surfaces."""
-        return float((np.abs(self.heights(points)[0]) < ON_SURFACE).mean())
-
-
-def hidden(points: F64, origin: F64) -> float:
-    """Share of points that lie well behind others in the same direction, seen from an origin; bins of one degree."""
-    rays = points - origin
-    ranges = np.sqrt((rays * rays).sum(1))
-    ranges = np.maximum(ranges, 1e-6)
-    azimuth = np.degrees(np.arctan2(rays[:, 1], rays[:, 0])) + 180
-    elevation = np.degrees(np.arcsin(np.clip(rays[:, 2] / ranges, -1, 1))) + 90
-    cell = np.floor(azimuth).astype(np.intp) * 181 + np.floor(elevation).astype(np.intp)
-    nearest = np.full(361 * 181, np.inf)
-    np.minimum.at(nearest, cell, ranges)
-    return float((ranges > 1.2 * nearest[cell] + 0.5).mean())
+ENOUGH = 5_000  # points by which overlap is measured
+SHIFT = 0.5  # metres; median way by which an interpretation must move a cloud: errors of poses are smaller
+OTHER_PLACE = 1.0  # metres; by which it must move the sensor, if only the position differs
+LAG = 2.0  # metres; way by which the middle of a cloud changes even if the sensor stays in it
+HIGHEST = 7.0  # metres above the ground; higher sensors do not show it
+SAME_HEIGHT = 0.5  # metres; standard deviation of the height above the ground, at most
+MOST = 0.6  # share of pairs in which an interpretation must differ and be better
 
 
 @dataclass(frozen=True)
@@ -136,200 +77,191 @@ INTERPRETATIONS = _interpretations()
 AS_GIVEN = Interpretation("", "", "", lambda T: np.eye(4), lambda T: T)
 
 
-def pairs(
-    positions: Sequence[int], poses: Sequence[F64], usable: Sequence[bool], number: int = 6
-) -> list[tuple[int, int]]:
-    """Pairs of scans over the whole sequence, apart by ``MIN_MOVE`` or ``MIN_TURN`` if possible.
+class Comparison:
+    """Measures of interpretations on pairs of scans. Interpretations that share figures compute them once.
 
-    Returns:
-        Pairs of rows of the arguments.
-    """
-    rows = [row for row, ok in enumerate(usable) if ok]
-    chosen: list[tuple[int, int]] = []
-    if not rows:
-        return chosen
-    for k in np.unique(np.linspace(0, max(len(rows) - 2, 0), number).astype(int)):
-        first, last = rows[k], None
-        for row in rows[k + 1 :]:
-            if positions[row] - positions[first] > MAX_APART:
-                break
-            last = row
-            if apart(poses[first], poses[row]):
-                break
-        if last is not None:
-            chosen.append((first, last))
-    return chosen
-
-
-def apart(a: F64, b: F64) -> bool:
-    """Whether the sensor moved or turned enough between two poses for interpretations to differ."""
-    T = geometry.inverse(a) @ b
-    return bool(np.linalg.norm(T[:3, 3]) > MIN_MOVE or angle(T) > MIN_TURN)
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """The measures of an interpretation.
-
-    Attributes:
-        overlap, hidden: (P,) float64, shares of points for each pair of scans.
+    Args:
+        views: pairs of scans.
     """
 
-    overlap: F64
-    hidden: F64
+    def __init__(self, views: Pairs) -> None:
+        self.views = views
+        self._figures: dict[bytes, float] = {}
+        self._hidden: dict[bytes, tuple[float, float]] = {}
+
+    def overlap(self, each: Interpretation) -> F64:
+        """(P,) share of a scan's points that lie on the surfaces of the other, for each pair."""
+        return np.array([self._overlap(k, self._between(each, k)) for k in range(len(self.views))])
+
+    def shifts(self, each: Interpretation) -> F64:
+        """(P,) metres: median way by which an interpretation moves a scan relative to the other one of its pair."""
+        return np.array([self._shift(k, self._between(each, k)) for k in range(len(self.views))])
+
+    def moves(self, each: Interpretation) -> F64:
+        """(P,) metres: way by which an interpretation moves the sensor relative to its cloud."""
+        paths = [self._path(each, k)[0] - b.T[:3, 3] for k, (_, b) in enumerate(self.views)]
+        return np.linalg.norm(np.reshape(paths, (-1, 3)), axis=1)
+
+    def hidden(self, each: Interpretation) -> tuple[F64, F64]:
+        """(P,) each: share of a scan's points behind its own surfaces, and behind those of the other scan."""
+        figures = [self._hides(each, k) for k in range(len(self.views))]
+        own, other = np.reshape(figures, (-1, 2)).T
+        return own, other
+
+    def hidden_at_once(self, each: Interpretation) -> float:
+        """Share of points behind their own surfaces, seen from the position of the frame; mean of all pairs."""
+        return float(np.mean([self._hides_at_once(k, self._path(each, k)[:1]) for k in range(len(self.views))]))
+
+    def _between(self, each: Interpretation, k: int) -> F64:
+        a, b = self.views[k]
+        T: F64 = geometry.inverse(each.move(a.T)) @ each.move(b.T)
+        return T
+
+    def _path(self, each: Interpretation, k: int) -> F64:
+        """The sensor's way in the frame of the given points, which moves the origin instead of the points."""
+        b = self.views[k][1]
+        return geometry.apply(geometry.inverse(each.move(b.T)), b.path(each.pose))
+
+    def _overlap(self, k: int, T: F64) -> float:
+        key = _key(k, T)
+        if key not in self._figures:
+            a, b = self.views[k]
+            self._figures[key] = a.surface.overlap(geometry.apply(T, b.points[:: 1 + len(b.points) // ENOUGH]))
+        return self._figures[key]
+
+    def _shift(self, k: int, T: F64) -> float:
+        points = self.views[k][1].points
+        return float(np.median(np.linalg.norm(geometry.apply(T, points) - points, axis=1)))
+
+    def _hides(self, each: Interpretation, k: int) -> tuple[float, float]:
+        (a, b), path, T = self.views[k], self._path(each, k), self._between(each, k)
+        key = _key(k, np.concatenate([T.ravel(), path.ravel()]))
+        if key not in self._hidden:
+            seen = geometry.apply(T, b.sample)
+            self._hidden[key] = hidden(b.sample, path), hidden(seen, geometry.apply(T, path), a.sample)
+        return self._hidden[key]
+
+    def _hides_at_once(self, k: int, path: F64) -> float:
+        key = _key(k, path)
+        if key not in self._figures:
+            self._figures[key] = hidden(self.views[k][1].sample, path)
+        return self._figures[key]
 
 
-def evidence(
-    interpretation: Interpretation, views: Sequence[tuple[ScanView, ScanView]], known: dict[bytes, float]
-) -> Evidence:
-    """Apply an interpretation to pairs of scans; ``known`` caches figures that several interpretations share."""
-
-    def cached(number: int, T: F64, figure: Callable[[], float]) -> float:
-        key = bytes([number]) + np.round(T, 6).tobytes()
-        if key not in known:
-            known[key] = figure()
-        return known[key]
-
-    overlaps, hides = [], []
-    for k, (a, b) in enumerate(views):
-        move = interpretation.move(b.T)
-        T = geometry.inverse(interpretation.move(a.T)) @ move
-        overlaps.append(cached(k, T, lambda a=a, b=b, T=T: a.surface.overlap(geometry.apply(T, b.points))))  # type: ignore[misc]
-        # Moves the origin into the frame of the given points instead of moving the points.
-        origin = geometry.apply(geometry.inverse(move), interpretation.pose(b.T)[None, :3, 3])[0]
-        hides.append(cached(k, origin, lambda b=b, origin=origin: hidden(b.sample, origin)))  # type: ignore[misc]
-    return Evidence(np.array(overlaps), np.array(hides))
+def _key(number: int, array: F64) -> bytes:
+    return bytes([number]) + np.round(array, 6).tobytes()
 
 
-def better_interpretation(views: Sequence[tuple[ScanView, ScanView]]) -> Iterator[Finding]:
-    """A finding if an interpretation fits clouds and poses better than the given one."""
-    known: dict[bytes, float] = {}
-    given, *others = (evidence(each, views, known) for each in (AS_GIVEN, *INTERPRETATIONS))
-    tried = list(zip(INTERPRETATIONS, others, strict=True))
-    top = max(float(e.overlap.mean()) for _, e in tried)
-    gain = top - float(given.overlap.mean())
-    if gain > GAIN:
-        near = [(i, e) for i, e in tried if e.overlap.mean() > top - 0.02]
-        least = min(float(e.hidden.mean()) for _, e in near)
-        best, e = next((i, e) for i, e in near if e.hidden.mean() <= LESS_HIDDEN[0] * least + LESS_HIDDEN[1])
-        better = float((e.overlap > given.overlap + 0.02).mean())
-        if better >= 0.6:
-            confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Confidence.LIKELY
-            shares = f"{e.overlap.mean():.0%} of a scan then overlaps the other, instead of {given.overlap.mean():.0%}"
-            yield Finding(best.name, confidence, f"{best.problem}: {shares}", best.fix)
+def better_interpretation(views: Pairs, others: Callable[[], Pairs]) -> Iterator[Finding]:
+    """A finding if an interpretation fits clouds and poses better than the given one.
+
+    Args:
+        views: pairs of scans among which the interpretation is chosen.
+        others: reads further pairs, on which it is verified.
+    """
+    found = Comparison(views)
+    finding = _by_overlap(found) or _by_hidden_points(found) or _by_motion(found)
+    if finding is None:
         return
-    for each, e in sorted(tried, key=lambda pair: float(pair[1].hidden.mean())):
-        if e.overlap.mean() > given.overlap.mean() - 0.03 and _hides_less(e.hidden, given.hidden):
-            then, now = float(e.hidden.mean()), float(given.hidden.mean())
-            shares = f"a cloud then hides {then:.1%} of its points from the sensor, instead of {now:.1%}"
-            yield Finding(each.name, Confidence.LIKELY, f"{each.problem}: {shares}", each.fix)
-            return
+    chosen, result = finding
+    again = Comparison(others())
+    if not again.views or any(holds(again, chosen) for holds in (_gains, _hides_less_everywhere, _accompanies)):
+        yield result
 
 
-def _hides_less(other: F64, given: F64, times: float = LESS_HIDDEN[0], share: float = LESS_HIDDEN[1]) -> bool:
-    """Whether hidden points decrease by a factor, in most pairs and on average, and by a share of all points."""
-    in_most_pairs = (given > times * other).mean() >= 0.6
-    return bool(in_most_pairs and given.mean() > max(times * other.mean(), other.mean() + share))
-
-
-def moving_clouds(views: Sequence[tuple[ScanView, ScanView]]) -> tuple[str, Confidence] | None:
-    """A sentence and confidence if clouds move although the poses are identical; None if they do not move."""
-    gains, shifts = [], []
-    for a, b in views:
-        T = register(a.surface, b.points)
-        gains.append(a.surface.overlap(geometry.apply(T, b.points)) - a.surface.overlap(b.points))
-        shifts.append(float(np.linalg.norm((T @ a.T - a.T)[:3, 3])))
-    if not views or (moved := float(np.median(shifts))) < 0.05 or (gain := float(np.median(gains))) < 0.03:
+def _by_overlap(found: Comparison) -> tuple[Interpretation, Finding] | None:
+    given = found.overlap(AS_GIVEN)
+    tried = []
+    for each in INTERPRETATIONS:
+        far = found.shifts(each) > SHIFT
+        if far.mean() >= MOST:
+            tried.append((each, float((found.overlap(each) - given)[far].mean()), far))
+    top = max((gain for _, gain, _ in tried), default=0.0)
+    if top <= GAIN:
         return None
-    problem = f"the clouds move by {moved:.2f} m between scans; aligning them adds {gain:.0%} to their overlap"
-    return problem, Confidence.CERTAIN if gain > CLEAR_GAIN else Confidence.LIKELY
+    near = [(each, gain, far, found.hidden(each)[0].mean()) for each, gain, far in tried if gain > top - 0.02]
+    least = min(share for *_, share in near)
+    best, gain, far = next(row[:3] for row in near if row[3] <= LESS_HIDDEN[0] * least + LESS_HIDDEN[1])
+    now, then = given[far], found.overlap(best)[far]
+    better = float((then > now + 0.02).mean())
+    if better < MOST:
+        return None
+    confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Confidence.LIKELY
+    shares = f"{then.mean():.0%} of a scan then overlaps the other, instead of {now.mean():.0%}"
+    return best, Finding(best.name, confidence, f"{best.problem}: {shares}", best.fix)
 
 
-def measured_elsewhere(views: Sequence[tuple[ScanView, ScanView]], times: float) -> str | None:
-    """A sentence if clouds hide many points from the given position but far fewer from another one; None otherwise.
+def _gains(found: Comparison, each: Interpretation) -> bool:
+    """Whether an interpretation increases the overlap in most pairs."""
+    gain = found.overlap(each) - found.overlap(AS_GIVEN)
+    return bool(gain.mean() > GAIN and (gain > 0.02).mean() >= MOST)
 
-    The view from another height differs in any case, so a raised position needs stronger evidence.
-    """
-    given = np.array([hidden(b.sample, b.T[:3, 3]) for _, b in views])
-    for raised, factor, share in ((False, times, LESS_HIDDEN[1]), (True, 3.0, 0.05)):
-        if given.mean() < share:
-            break
-        best = []
-        for _, b in views:
-            candidates = _candidate_positions(b, raised)
-            hides = [hidden(b.sample, position) for position in candidates]
-            k = int(np.argmin(hides))
-            best.append((hides[k], float(np.linalg.norm(candidates[k] - b.T[:3, 3]))))
-        less, distances = np.array(best).T
-        if _hides_less(less, given, factor, share):
-            return (
-                f"the clouds appear to be measured up to {distances.max():.0f} m away from the given positions: "
-                f"from there they hide {less.mean():.1%} of their points, from the given positions {given.mean():.1%}"
-            )
+
+def _by_hidden_points(found: Comparison) -> tuple[Interpretation, Finding] | None:
+    overlap, at_once = found.overlap(AS_GIVEN).mean(), found.hidden_at_once(AS_GIVEN)
+    # Hidden points seen from the frame's own position are computed first, because most interpretations hide more.
+    tried = sorted(
+        ((found.hidden_at_once(each), k) for k, each in enumerate(INTERPRETATIONS) if _moves_sensor(found, each)),
+    )
+    for share, k in tried:
+        each = INTERPRETATIONS[k]
+        if share < at_once and found.overlap(each).mean() > overlap - 0.03 and _hides_less_everywhere(found, each):
+            then, now = (float(found.hidden(which)[0].mean()) for which in (each, AS_GIVEN))
+            shares = f"a cloud then hides {then:.1%} of its points from the sensor, instead of {now:.1%}"
+            return each, Finding(each.name, Confidence.LIKELY, f"{each.problem}: {shares}", each.fix)
     return None
 
 
-def _candidate_positions(view: ScanView, raised: bool) -> F64:
-    """(K, 3) metres: positions around the given one and the cloud's median; raised: 1.5 m above the ground."""
-    given, middle = view.T[:3, 3].copy(), np.median(view.sample, axis=0)
-    middle[2] = given[2]
-    if raised:
-        middle[2] = given[2] = np.percentile(view.sample[:, 2], 5) + 1.5
-    azimuth = np.arange(8) * np.pi / 4
-    ring = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(8)], 1)
-    return np.concatenate([[middle], *(c + r * ring for c in (given, middle) for r in (1.5, 3.0, 6.0, 12.0))])
+def _by_motion(found: Comparison) -> tuple[Interpretation, Finding] | None:
+    """Poses that do not move with their clouds, although those of an interpretation do, at one height above ground."""
+    for each in INTERPRETATIONS[-len(FAULTS) :]:
+        if _moves_sensor(found, each) and _accompanies(found, each):
+            problem = (
+                f"{each.problem}: the clouds move, but the sensor then stays behind by {_lag(found, AS_GIVEN):.0f} m"
+            )
+            return each, Finding(each.name, Confidence.LIKELY, problem, each.fix)
+    return None
 
 
-def register(surface: Surface, points: F64) -> F64:
-    """T_a_b that aligns points with surfaces: point-to-plane ICP with a shrinking distance limit."""
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
-    for step in range(30):
-        moved = geometry.apply(T, points)
-        heights, normals = surface.heights(moved)
-        near = np.abs(heights) < max(1.0 - step / 15, 0.2)
-        if near.sum() < 20:
-            break
-        middle = moved[near].mean(0)
-        A = np.hstack([np.cross(moved[near] - middle, normals[near]), normals[near]])
-        x = np.linalg.lstsq(A.T @ A + 1e-3 * np.eye(6), -A.T @ heights[near], rcond=None)[0]
-        delta = np.eye(4)
-        delta[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix()
-        delta[:3, 3] = middle + x[3:] - delta[:3, :3] @ middle
-        T = delta @ T
-    return T
+def _accompanies(found: Comparison, each: Interpretation) -> bool:
+    """Whether the sensor stays with its cloud and above the ground, as it does not with the given poses."""
+    lag = _lag(found, AS_GIVEN)
+    return bool(lag > LAG and _lag(found, each) < 0.4 * lag and _level(found, each) and not _level(found, AS_GIVEN))
 
 
-def ground(views: Sequence[tuple[ScanView, ScanView]], height: float | None, sensor: str) -> Iterator[Finding]:
-    """Compare the sensor's height above the ground with the height in its file."""
-    found = [h for _, b in views if (h := ground_height(b)) is not None]
-    if height is None or len(found) < max(1, len(views) // 2):
-        return
-    measured = float(np.median(found))
-    if abs(measured - height) > max(0.5, 0.35 * height):
-        problem = (
-            f"the ground is {measured:.1f} m below the sensor, but the mounting height of {sensor} is {height:.1f} m"
-        )
-        option = settable("sensor_height", f"{measured:.2f}")
-        fix = f"Give the sensor with --sensor NAME (see 'dynaviz list sensors'), or its height: {option}"
-        yield Finding("ground height", Confidence.LIKELY, problem, fix)
+def _lag(found: Comparison, each: Interpretation) -> float:
+    """Standard deviation of the way from the sensor to the middle of its cloud, metres."""
+    ways = [np.median(b.sample, axis=0) - each.pose(b.T)[:3, 3] for _, b in found.views]
+    return float(np.linalg.norm(np.std(ways, axis=0)))
 
 
-def ground_height(view: ScanView) -> float | None:
-    """Height of the sensor above the ground, metres: from the lowest point of each square metre around it; or None."""
-    local = view.sample - view.T[:3, 3]
-    distance = np.hypot(local[:, 0], local[:, 1])
-    local = local[(distance > 1.5) & (distance < 15) & (local[:, 2] < -0.2) & (local[:, 2] > -8)]
-    if len(local) < 200:
-        return None
-    square = np.floor(local[:, :2]).astype(np.int64) @ np.array([1000, 1])
-    order = np.lexsort((local[:, 2], square))
-    first = np.flatnonzero(np.diff(square[order], prepend=square.min() - 1))
-    lowest = local[order[first], 2]
-    layers = np.histogram(lowest, np.arange(-8, 0.01, 0.1))[0]
-    smoothed = np.convolve(layers, np.ones(3), "same")
-    best = int(np.argmax(smoothed))
-    if len(lowest) < 30 or smoothed[best] < 0.3 * len(lowest):
-        return None
-    return float(-np.median(lowest[np.abs(lowest - (-8 + 0.1 * best + 0.05)) < 0.15]))
+def _level(found: Comparison, each: Interpretation) -> bool:
+    """Whether the sensor is at one height above the ground in most scans."""
+    layers = [ground_layer(b, np.array([0.0, 0.0, 1.0]), each.pose(b.T)[:3, 3]) for _, b in found.views]
+    heights = np.array([height for height, share in layers if share >= FLAT and height < HIGHEST])
+    return len(heights) >= MOST * len(layers) and float(np.std(heights)) < SAME_HEIGHT
+
+
+def _moves_sensor(found: Comparison, each: Interpretation) -> bool:
+    """Whether an interpretation places the sensor elsewhere in its cloud, in most pairs."""
+    return bool((found.moves(each) > OTHER_PLACE).mean() >= MOST)
+
+
+def _hides_less_everywhere(found: Comparison, each: Interpretation) -> bool:
+    """Whether fewer points are behind surfaces, of their own scan and of the other one, where the sensor moves."""
+    if not _moves_sensor(found, each) or _lag(found, each) > _lag(found, AS_GIVEN) + LAG:
+        return False
+    forwards, turned = (facing(np.array([which.pose(b.T) for _, b in found.views])) for which in (AS_GIVEN, each))
+    if forwards > 0.9 and turned < -0.5:
+        return False
+    elsewhere = found.moves(each) > OTHER_PLACE
+    return all(
+        hides_less(then[elsewhere], now[elsewhere])
+        for then, now in zip(found.hidden(each), found.hidden(AS_GIVEN), strict=True)
+    )
+
+
+def hides_less(other: F64, given: F64, times: float = LESS_HIDDEN[0], share: float = LESS_HIDDEN[1]) -> bool:
+    """Whether hidden points decrease by a factor, in most pairs and on average, and by a share of all points."""
+    in_most_pairs = (given > times * other).mean() >= MOST
+    return bool(in_most_pairs and given.mean() > max(times * other.mean(), other.mean() + share))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
+from dynaviz.results.sections import PoseNoise
+
 if TYPE_CHECKING:
     from rich.console import RenderResult
 
@@ -64,17 +66,22 @@ class Diagnosis:
         frames: number of frames in the sequence.
         examined: number of frames that were read.
         findings: certain ones first.
+        pose_noise: None if too few planes are seen, or if the poses are wrong.
     """
 
     sequence: str
     frames: int
     examined: int
     findings: tuple[Finding, ...]
+    pose_noise: PoseNoise | None = None
 
     @classmethod
-    def of(cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding]) -> Diagnosis:
+    def of(
+        cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding], pose_noise: PoseNoise | None = None
+    ) -> Diagnosis:
         """Sort findings by confidence."""
-        return cls(sequence, frames, examined, tuple(sorted(findings, key=lambda finding: finding.confidence)))
+        ordered = tuple(sorted(findings, key=lambda finding: finding.confidence))
+        return cls(sequence, frames, examined, ordered, pose_noise)
 
     @property
     def ok(self) -> bool:
@@ -95,7 +102,14 @@ class Diagnosis:
             }
             for finding in self.findings
         ]
-        return {"sequence": self.sequence, "frames": self.frames, "examined": self.examined, "findings": rows}
+        noise = self.pose_noise
+        return {
+            "sequence": self.sequence,
+            "frames": self.frames,
+            "examined": self.examined,
+            "findings": rows,
+            "pose_noise": noise and {"translation_m": noise.translation_m, "rotation_deg": noise.rotation_deg},
+        }
 
     def __str__(self) -> str:
         from rich.console import Console
@@ -123,6 +137,8 @@ class Diagnosis:
         count = len(self.findings)
         found = f"{count} finding{'s' * (count > 1)}" if count else "no problems found"
         yield Text(f"{self.sequence}: {found}. {self._coverage}")
+        if self.pose_noise:
+            yield Text(f"Pose noise: {self.pose_noise}, from the planes that neighbouring frames see.")
 
     @property
     def _coverage(self) -> str:

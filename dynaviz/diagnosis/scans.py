@@ -148,6 +148,7 @@ class Check:
         confidence: confidence in the finding.
         problem: a sentence; ``{worst}`` is replaced by the largest figure.
         fix: a sentence; ``{near}`` is replaced by the option that makes methods ignore near points.
+        least: share of all frames in which it must be found: what belongs to the sensor is always there.
     """
 
     name: str
@@ -156,6 +157,7 @@ class Check:
     confidence: Confidence
     problem: str
     fix: str
+    least: float = 0.0
 
 
 CHECKS = (
@@ -173,7 +175,7 @@ CHECKS = (
     Check("ego points", ego, 0.01, Confidence.CERTAIN,
           f"in up to {{worst:.0%}} of all directions something nearer than {NEAR} m, "
           "such as the sensor's carrier, blocks the rays",
-          f"Let methods ignore near points: {{near}}. For other methods, {_DROP[0].lower()}{_DROP[1:]}"),
+          f"Let methods ignore near points: {{near}}. For other methods, {_DROP[0].lower()}{_DROP[1:]}", 0.3),
     Check("duplicate points", duplicates, 0.001, Confidence.CERTAIN,
           "up to {worst:.1%} of a scan's points have the coordinates of another point and count twice in all scores",
           "Write each return once. After merging lidars or clouds, remove repeated rows"),
@@ -220,6 +222,7 @@ class ScanChecker:
         self.stamps: list[int | None] = []
         self.poses: list[F64] = []
         self.usable: list[bool] = []
+        self._with_points: list[int] = []
         self._occurrences = [Occurrences() for _ in CHECKS]
         self._label_counts: I64 = np.zeros(256, np.int64)
         self._outside = Occurrences()
@@ -240,8 +243,19 @@ class ScanChecker:
         self.indices.append(scan.index)
         self.stamps.append(scan.stamp_ns)
         self.poses.append(scan.T_world_sensor)
+        if stats.finite.any():
+            self._with_points.append(len(self.poses) - 1)
         self.usable.append(bool(stats.finite.any()) and far(stats) <= FAR / 1000)
         self._before = scan
+
+    @property
+    def with_points(self) -> list[int]:
+        """Rows of the frames with finite points."""
+        return self._with_points
+
+    def read(self, row: int) -> Scan:
+        """Read the scan of a row of ``positions`` again."""
+        return self.sequence[self.positions[row]]
 
     def pairs_apart(self, gap: int, number: int = 6) -> list[tuple[int, int]]:
         """Pairs of usable frames, ``gap`` frames apart, over the whole sequence; rows of ``positions``."""
@@ -256,7 +270,7 @@ class ScanChecker:
     def findings(self) -> Iterator[Finding]:
         """Findings on scans, labels, frame numbers and times."""
         for check, occurrences in zip(CHECKS, self._occurrences, strict=True):
-            if occurrences.count:
+            if occurrences.count > check.least * len(self.positions):
                 problem = check.problem.format(worst=occurrences.worst)
                 fix = check.fix
                 if "{near}" in fix:

@@ -11,8 +11,6 @@ from dynaviz.arrays import F64
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding
 from dynaviz.spatial import geometry
 
-MAX_TILT = 45.0  # degrees between the sensor's z axis and the world's
-
 # Camera axes (x right, y down, z forward) in the lidar frame (x forward, y left, z up).
 T_LIDAR_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
@@ -47,15 +45,16 @@ class PoseFault:
 
 
 _INVERT = "Invert each pose, numpy.linalg.inv(T), to give the sensor's position in the world"
-_CAMERA = ("Convert the poses to the lidar's: T_world_lidar = T_world_camera @ T_camera_lidar. KITTI's layout with "
-           "calib.txt (semantickitti:PATH) does this")  # fmt: skip
+_CAMERA = ("Convert each pose on both sides: T_lidar_cam @ T @ T_cam_lidar, with the calibration of camera and lidar. "
+           "KITTI's layout with calib.txt (semantickitti:PATH) does this")  # fmt: skip
+_CAMERA_AXES = "Multiply each pose by the calibration on the right only: T_world_lidar = T_world_cam @ T_cam_lidar"
 _QUATERNION = "Swap the order: VIEWPOINT has tx ty tz qw qx qy qz, a TUM file has x y z qx qy qz qw"
 INVERTED = PoseFault("poses inverted", "poses are T_sensor_world, not T_world_sensor", _INVERT, geometry.inverse)
 CAMERA = PoseFault("poses of a camera", "poses are a camera's (z forward, y down), not the lidar's", _CAMERA, camera)
 CAMERA_AXES = PoseFault(
     "poses of a camera",
     "poses have the axes of a camera (z forward, y down)",
-    _CAMERA,
+    _CAMERA_AXES,
     lambda T: T @ geometry.inverse(T_LIDAR_CAMERA),
 )
 W_LAST = PoseFault(
@@ -109,42 +108,20 @@ def identical(poses: Sequence[F64]) -> str | None:
     )
 
 
-def check_tilt(poses: Sequence[F64]) -> Iterator[Finding]:
-    """Find a sensor that lies on its side, drives straight up or faces backwards: signs of swapped axes."""
-    T = np.array(poses)
-    tilt = _tilt(T)
-    if tilt > MAX_TILT:
-        for fault in FAULTS[1:]:
-            if (corrected := _tilt(np.array([fault.correct(pose) for pose in poses]))) < 20:
-                evidence = f"the sensor is tilted by {tilt:.0f} degrees, after correction by {corrected:.0f}"
-                yield Finding(fault.name, Confidence.LIKELY, f"{fault.problem}: {evidence}", fault.fix)
-                return
-        problem = f"the sensor's z axis is tilted by {tilt:.0f} degrees from the world's"
-        fix = "Rotate the world so that z points up. A tilted mount is fine in itself, but methods then find no ground"
-        yield Finding("tilted", Confidence.PERHAPS, problem, fix)
-        return
-    extent = np.ptp(T[:, :3, 3], axis=0)
-    if extent[2] > 2.0 and extent[2] > 2 * np.hypot(*extent[:2]):
-        evidence = f"the sensor climbs {extent[2]:.1f} m while it moves {np.hypot(*extent[:2]):.1f} m horizontally"
-        yield Finding(CAMERA.name, Confidence.LIKELY, f"{CAMERA.problem}: {evidence}", CAMERA.fix)
-        return
-    yield from _backwards(T)
-
-
-def _backwards(T: F64) -> Iterator[Finding]:
-    """Find a sensor that faces backwards and tilts as it turns: x y z w read as w x y z."""
+def backwards(T: F64) -> str | None:
+    """Evidence for a sensor that faces backwards and tilts as it turns: x y z w read as w x y z; None if absent."""
     corrected = np.array([W_LAST.correct(pose) for pose in T])
-    if _facing(T) < -0.9 and _facing(corrected) > 0.9 and _tilt(T, 90) > _tilt(corrected, 90) + 3:
-        evidence = f"the sensor faces backwards and tilts as it turns, by up to {_tilt(T, 90):.0f} degrees"
-        yield Finding(W_LAST.name, Confidence.LIKELY, f"{W_LAST.problem}: {evidence}", W_LAST.fix)
+    if facing(T) < -0.9 and facing(corrected) > 0.9 and tilt_of(T, 90) > tilt_of(corrected, 90) + 3:
+        return f"the sensor faces backwards and tilts as it turns, by up to {tilt_of(T, 90):.0f} degrees"
+    return None
 
 
-def _tilt(T: F64, percent: float = 50) -> float:
+def tilt_of(T: F64, percent: float = 50) -> float:
     """Percentile over all poses of the angle between the sensor's z axis and the world's, degrees."""
     return float(np.percentile(np.degrees(np.arccos(np.clip(T[:, 2, 2], -1, 1))), percent))
 
 
-def _facing(T: F64) -> float:
+def facing(T: F64) -> float:
     """Median cosine between the x axis and the direction of travel; 0 for a stationary sensor."""
     steps = np.diff(T[:, :3, 3], axis=0)
     lengths = np.linalg.norm(steps, axis=1)

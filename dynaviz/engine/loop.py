@@ -249,6 +249,7 @@ def _result(
         instrumented=instrumented,
         environment=environment(),
         command=run.command,
+        pose_noise=summary.pose_noise,
     )
 
 

@@ -6,6 +6,8 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from dynaviz.pose_noise import PoseNoiseMeter
+from dynaviz.results.sections import PoseNoise
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial.extent import Extent, GrowingExtent
 
@@ -31,13 +33,14 @@ class SequenceSummary:
     """What one pass over a sequence finds: extent, number of frames and points, and a digest of the content.
 
     The digest covers points, poses, ray origins and labels of all frames in order: two runs can be compared point by
-    point exactly if their digests agree.
+    point exactly if their digests agree. ``pose_noise`` is None if too few planes are seen.
     """
 
     extent: Extent
     frames: int
     points: int
     digest: str
+    pose_noise: PoseNoise | None = None
 
 
 def summarize(sequence: Sequence, progress: Callable[[int], None] = lambda done: None) -> SequenceSummary:
@@ -50,10 +53,11 @@ def summarize(sequence: Sequence, progress: Callable[[int], None] = lambda done:
     Raises:
         DynavizError: for points or ray origins farther than ``dynaviz.spatial.extent.FAR`` from the world's origin.
     """
-    growing, digest, points = GrowingExtent(), ScanDigest(), 0
+    growing, digest, points, noise = GrowingExtent(), ScanDigest(), 0, PoseNoiseMeter(len(sequence))
     for done, scan in enumerate(stream(sequence), 1):
         growing.add(scan)
         digest.add(scan)
+        noise.add(done - 1, scan)
         points += len(scan)
         progress(done)
-    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest())
+    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise.result())

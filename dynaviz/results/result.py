@@ -29,6 +29,7 @@ from dynaviz.results.sections import (
     Environment,
     FailureCase,
     Machine,
+    PoseNoise,
     Removals,
     RemovedCluster,
     Runtime,
@@ -66,6 +67,7 @@ class Result:
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
         environment: package versions and machine.
         command: what the user typed.
+        pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results of earlier versions.
         answers: where ``labels`` and ``static_map`` come from (``dynaviz.results.answers``); not in the file.
     """
 
@@ -86,6 +88,7 @@ class Result:
     instrumented: bool = False
     environment: Environment = field(default_factory=Environment)
     command: str = ""
+    pose_noise: PoseNoise | None = None
     answers: Any = field(default=None, repr=False, compare=False)
 
     @property

@@ -12,6 +12,24 @@ import msgspec
 from msgspec import Struct, field
 
 
+class PoseNoise(Struct, frozen=True):
+    """Noise of poses between neighbouring frames, measured on planes (``dynaviz.pose_noise``).
+
+    Attributes:
+        translation_m: standard deviation of a frame's position along each axis, metres.
+        rotation_deg: standard deviation of a frame's rotation about each axis, degrees.
+        patches: median number of planar patches per frame; frames: number of frames compared.
+    """
+
+    translation_m: float
+    rotation_deg: float
+    patches: int = 0
+    frames: int = 0
+
+    def __str__(self) -> str:
+        return f"{100 * self.translation_m:.1f} cm and {self.rotation_deg:.2f} degrees"
+
+
 class SequenceInfo(Struct, frozen=True):
     """What a run ran on; ``digest`` covers points, poses and labels of all frames."""
 
