@@ -103,7 +103,9 @@ def clean(
     )
     maps = write_maps(sequence, result.labels, files, progress)
     sensor = sentence(estimate_sensor(sequence)) if sequence.sensor.name == Sensor().name else ""
-    whole = sequence.whole if isinstance(sequence, SequenceSlice) else sequence
+    whole: Sequence = sequence
+    while isinstance(whole, SequenceSlice):
+        whole = whole.whole
     cleaned = Cleaned(result, tuple(maps), folder, estimated, getattr(whole, "facts", {}), sensor)
     write_atomic(folder / "summary.md", cleaned.markdown().encode())
     return cleaned

@@ -61,7 +61,9 @@ def open_estimated(
     found = estimate(odometry, raw, _folder(folder, raw), compensate, progress)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*are skipped")  # the frames that were not selected
-        return open_sequence(text, poses=str(found.file), **options), found
+        opened = open_sequence(text, poses=str(found.file), **options)
+    # The pose at the end of the last sweep may cover the stamp of the sweep after it.
+    return select_frames(opened, f":{len(raw)}" if len(opened) > len(raw) else None), found
 
 
 def _with_own_poses(text: str, options: dict[str, Any]) -> Sequence | None:
