@@ -16,6 +16,7 @@ from dynaviz import params, registry
 from dynaviz.attributes import origin_of
 from dynaviz.comparison.summary import Comparison
 from dynaviz.datasets import open_sequence
+from dynaviz.datasets.drives import Drives
 from dynaviz.datasets.in_memory import ArraySequence
 from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.engine.loop import Listener, RunSpec, execute
@@ -49,8 +50,9 @@ def open(
     """Open a sequence of any known format.
 
     Args:
-        path: a folder or a bag. The format is detected; a prefix forces it (``semantickitti:PATH``). Or a list of
-            ``(points, pose)`` or ``(points, pose, stamp)``: (N, 3 or more) metres in the sensor frame, (4, 4), ns.
+        path: a folder or a bag. The format is detected; a prefix forces it (``semantickitti:PATH``). A list of
+            paths opens several drives in one world frame as one sequence. Or a list of ``(points, pose)`` or
+            ``(points, pose, stamp)``: (N, 3 or more) metres in the sensor frame, (4, 4), ns.
         frames: ``A:B``, positions as in a Python slice.
         stride: use every N-th frame.
         sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list sensors``), or a TOML file.
@@ -67,6 +69,12 @@ def open(
         UsageError: for invalid frames or sensors, or options that the format does not support.
     """
     chosen = load_sensor(sensor) if sensor else None
+    if isinstance(path, list | tuple) and path and all(isinstance(each, str | os.PathLike) for each in path):
+        drives = [
+            open(each, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew, extrinsic=extrinsic)
+            for each in path
+        ]
+        return select_frames(Drives.of(drives), frames, stride)
     if not isinstance(path, str | os.PathLike):
         return select_frames(ArraySequence.of(path, points_in), frames, stride, chosen)
     pose_source = None if poses is None else os.fspath(poses)

@@ -37,7 +37,12 @@ def add_to(app: typer.Typer) -> None:
 def run(
     method: Method,
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
+        list[str],
+        typer.Argument(
+            metavar="SEQ",
+            help="Sequence folder or bag; several drives in one world frame are one sequence. FORMAT:PATH forces the "
+            "format.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -92,12 +97,12 @@ def run(
     dynaviz run octomap path/to/sequence --set resolution=0.2 --record scores
     dynaviz run dufomap path/to/scans --poses trajectory.tum
     dynaviz run dufomap "drive.bag#/velodyne_points" --poses map
-    dynaviz run seethrough path/to/city --tiles 200 --workers 4
+    dynaviz run seethrough monday/ tuesday/ --tiles 200 --workers 4
     """
     from dynaviz import api
 
     opened = open_sequence(
-        sequence,
+        sequence if len(sequence) > 1 else sequence[0],
         frames=frames,
         stride=stride,
         sensor=sensor,
