@@ -79,7 +79,7 @@ def open(
         return select_frames(ArraySequence.of(path, points_in), frames, stride, chosen)
     pose_source = None if poses is None else os.fspath(poses)
     if pose_source is not None and is_odometry(pose_source):
-        options = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
+        options: dict[str, Any] = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
         sequence, _ = open_estimated(os.fspath(path), pose_source, None, frames, **options)
         return select_frames(sequence, None, stride, chosen)
     sequence = open_sequence(

@@ -32,7 +32,8 @@ def parse_extrinsic(text: str | None) -> F64 | None:
         poses = read_poses(text).poses
         if len(poses) != 1:
             raise UsageError(f"--extrinsic {text}: has {len(poses)} poses. {_HINT}")
-        return poses[0]
+        pose: F64 = poses[0]
+        return pose
     try:
         numbers = np.array([float(word) for word in re.split(r"[,\s]+", text.strip())])
     except ValueError:

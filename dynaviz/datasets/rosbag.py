@@ -116,12 +116,12 @@ class RosBagSequence:
         clouds, odometries, transforms = _read_index(bag, _cloud_topic(bag, topic))
         if poses == NO_POSES:
             positions, description = np.arange(len(clouds.stamps)), "none"
-            trajectory = Trajectory(clouds.stamps[:1], np.eye(4)[None])
+            trajectory: PosesOverTime = Trajectory(clouds.stamps[:1], np.eye(4)[None])
             T = trajectory.at(clouds.stamps)
         elif poses is not None and poses not in odometries and Path(poses).is_file():
             matched = match_poses(Path(poses).absolute(), file, clouds.stamps, np.arange(len(clouds.stamps)))
             positions, T, description = matched.positions, matched.poses, matched.description
-            trajectory: PosesOverTime = matched.trajectory or Trajectory.of(clouds.stamps[positions], T)
+            trajectory = matched.trajectory or Trajectory.of(clouds.stamps[positions], T)
         else:
             trajectory, description = _pose_source(bag, clouds, odometries, transforms, poses, frame)
             positions = covered_scans(trajectory, clouds.stamps, description, file)

@@ -100,7 +100,8 @@ class Comparison:
     def moves(self, each: Interpretation) -> F64:
         """(P,) metres: way by which an interpretation moves the sensor relative to its cloud."""
         paths = [self._path(each, k)[0] - b.T[:3, 3] for k, (_, b) in enumerate(self.views)]
-        return np.linalg.norm(np.reshape(paths, (-1, 3)), axis=1)
+        ways: F64 = np.linalg.norm(np.reshape(paths, (-1, 3)), axis=1)
+        return ways
 
     def hidden(self, each: Interpretation) -> tuple[F64, F64]:
         """(P,) each: share of a scan's points behind its own surfaces, and behind those of the other scan."""

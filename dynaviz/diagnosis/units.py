@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
 from dynaviz.diagnosis.finding import Confidence, Finding
@@ -20,28 +21,29 @@ FACTORS = {"millimetres": 1000.0, "centimetres": 100.0}
 MIN_OVERLAP = 0.25  # share of a scan that must overlap the other after the correction
 
 Read = Callable[[int], Scan]
-Convert = Callable[[Scan, float], tuple[F64, F64]]
+Points = NDArray[np.floating[Any]]
+Convert = Callable[[Scan, float], tuple[Points, F64]]
 _DIVIDE = "divide {what} by {factor:.0f} when you write them"
 
 
-def _everything(scan: Scan, k: float) -> tuple[F64, F64]:
+def _everything(scan: Scan, k: float) -> tuple[Points, F64]:
     return scan.points / k, scan.position / k
 
 
-def _points_in_sensor_frame(scan: Scan, k: float) -> tuple[F64, F64]:
+def _points_in_sensor_frame(scan: Scan, k: float) -> tuple[Points, F64]:
     return (scan.points - scan.position) / k + scan.position, scan.position
 
 
-def _points_in_world_frame(scan: Scan, k: float) -> tuple[F64, F64]:
+def _points_in_world_frame(scan: Scan, k: float) -> tuple[Points, F64]:
     return scan.points / k, scan.position
 
 
-def _positions(scan: Scan, k: float) -> tuple[F64, F64]:
+def _positions(scan: Scan, k: float) -> tuple[Points, F64]:
     """Of points that were transformed by the pose."""
     return scan.points - scan.position + scan.position / k, scan.position / k
 
 
-def _positions_only(scan: Scan, k: float) -> tuple[F64, F64]:
+def _positions_only(scan: Scan, k: float) -> tuple[Points, F64]:
     return scan.points.astype(np.float64), scan.position / k
 
 
@@ -92,7 +94,7 @@ def check_units(read: Read, rows: Sequence[int], positions: Sequence[int], poses
     return Finding(unit, Confidence.CERTAIN, problem, f"Write metres: {_DIVIDE.format(what=what, factor=factor)}")
 
 
-def _reach(points: F64, position: F64) -> float:
+def _reach(points: Points, position: F64) -> float:
     """Median range of the finite points, given units."""
     finite = points[np.isfinite(points).all(1)]
     return float(np.median(np.linalg.norm(finite - position, axis=1))) if len(finite) else 0.0
@@ -133,9 +135,7 @@ def _overlap(
                 return None
             T = scan.T_world_sensor.copy()
             T[:3, 3] = position
-            views.append(
-                ScanView(dataclasses.replace(scan, points=points.astype(np.float32), T_world_sensor=T, origins=None))
-            )
+            views.append(ScanView(Scan(scan.index, points.astype(np.float32), T, scan.stamp_ns)))
         a, b = views
         if min(len(a.points), len(b.points)) > 50:
             figures.append((a.surface.overlap(b.points), hidden(b.sample, b.T[None, :3, 3])))

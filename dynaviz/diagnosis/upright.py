@@ -34,8 +34,8 @@ def check_up(views: Pairs, poses: Sequence[F64]) -> Iterator[Finding]:
         evidence = f"the sensor climbs {extent[2]:.1f} m while it moves {np.hypot(*extent[:2]):.1f} m horizontally"
         yield Finding(CAMERA.name, Confidence.PERHAPS, f"{CAMERA.problem}: {evidence}", CAMERA.fix)
         return
-    if evidence := backwards(T):
-        yield Finding(W_LAST.name, Confidence.LIKELY, f"{W_LAST.problem}: {evidence}", W_LAST.fix)
+    if turned := backwards(T):
+        yield Finding(W_LAST.name, Confidence.LIKELY, f"{W_LAST.problem}: {turned}", W_LAST.fix)
 
 
 def _other_up(scans: Sequence[ScanView], tilt: float) -> Finding | None:

@@ -48,7 +48,9 @@ class ScanView:
         xyz = xyz[(np.abs(xyz - middle) < REACH).all(1)]
         xyz = xyz[np.random.default_rng(0).permutation(len(xyz))]
         self.sample = xyz[:SAMPLE].astype(np.float64)
-        self.points = (xyz - middle)[voxel_downsample(xyz - middle, CELL)[0]].astype(np.float64) + middle
+        local = xyz - middle
+        chosen, _ = voxel_downsample(local.astype(np.float32, copy=False), CELL)
+        self.points = local[chosen].astype(np.float64) + middle
 
     @cached_property
     def surface(self) -> Surface:
@@ -67,7 +69,8 @@ class ScanView:
         ways = np.array([pose(T)[:3, 3] - here for T in self._around]).reshape(-1, 3)
         length = np.linalg.norm(ways, axis=1, keepdims=True)
         ways = ways * np.minimum(1.0, LONGEST / np.maximum(length, 1e-9))
-        return here + np.concatenate([np.zeros((1, 3)), ways, ways / 2])
+        along: F64 = here + np.concatenate([np.zeros((1, 3)), ways, ways / 2])
+        return along
 
 
 class Surface:

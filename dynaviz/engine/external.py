@@ -78,8 +78,8 @@ class ExternalMap:
     def __init__(self, path: Path, name: str, radius: float = RADIUS, origin: F64 | None = None) -> None:
         if not 0 <= radius < np.inf:
             raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}")
-        far = origin is not None and origin.any()
-        points = single(coordinates(read_fields(path)) - origin) if far else read_points(path)
+        far = origin if origin is not None and origin.any() else None
+        points = read_points(path) if far is None else single(coordinates(read_fields(path)) - far)
         chosen = finite(points)
         self.path, self.points, self.params = path, np.compress(chosen, points, 0), MapParams(radius)
         self.total, self.not_finite = len(points), len(points) - len(self.points)

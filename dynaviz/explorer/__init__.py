@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynaviz.errors import UsageError
@@ -44,7 +45,7 @@ def _path(run: str | os.PathLike[str] | Result) -> str | os.PathLike[str]:
     """Where the files of a run are."""
     if isinstance(run, str | os.PathLike):
         return run
-    folder = getattr(run.answers, "folder", None)
+    folder: Path | None = getattr(run.answers, "folder", None)
     if folder is None:
         raise UsageError("the result has no folder. Give out=FOLDER to dynaviz.run, or the path of the run")
-    return os.fspath(folder)
+    return folder

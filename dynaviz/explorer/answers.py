@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.relabelling import LABELS, Box, Correction, correct, read_corrections, rescore
+from dynaviz.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
 from dynaviz.viz.focus import CASE, LAYOUTS, MAP
 from dynaviz.viz.shot import shot
 
@@ -139,7 +139,9 @@ class Explored:
         if truth is None:
             made = None
         elif truth in LABELS:
-            made = Correction(card.number, card.title, truth, tuple(Box(*box) for box in cards.boxes(run, card)))
+            made = Correction(
+                card.number, card.title, cast(Truth, truth), tuple(Box(*box) for box in cards.boxes(run, card))
+            )
         else:
             raise UsageError(f"truth {truth}: choose from {', '.join(LABELS)}")
         with self._lock:

@@ -53,8 +53,8 @@ def _bin(x, y, z):
     else:
         face, main, first, second = 2, z, x, y
     scale = 0.5 * SIDE / abs(main)
-    row = min(np.int64((first * scale) + 0.5 * SIDE), SIDE - 1)
-    column = min(np.int64((second * scale) + 0.5 * SIDE), SIDE - 1)
+    row = min(int(first * scale + 0.5 * SIDE), SIDE - 1)
+    column = min(int(second * scale + 0.5 * SIDE), SIDE - 1)
     return ((face if main > 0 else face + 3) * SIDE + row) * SIDE + column
 
 

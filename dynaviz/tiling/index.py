@@ -88,7 +88,7 @@ class SequenceIndex:
         distance = np.hypot(*offset.T)
         near = np.flatnonzero(distance <= self.farthest.max(1))
         corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
-        return near[[distance[f] <= self._towards(f, corners, bool(distance[f] == 0)) for f in near]]
+        return near[[distance[f] <= self._towards(f, corners, bool(distance[f] == 0)) for f in near.tolist()]]
 
     def _towards(self, frame: int, corners: F64, inside: bool) -> float:
         """Horizontal range of the farthest point of a frame in the direction of corners (4, 2); infinite if inside."""
