@@ -21,14 +21,15 @@ try:
     from starlette.middleware import Middleware
     from starlette.middleware.trustedhost import TrustedHostMiddleware
     from starlette.requests import Request
-    from starlette.responses import FileResponse, JSONResponse, Response
+    from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
     from starlette.routing import Mount, Route
 except ImportError:
     raise MissingDependency(
         "the explorer needs a web server. Install it with: pip install 'dynaviz[explore]'"
     ) from None
 
-from dynaviz.explorer.answers import Explored, Query
+from dynaviz.explorer.answers import RRD, Explored, Query
+from dynaviz.viz.chunks import with_passive_layout
 
 HOME = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -86,10 +87,13 @@ def application(explored: Explored, token: str) -> Starlette:
     files = {name: (PAGE / name, kind) for name, kind in FILES.items()}
     files[""] = files["index.html"]
     files |= {f"viewer/{name}": (static / name, kind) for name, kind in VIEWER.items()}
-    files |= {f"{letter}.rrd": (run.path, "application/octet-stream") for letter, run in explored.runs.items()}
+    recordings = {f"{letter}.rrd": run.path for letter, run in explored.runs.items()}
 
     def file(request: Request) -> Response:
-        known = files.get(request.path_params["name"])
+        name = request.path_params["name"]
+        if name in recordings:  # its layout comes at its end, and would replace that of the page
+            return StreamingResponse(with_passive_layout(recordings[name]), media_type=RRD, headers=HEADERS)
+        known = files.get(name)
         if known is None:
             return Response("not found", 404, HEADERS)
         return FileResponse(known[0], media_type=known[1], headers=HEADERS)

@@ -22,6 +22,7 @@ import pyarrow as pa
 _START, _HEAD = 12, struct.Struct("<QQ")  # bytes before the first message; kind and size of a message
 _END, _STORE, _CHUNK, _LAYOUT = range(4)  # kinds of messages
 _COMPRESSION, _SIZE, _TABLE = 2, 3, 5  # fields of a chunk
+_ACTIVE, _PASSIVE = b"\x10\x01\x18\x01", b"\x10\x00\x18\x01"  # end of a layout's message: make it active and default
 _LZ4 = 2  # a compression; 1 is none
 _MOST = 255  # bytes that LZ4 decompresses from one byte, at most
 
@@ -97,6 +98,25 @@ def copy_undamaged(path: Path, out: Path) -> int:
         file.seek(at)
         copy.write(file.read())
     return count
+
+
+def with_passive_layout(path: Path) -> Iterator[bytes]:
+    """The bytes of a recording whose layout does not replace one that a viewer already shows.
+
+    The number of bytes stays: the end of a recording refers to positions in it.
+
+    Raises:
+        OSError: if the file cannot be read.
+    """
+    with path.open("rb") as file:
+        yield file.read(_START)
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            kind, size = _HEAD.unpack(head)
+            content = file.read(min(size, path.stat().st_size))
+            if kind == _LAYOUT and content.endswith(_ACTIVE):
+                content = content.removesuffix(_ACTIVE) + _PASSIVE
+            yield head + content
+        yield head
 
 
 def _next_chunk(content: mmap.mmap, at: int) -> int:

@@ -110,7 +110,7 @@ function openViewer(letter, frame) {
   const place = make('div', { class: 'viewer' })
   by('viewers').append(make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place))
   const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
-  // A layout that arrives before the recording replaces the recording's own, so the viewer never draws that.
+  // The recording's own layout is served so that it does not replace the page's (with_passive_layout).
   viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, layoutOf(letter)], frame, {
     opened: () => {
       if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
