@@ -7,6 +7,7 @@ bit by bit. Coordinates are float64 in maps far from zero, otherwise float32; LA
 from __future__ import annotations
 
 import contextlib
+import re
 import tempfile
 import warnings
 import zipfile
@@ -92,12 +93,21 @@ def rows_of(xyz: F64, fields: Mapping[str, NDArray[Any]], row: np.dtype[Any]) ->
     return rows
 
 
+def header_names(row: np.dtype[Any]) -> dict[str, str]:
+    """A name for each field that a text header can contain: other characters become underscores."""
+    names: dict[str, str] = {}
+    for name in row.names or ():
+        plain = re.sub(r"[^!-~]+", "_", name).strip("_") or "field"
+        names[name] = plain if plain not in names.values() else f"{plain}_{len(names)}"
+    return names
+
+
 class PcdMap:
-    """Writes a binary PCD file; spaces in names of fields become underscores."""
+    """Writes a binary PCD file."""
 
     def __init__(self, path: Path, fields: Dtypes, origin: F64) -> None:
         self._row = row_dtype(fields, origin)
-        self._names = {name: "_".join(name.split()) or "field" for name in self._row.names or ()}
+        self._names = header_names(self._row)
         self._writer = PcdWriter(path, {self._names[n]: self._row[n] for n in self._names}, np.eye(4))
 
     def __enter__(self) -> Self:
@@ -142,7 +152,7 @@ class PlyMap:
         self._points += len(xyz)
 
     def _write_header(self) -> None:
-        names = {name: "_".join(name.split()) for name in self._row.names or ()}
+        names = header_names(self._row)
         properties = [f"property {_PLY_TYPES[self._row[name].str[1:]]} {text}" for name, text in names.items()]
         lines = ["ply", "format binary_little_endian 1.0", f"element vertex {self._points:018d}", *properties]
         self._file.seek(0)
