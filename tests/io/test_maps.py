@@ -55,6 +55,14 @@ def test_ply_leaves_out_what_it_cannot_store(tmp_path: Path) -> None:
     assert all(found[name].tobytes() == fields[name].tobytes() for name in fields.keys() - {"t"})
 
 
+@pytest.mark.parametrize("suffix", [".pcd", ".ply"])
+def test_names_that_a_header_cannot_contain_become_plain(tmp_path: Path, suffix: str) -> None:
+    fields = {name: np.full(N, k, np.uint8) for k, name in enumerate(("sun light", "sun_light", "ü", "lidar ü id"))}
+    found = write(tmp_path / f"map{suffix}", np.zeros((N, 3)), fields, np.zeros(3))
+    names = ("sun_light", "sun_light_4", "field", "lidar_id")
+    assert [int(found[name][0]) for name in names] == [0, 1, 2, 3]
+
+
 def test_whole_numbers_use_the_own_intensity_of_las(tmp_path: Path) -> None:
     fields = {"intensity": np.arange(N).astype(np.uint16)}
     found = write(tmp_path / "map.laz", np.zeros((N, 3)), fields, np.zeros(3))
