@@ -24,6 +24,7 @@ SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-
 SIZE = {"width": 1440, "height": 810}  # pixels
 MOST = 300_000  # ms; drawing in software
 QUALITY = 80  # of WebP
+DARK, DRAWN = 60, 0.03  # grey level of the background at most, and share of brighter pixels where points are drawn
 PICTURES = {  # runs, where to go, and whether to show the ledger
     "explorer.webp": (("octomap",), "?case=4", True),  # a truck that the drive leaves too early
     "pictures/explorer_two.webp": (("octomap", "octomap_gf"), "?layout=frame", False),
@@ -62,14 +63,15 @@ def picture(chromium: Any, url: str, ledger: bool) -> bytes:
 
 
 def wait(page: Any) -> None:
-    """Wait until the viewers have replaced their layout for loading, and no longer change."""
-    before, loading = b"", True
-    for _ in range(200):
+    """Wait until the viewers show points instead of their layout for loading, and no longer change."""
+    before = b""
+    for _ in range(MOST // 1000):
         now = page.locator("#viewers").screenshot()
-        if now == before and not loading:
+        pixels = cv2.imdecode(np.frombuffer(now, np.uint8), cv2.IMREAD_GRAYSCALE)
+        if now == before and pixels is not None and (pixels > DARK).mean() > DRAWN:
             return
-        loading, before = loading and before in (b"", now), now
-        page.wait_for_timeout(500)
+        before = now
+        page.wait_for_timeout(1000)
 
 
 if __name__ == "__main__":
