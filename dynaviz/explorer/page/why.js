@@ -110,11 +110,13 @@ function scanTable(ledger) {
     const shown = legend.length ? legend[number] ?? short(number) : short(number)
     return total && change ? `${shown} (${change > 0 ? '+' : '−'}${short(Math.abs(change))})` : shown
   }
-  const head = ['frame', 'hit', 'crossed', 'range', 'angle', ...names.map(({ name, unit }) => name + (unit ? ` [${unit}]` : '')), 'verdict']
+  // What decided comes first: the panel may be too narrow for all columns.
+  const head = ['frame', 'hit', 'crossed', ...names.map(({ name, unit }) => name + (unit ? ` [${unit}]` : '')), 'verdict', 'range', 'angle']
   const rows = ledger.entries.map(entry => make('tr', { class: [entry.frame === ledger.frame && 'own', entry.crossed ? 'crossed' : entry.hits && 'hit'].filter(Boolean).join(' '), title: `sensor at ${entry.sensor.map(x => x.toFixed(1)).join(' ')} m${entry.behind_m ? `; crossing rays end ${entry.behind_m.toFixed(1)} m behind` : ''}` },
-    cell(entry.frame), cell(entry.hits || '', 'hits'), cell(entry.crossed || '', 'crosses'), cell(`${entry.range_m.toFixed(1)} m`),
-    cell(entry.angle_deg === null ? '' : `${entry.angle_deg.toFixed(0)}°`, entry.angle_deg !== null && entry.angle_deg < 10 && entry.crossed ? 'grazing' : null),
-    ...names.map(name => cell(value(entry, name))), cell(entry.removed === null ? '' : entry.removed ? 'remove' : 'keep')))
+    cell(entry.frame), cell(entry.hits || '', 'hits'), cell(entry.crossed || '', 'crosses'),
+    ...names.map(name => cell(value(entry, name))), cell(entry.removed === null ? '' : entry.removed ? 'remove' : 'keep'),
+    cell(`${entry.range_m.toFixed(1)} m`),
+    cell(entry.angle_deg === null ? '' : `${entry.angle_deg.toFixed(0)}°`, entry.angle_deg !== null && entry.angle_deg < 10 && entry.crossed ? 'grazing' : null)))
   return make('div', { class: 'wide' }, make('table', {},
     make('thead', {}, make('tr', {}, head.map(name => make('th', { scope: 'col' }, name)))), make('tbody', {}, rows)))
 }
