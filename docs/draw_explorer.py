@@ -1,9 +1,9 @@
-"""Draw the pictures of the explorer: a run, and two runs.
+"""Draw the picture of the explorer.
 
     dynaviz demo
     python docs/draw_explorer.py [FOLDER]    # the folder of the demo's runs
 
-Writes docs/explorer.webp and docs/pictures/explorer_two.webp. Needs Chromium; without a graphics card it takes minutes.
+Writes docs/explorer.webp. Needs Chromium; without a graphics card it takes minutes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ QUALITY = 80  # of WebP
 DARK, DRAWN = 60, 0.03  # grey level of the background at most, and share of brighter pixels where points are drawn
 PICTURES = {  # runs, where to go, and whether to show the ledger
     "explorer.webp": (("octomap",), "?case=4", True),  # a truck that the drive leaves too early
-    "pictures/explorer_two.webp": (("octomap", "octomap_gf"), "?layout=frame", False),
 }
 
 
