@@ -27,7 +27,7 @@ from dynaviz.io.pcd import write_pcd
 from dynaviz.results.collect import combined
 from dynaviz.results.result import Result
 from dynaviz.results.sections import Runtime, Sections, SequenceInfo
-from dynaviz.simulate import recording
+from dynaviz.simulate import write as writing
 
 MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
 NONE = {"methods": ["toy"], "record": "none"}
@@ -230,10 +230,10 @@ def test_scenes_are_simulated_once(
     def simulate(scene: str, out: Path, frames: int, seed: int, progress: object) -> None:
         simulated.append((scene, frames, seed))
         write_room(out, frames=1, rays=99, seed=seed)
-        facts = {"preset": scene, "frames": frames, "seed": seed, "generator": recording.VERSION}
+        facts = {"preset": scene, "frames": frames, "seed": seed, "generator": writing.VERSION}
         (out / "sequence.toml").write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in facts.items()))
 
-    monkeypatch.setattr(recording, "simulate", simulate)
+    monkeypatch.setattr(writing, "simulate", simulate)
     table = {**NONE, "sequences": ["simulate:hall_vlp16:1"]}
     assert [[*states(bench(table, tmp_path)).values()] for _ in range(2)] == [["ran"], ["kept"]]
     other = {"simulate": "hall_vlp16", "frames": 1, "seed": 5, "name": "hall_vlp16-1"}
