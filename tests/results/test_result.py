@@ -103,6 +103,13 @@ def test_a_failure_case_of_an_unknown_kind_is_rejected() -> None:
                 Result.from_dict(plain, "result.json")
 
 
+def test_numbers_beyond_64_bits_are_rejected(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text('{"method": "m", "parameters": {}, "sequence": {}, "seed": 1' + 400 * "0" + "}")
+    with pytest.raises(DataError, match=r"result\.json: not valid JSON \(10000.* has more than 64 bits\)"):
+        Result.load(path)
+
+
 def test_json_nested_without_end_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("[" * 100_000)
     with pytest.raises(DataError, match="not valid JSON"):
