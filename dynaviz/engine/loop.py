@@ -18,6 +18,7 @@ from dynaviz.engine.summary import SequenceSummary, summarize
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.method import Context, Labeller, Labels, Method
 from dynaviz.metric import Figure, Labelled, Metric
+from dynaviz.pose_noise import PoseNoiseMeter
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.progress import Progress, silent
 from dynaviz.results.answers import RunAnswers
@@ -25,7 +26,7 @@ from dynaviz.results.labels import RunLabels
 from dynaviz.results.result import Result, environment
 from dynaviz.results.sections import Runtime, Sections, SequenceInfo, Source
 from dynaviz.scan import Scan, Sequence, stream
-from dynaviz.spatial.extent import Extent, Region
+from dynaviz.spatial.extent import Extent
 
 MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
@@ -46,7 +47,6 @@ class RunSpec:
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
         scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
-        region: where labels matter; voxels elsewhere are not stored. None for everywhere.
         summary: of the sequence if it is known, which saves a pass over it.
     """
 
@@ -62,7 +62,6 @@ class RunSpec:
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
-    region: Region | None = None
     summary: SequenceSummary | None = None
 
     @property
@@ -147,7 +146,9 @@ def execute(
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
     counts: list[int] = []
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
-    summary = run.summary or summarize(run.sequence, lambda done: progress("survey", done, total))
+    summary = run.summary or summarize(
+        run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
+    )
     if method:
         _warm_up(method, run, probe)
     clock.prepare(lambda: labeller.begin(_context(run, summary, probe)))
@@ -276,8 +277,7 @@ def _context(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
         for scan in stream(run.sequence):
             raw_map[end : end + len(scan)] = scan.points
             end += len(scan)
-    extent = run.region.crop(summary.extent) if run.region else summary.extent
-    return Context(extent, run.sequence.sensor, probe, run.seed, raw_map)
+    return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
 def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:

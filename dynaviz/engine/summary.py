@@ -33,7 +33,7 @@ class SequenceSummary:
     """What one pass over a sequence finds: extent, number of frames and points, and a digest of the content.
 
     The digest covers points, poses, ray origins and labels of all frames in order: two runs can be compared point by
-    point exactly if their digests agree. ``pose_noise`` is None if too few planes are seen.
+    point exactly if their digests agree. ``pose_noise`` is None if it was not measured, or too few planes are seen.
     """
 
     extent: Extent
@@ -43,21 +43,26 @@ class SequenceSummary:
     pose_noise: PoseNoise | None = None
 
 
-def summarize(sequence: Sequence, progress: Callable[[int], None] = lambda done: None) -> SequenceSummary:
+def summarize(
+    sequence: Sequence, progress: Callable[[int], None] = lambda done: None, meter: PoseNoiseMeter | None = None
+) -> SequenceSummary:
     """Read a sequence once, frame by frame.
 
     Args:
         sequence: never held in memory as a whole.
         progress: called with the number of frames done.
+        meter: measures the noise of poses in the same pass, which takes up to a second.
 
     Raises:
         DynavizError: for points or ray origins farther than ``dynaviz.spatial.extent.FAR`` from the world's origin.
     """
-    growing, digest, points, noise = GrowingExtent(), ScanDigest(), 0, PoseNoiseMeter(len(sequence))
+    growing, digest, points = GrowingExtent(), ScanDigest(), 0
     for done, scan in enumerate(stream(sequence), 1):
         growing.add(scan)
         digest.add(scan)
-        noise.add(done - 1, scan)
+        if meter:
+            meter.add(done - 1, scan)
         points += len(scan)
         progress(done)
-    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise.result())
+    noise = meter.result() if meter else None
+    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise)

@@ -36,22 +36,10 @@ class Extent:
             growing.add(scan)
         return growing.extent()
 
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """A rectangle in x and y, outside of which labels do not matter.
-
-    Attributes:
-        low, high: (2,) float64, metres, world frame.
-    """
-
-    low: F64
-    high: F64
-
-    def crop(self, extent: Extent) -> Extent:
-        """The same bounds, with the cells that touch the region only."""
-        touching = (extent.cells[:, :2] * CELL <= self.high) & ((extent.cells[:, :2] + 1) * CELL >= self.low)
-        return Extent(extent.low, extent.high, extent.cells[touching.all(1)])
+    def cropped(self, low: F64, high: F64) -> Extent:
+        """The same bounds, with the cells that touch a rectangle in x and y only; corners (2,) metres, world frame."""
+        touching = (self.cells[:, :2] * CELL <= high) & ((self.cells[:, :2] + 1) * CELL >= low)
+        return Extent(self.low, self.high, self.cells[touching.all(1)])
 
 
 class GrowingExtent:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import numpy as np
 from dynaviz import registry
 from dynaviz.arrays import F64, I64, U8
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.summary import summarize
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.npy import open_npy
@@ -24,7 +26,7 @@ from dynaviz.results.result import Result
 from dynaviz.results.sections import Runtime
 from dynaviz.scan import Scan, Sequence
 from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import CELL, Region
+from dynaviz.spatial.extent import CELL
 from dynaviz.tiling.grid import Tile, TileGrid, packed
 from dynaviz.tiling.index import SequenceIndex
 
@@ -142,11 +144,13 @@ class TileTask:
         grid, margin = TileGrid(self.index.size), self.halo.metres + 2 * CELL
         bounds, origin = grid.bounds(self.tile), grid.local_origin(self.tile, NEAR)
         frames = TileFrames.of(self.sequence, self.index, self.index.frames_reaching(self.tile, margin), origin)
-        region = Region(bounds[0] - margin - origin[:2], bounds[1] + margin - origin[:2])
-        stored = None if self.halo.along_rays else region
+        summary = summarize(frames, lambda done: progress("survey", done, len(frames)))
+        if not self.halo.along_rays:
+            low, high = bounds[0] - margin - origin[:2], bounds[1] + margin - origin[:2]
+            summary = dataclasses.replace(summary, extent=summary.extent.cropped(low, high))
         kind = registry.load("methods", self.method)
         spec = RunSpec(
-            kind(self.params), frames, self.params, (), self.online, self.seed, threads=threads, region=stored
+            kind(self.params), frames, self.params, (), self.online, self.seed, threads=threads, summary=summary
         )
         answers = TileAnswers(folder / self.files[0], self.key, packed(self.tile), grid, frames)
         execute(spec, [answers], progress=progress)
