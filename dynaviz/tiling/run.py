@@ -27,7 +27,7 @@ from dynaviz.tasks.local import InThisProcess, LocalExecutor
 from dynaviz.tasks.task import Task, error_of
 from dynaviz.tiling.grid import TileGrid, unpacked
 from dynaviz.tiling.index import SequenceIndex, indexed
-from dynaviz.tiling.tile import DYNAMIC, Answers, TileTask
+from dynaviz.tiling.tile import DYNAMIC, Answers, AnswersHead, TileTask
 
 OPEN = 16  # tiles whose answers are in memory while a run is put together; a frame sees a few
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
@@ -76,7 +76,7 @@ class TiledLabels:
         self.info, self.Params, self.params = method.info, method.Params, params
         self._folder, self._grid, self._index = folder, TileGrid(index.size), index
         self._answers = lru_cache(maxsize=OPEN)(self._load)
-        runtimes = [self._load(packed).runtime for packed in np.unique(index.tile_of).tolist()]
+        runtimes = [AnswersHead.load(self._path(packed)).runtime for packed in np.unique(index.tile_of).tolist()]
         self.runtime = _total(runtimes, len(index.numbers))
         self.tiling = Tiling(index.size, halo.metres, len(runtimes), sum(each.frames or 0 for each in runtimes))
 

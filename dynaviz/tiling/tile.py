@@ -158,7 +158,7 @@ class TileTask:
     def finished(self, folder: Path) -> bool:
         """Whether its answers are complete and belong to this run."""
         try:
-            return Answers.load(folder / self.files[0]).key == self.key
+            return AnswersHead.load(folder / self.files[0]).key == self.key
         except DataError:
             return False
 
@@ -201,21 +201,40 @@ class TileAnswers(Listener):
         write_atomic(self._path, buffer.getvalue())
 
 
+@dataclass(frozen=True)
+class AnswersHead:
+    """What ``answers.npz`` says about a tile, read without its answers.
+
+    Attributes:
+        key: digest of all that decides them.
+        runtime: cost of the method.
+    """
+
+    key: str
+    runtime: Runtime
+
+    @classmethod
+    def load(cls, path: Path) -> AnswersHead:
+        """Read ``answers.npz``.
+
+        Raises:
+            DataError: if the file is missing or damaged.
+        """
+        with open_npy(path, "file of answers", _HINT) as z:
+            return cls(str(z["key"]), msgspec.json.decode(str(z["runtime"]), type=Runtime))
+
+
 @dataclass(frozen=True, eq=False)
 class Answers:
     """The answers for the points of a tile.
 
     Attributes:
-        key: digest of all that decides them.
         rows: first and last row in ``codes`` of each frame, by number.
         codes: (N,) uint8, as in ``TileAnswers``.
-        runtime: cost of the method.
     """
 
-    key: str
     rows: Mapping[int, tuple[int, int]]
     codes: U8
-    runtime: Runtime
 
     @classmethod
     def load(cls, path: Path) -> Answers:
@@ -227,12 +246,7 @@ class Answers:
         with open_npy(path, "file of answers", _HINT) as z:
             ends = np.cumsum(z["counts"])
             rows = zip(z["numbers"].tolist(), (ends - z["counts"]).tolist(), ends.tolist(), strict=True)
-            answers = cls(
-                str(z["key"]),
-                {number: (first, end) for number, first, end in rows},
-                z["codes"],
-                msgspec.json.decode(str(z["runtime"]), type=Runtime),
-            )
+            answers = cls({number: (first, end) for number, first, end in rows}, z["codes"])
             if len(answers.codes) != (ends[-1] if len(ends) else 0):
                 raise ValueError("its arrays have different lengths")
         return answers
