@@ -197,6 +197,30 @@ class HasUnmatchedPoints(Protocol):
         ...
 
 
+class SequenceView:
+    """A sequence made of another one, ``whole``: with its name, sensor, ground truth and length unless overridden."""
+
+    whole: Sequence
+
+    @property
+    def name(self) -> str:
+        """The name of the sequence."""
+        return self.whole.name
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of the sequence."""
+        return self.whole.sensor
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether the sequence has ground truth."""
+        return self.whole.has_labels
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+
 @dataclass(frozen=True)
 class SequenceSlice:
     """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor or name."""

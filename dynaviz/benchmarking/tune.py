@@ -28,9 +28,8 @@ from dynaviz.params import read_toml
 from dynaviz.progress import Progress, silent
 from dynaviz.results.collect import combined
 from dynaviz.results.result import Result
-from dynaviz.scan import Scan
+from dynaviz.scan import Scan, SequenceView
 from dynaviz.scan import Sequence as ScanSequence
-from dynaviz.sensors import Sensor
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -195,22 +194,14 @@ def _is(row: BenchRow, variant: str, names: Sequence[str]) -> bool:
 
 
 @dataclass(frozen=True)
-class _Blind:
+class _Blind(SequenceView):
     """A sequence without its ground truth."""
 
     whole: ScanSequence
-    has_labels: bool = False
 
     @property
-    def name(self) -> str:
-        return self.whole.name
-
-    @property
-    def sensor(self) -> Sensor:
-        return self.whole.sensor
-
-    def __len__(self) -> int:
-        return len(self.whole)
+    def has_labels(self) -> bool:
+        return False
 
     def __getitem__(self, position: int) -> Scan:
         return self.whole[position].without_truth()

@@ -16,6 +16,7 @@ from dynaviz.io.las import read_las_fields
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply_rows
+from dynaviz.io.points import reader_of
 
 Fields = dict[str, NDArray[Any]]
 
@@ -37,11 +38,7 @@ def read_fields(path: str | os.PathLike[str]) -> Fields:
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        hint = f"Give a file with one of the suffixes {', '.join(sorted(_READERS))}"
-        raise DataError(path, "unknown point cloud format", hint=hint)
-    fields = reader(path)
+    fields = reader_of(path, _READERS)(path)
     if missing := [axis for axis in AXES if axis not in fields]:
         hint = "Write the cloud with x, y and z"
         raise DataError(path, f"has no {', '.join(missing)} (found: {', '.join(fields)})", hint=hint)

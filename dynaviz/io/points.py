@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from dynaviz.io.las import read_las
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply
+
+Read = TypeVar("Read")
 
 
 def read_points(path: str | os.PathLike[str]) -> F32:
@@ -30,11 +33,16 @@ def read_points(path: str | os.PathLike[str]) -> F32:
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     path = Path(path)
-    reader = _READERS.get(path.suffix.lower())
+    return reader_of(path, _READERS)(path)
+
+
+def reader_of(path: Path, readers: Mapping[str, Callable[[Path], Read]]) -> Callable[[Path], Read]:
+    """The reader for the suffix of a path; DataError for an unknown suffix."""
+    reader = readers.get(path.suffix.lower())
     if reader is None:
-        suffixes = ", ".join(sorted(_READERS))
+        suffixes = ", ".join(sorted(readers))
         raise DataError(path, "unknown point cloud format", hint=f"Give a file with one of the suffixes {suffixes}")
-    return reader(path)
+    return reader
 
 
 def _read_pcd(path: Path) -> F32:

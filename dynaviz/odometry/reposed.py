@@ -13,13 +13,12 @@ from dynaviz.arrays import F64
 from dynaviz.attributes import Attributes, attributes_of
 from dynaviz.errors import DataError
 from dynaviz.io.poses import read_poses
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensors import Sensor
+from dynaviz.scan import Scan, Sequence, SequenceView
 from dynaviz.spatial import geometry
 
 
 @dataclass(frozen=True)
-class ReposedSequence:
+class ReposedSequence(SequenceView):
     """A sequence whose scans are moved from their own poses to others. Ground truth and attributes stay.
 
     Attributes:
@@ -50,27 +49,9 @@ class ReposedSequence:
         return cls(sequence, np.array(chosen))
 
     @property
-    def name(self) -> str:
-        """That of the sequence."""
-        return self.whole.name
-
-    @property
-    def sensor(self) -> Sensor:
-        """That of the sequence."""
-        return self.whole.sensor
-
-    @property
-    def has_labels(self) -> bool:
-        """As the sequence."""
-        return self.whole.has_labels
-
-    @property
     def facts(self) -> Mapping[str, str]:
         """Further facts of the sequence."""
         return {**getattr(self.whole, "facts", {}), "poses": "estimated"}
-
-    def __len__(self) -> int:
-        return len(self.whole)
 
     def attributes(self, position: int) -> Attributes:
         """Those of the sequence."""

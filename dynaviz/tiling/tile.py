@@ -24,8 +24,7 @@ from dynaviz.metric import Figure, Labelled
 from dynaviz.progress import Progress
 from dynaviz.results.result import Result
 from dynaviz.results.sections import Runtime
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensors import Sensor
+from dynaviz.scan import Scan, Sequence, SequenceView
 from dynaviz.spatial.extent import CELL
 from dynaviz.tiling.grid import Tile, TileGrid, packed
 from dynaviz.tiling.index import SequenceIndex
@@ -39,7 +38,7 @@ _HINT = "Delete it and run the same command again"
 
 
 @dataclass(frozen=True, eq=False)
-class TileFrames:
+class TileFrames(SequenceView):
     """The frames of a sequence that see a tile, with empty scans in place of some of the others.
 
     Attributes:
@@ -69,16 +68,6 @@ class TileFrames:
         chosen = np.array(rows, np.int64)
         at = np.where(chosen < 0, -1 - chosen, chosen)
         return cls(sequence, chosen, index.numbers[at], index.positions[at], origin)
-
-    @property
-    def name(self) -> str:
-        """The name of the sequence."""
-        return self.whole.name
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor of the sequence."""
-        return self.whole.sensor
 
     @property
     def has_labels(self) -> bool:
