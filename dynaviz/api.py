@@ -26,6 +26,7 @@ from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.odometry.opening import is_odometry, open_estimated
+from dynaviz.odometry.refine import refine
 from dynaviz.probe import SILENT, Probe
 from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode, Result
@@ -100,6 +101,7 @@ def run(
     settings: Iterable[str] | Mapping[str, Any] = (),
     online: bool | None = None,
     seed: int | None = None,
+    refine_poses: bool = False,
     variant: str = "",
     threads: int | None = None,
     tiles: float | None = None,
@@ -121,6 +123,8 @@ def run(
         preset, config, settings: layers of parameters (``dynaviz.params.resolve``); settings may be a dictionary.
         online: label each scan right after it was observed, instead of after all scans.
         seed: for all randomness in the method.
+        refine_poses: register each scan to the scans around it (open3d), and run with the refined poses. They are kept
+            in ``out`` as ``poses_refined.csv``; the result states in ``pose_refinement`` how far they moved.
         variant: a short name for the parameter set, for tables.
         threads: for kernels; None for all cores.
         tiles: edge of the squares into which the map is divided, metres; None runs it as a whole. Needs ``out``. An
@@ -146,6 +150,9 @@ def run(
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, config, settings)
     sequence = suited(kind, resolved.params, sequence)
+    folder = None if out is None else Path(out)
+    if refine_poses:
+        sequence = refine(sequence, folder, progress)
     spec = RunSpec(
         labeller=kind(resolved.params),
         sequence=sequence,
@@ -159,7 +166,6 @@ def run(
         threads=threads,
         command=command,
     )
-    folder = None if out is None else Path(out)
     recording, mode = _recording(record, folder)
     if view and recording is None:
         raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")

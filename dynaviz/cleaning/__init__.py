@@ -42,6 +42,7 @@ def clean(
     frames: str | None = None,
     stride: int = 1,
     poses: str | os.PathLike[str] | None = None,
+    refine_poses: bool = False,
     points_in: str | None = None,
     deskew: bool | None = None,
     extrinsic: str | None = None,
@@ -68,7 +69,7 @@ def clean(
         keep_dynamic: file for the removed points, in any of the formats.
         frames, stride, points_in, deskew, extrinsic, sensor: as for ``dynaviz.open``.
         poses: as for ``dynaviz.open``; None estimates poses with KISS-ICP if the sequence has none.
-        preset, config, settings, record, threads, command, progress: as for ``dynaviz.run``.
+        preset, config, settings, record, threads, command, progress, refine_poses: as for ``dynaviz.run``.
 
     Returns:
         What was done; printing it shows a summary. ``Cleaned.result`` is the result of the run.
@@ -96,12 +97,14 @@ def clean(
         preset=preset,
         config=config,
         settings=settings,
+        refine_poses=refine_poses,
         threads=threads,
         command=command or shlex.join(["dynaviz.clean", sequence.name]),
         progress=progress,
         maps=False,
     )
-    maps = write_maps(sequence, result.labels, files, progress)
+    used: Sequence = result.answers.sequence  # with refined poses, if they were
+    maps = write_maps(used, result.labels, files, progress)
     sensor = sentence(estimate_sensor(sequence)) if sequence.sensor.name == Sensor().name else ""
     whole: Sequence = sequence
     while isinstance(whole, SequenceSlice):

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from dynaviz.engine.cleaned_map import WrittenMap
 from dynaviz.odometry.estimate import EstimatedPoses
 from dynaviz.results.result import Result
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 CASES = 5  # listed
+NOISY = 0.02  # metres; pose noise from which refining poses is advised
+_ADVICE = "; `--refine-poses` may reduce it, and keep more static points"
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,8 @@ class Cleaned:
             "metrics": dict(self.result.metrics),
             "maps": [{"file": str(m.path), "points": m.points, "attributes": list(m.attributes)} for m in self.maps],
             "poses": poses,
+            "pose_noise": msgspec.to_builtins(self.result.pose_noise),
+            "pose_refinement": msgspec.to_builtins(self.result.pose_refinement),
             "folder": str(self.folder),
         }
 
@@ -97,6 +103,10 @@ class Cleaned:
             yield f"\nPoses were estimated with {self.poses}. They are in `{self.poses.file}`; `--poses` reads them."
         elif "poses" in self.facts:
             yield f"\nPoses: {self.facts['poses']}."
+        if refined := self.result.pose_refinement:
+            yield f"\nPoses were refined: {refined}. They are in `{self.folder / 'poses_refined.csv'}`."
+        elif noise := self.result.pose_noise:
+            yield f"\nPose noise: {noise}{_ADVICE if noise.translation_m > NOISY else ''}."
         if self.sensor:
             yield f"\nThe sensor is unknown. Estimated from the scans: {self.sensor}. `--sensor` overrides this."
 

@@ -85,6 +85,9 @@ Poses = Annotated[
         "TF frame.",
     ),
 ]
+RefinePoses = Annotated[
+    bool, typer.Option("--refine-poses", help="Register each scan to the scans around it to refine its pose (open3d).")
+]
 Extrinsic = Annotated[
     str | None,
     typer.Option(

@@ -251,6 +251,7 @@ def _result(
         environment=environment(),
         command=run.command,
         pose_noise=summary.pose_noise,
+        pose_refinement=getattr(run.sequence, "refinement", None),
     )
 
 

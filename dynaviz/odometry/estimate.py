@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from dynaviz import registry
-from dynaviz.arrays import F64, I64
+from dynaviz.arrays import F64
 from dynaviz.io.atomic import write_atomic
 from dynaviz.odometry.contract import Odometry
+from dynaviz.odometry.pose_table import without_points, write_pose_table
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial import geometry
-from dynaviz.spatial.trajectory import Trajectory
 
 FORMAT = 1  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at
@@ -74,7 +74,7 @@ def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: P
     kind: type[Odometry] = registry.load("odometries", name)
     file, note = folder / f"poses_{name}.csv", folder / f"poses_{name}.toml"
     sample = [sequence[k] for k in np.unique(np.linspace(0, len(sequence) - 1, _SAMPLES).astype(int))]
-    odometry = kind(_reach(sample))
+    odometry = kind(reach_of(sample))
     key = _key(kind, name, sequence, sample)
     if (earlier := _cached(file, note, key)) is not None:
         return earlier
@@ -85,10 +85,10 @@ def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: P
         poses.append(odometry.register(points, times))
         deskewed |= times is not None
         moments.append(_moment(scan, times, kind.reference))
-        frames.append(_light(scan))
+        frames.append(without_points(scan))
         progress("poses", done, len(sequence))
     T = np.array(poses)
-    _write(file, frames, T, np.array(moments, np.int64))
+    write_pose_table(file, frames, T, np.array(moments, np.int64))
     steps = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
     found = EstimatedPoses(file, name, _version(kind), len(T), round(float(steps.sum()), 3),
                            round(time.monotonic() - start, 1), deskewed, key)  # fmt: skip
@@ -114,34 +114,11 @@ def _moment(scan: Scan, times: F64 | None, reference: float) -> int:
     return stamp + round((first + reference * (last - first)) * 1e9)
 
 
-def _light(scan: Scan) -> Scan:
-    """A scan without points, to keep its number and stamp."""
-    return Scan(scan.index, np.empty((0, 3), np.float32), np.eye(4), scan.stamp_ns)
-
-
-def _reach(scans: list[Scan]) -> float:
+def reach_of(scans: list[Scan]) -> float:
     """Metres: 95 % of the points are nearer."""
     ranges = [np.sqrt(scan.squared_ranges()) for scan in scans]
     near = np.concatenate([values[np.isfinite(values)] for values in ranges])
     return float(np.percentile(near, 95)) if len(near) else 0.0
-
-
-def _write(file: Path, frames: list[Scan], poses: F64, moments: I64) -> None:
-    """Write poses by stamp, or by number if a frame has no stamp or two have the same.
-
-    The times of sweeps and those to which the poses refer differ; both have a line, so that no sweep lies outside.
-    """
-    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
-    stamps = [frame.stamp_ns for frame in frames]
-    rows: list[tuple[int, F64]]
-    if None in stamps or len(set(stamps)) < len(stamps):
-        first, rows = "index", list(zip((frame.index for frame in frames), poses, strict=True))
-    else:
-        first, trajectory = "stamp [ns]", Trajectory.of(moments, poses)
-        times = np.union1d(np.array(stamps, np.int64), trajectory.times)
-        rows = list(zip(times.tolist(), trajectory.at(times), strict=True))
-    lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]
-    write_atomic(file, "\n".join([f"{first},{matrix}", *lines, ""]).encode())
 
 
 def _key(kind: type[Odometry], name: str, sequence: Sequence, sample: list[Scan]) -> str:

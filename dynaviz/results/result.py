@@ -30,6 +30,7 @@ from dynaviz.results.sections import (
     FailureCase,
     Machine,
     PoseNoise,
+    PoseRefinement,
     Removals,
     RemovedCluster,
     Runtime,
@@ -68,6 +69,7 @@ class Result:
         environment: package versions and machine.
         command: what the user typed.
         pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results of earlier versions.
+        pose_refinement: how the poses were refined; None if they were not.
         answers: where ``labels`` and ``static_map`` come from (``dynaviz.results.answers``); not in the file.
     """
 
@@ -89,6 +91,7 @@ class Result:
     environment: Environment = field(default_factory=Environment)
     command: str = ""
     pose_noise: PoseNoise | None = None
+    pose_refinement: PoseRefinement | None = None
     answers: Any = field(default=None, repr=False, compare=False)
 
     @property

@@ -93,6 +93,11 @@ class KeySet:
         """(len,) int64, sorted."""
         return np.sort(self._slots[self._slots >= 0])
 
+    def clear(self) -> None:
+        """Remove all keys; the memory is kept for new ones."""
+        self._slots.fill(-1)
+        self._count = 0
+
 
 def voxel_downsample(points: F32, size: float) -> tuple[Intp, Intp]:
     """Select one point per voxel.

@@ -120,30 +120,35 @@ class Recorder(Listener):
         self._scan = scan
 
     def observed(self, frame: int) -> None:
-        """Draw the states emitted by ``observe``."""
+        """Draw the states emitted by ``observe``, in the background."""
         if self._queue:
-            self._background.wait()
-            self._open.at(frame, self._scan.stamp_ns)
-            self._draw_states(self._scan)
-            self._open.flush(STATES_PENDING)
+            self._background.run(self._write_states, frame, self._scan, self._taken())
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Draw the states emitted by ``label``, and write the rest of the frame in the background."""
-        self._background.wait()
-        scan = labelled.scan
-        self._stamp_ns = scan.stamp_ns
-        self._positions.append(scan.position)
-        if self._queue:
-            self._open.at(labelled.frame, scan.stamp_ns)
-            self._draw_states(scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
+        """Draw the states emitted by ``label``, and write the rest of the frame, in the background."""
+        self._stamp_ns = labelled.scan.stamp_ns
+        self._positions.append(labelled.scan.position)
         # The method may use its arrays again for the next scan.
         kept = dataclasses.replace(labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy())
-        self._background.run(self._write_frame, kept, dict(curves))
+        self._background.run(self._write_frame, kept, dict(curves), self._taken())
 
-    def _write_frame(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Write a frame: its points by outcome, the labels of all points, and the curves."""
+    def _taken(self) -> list[tuple[State, Value]]:
+        """The queued states, with copies of their arrays, because the method may change them during the drawing."""
+        queue = [(state, _copied(value)) for state, value in self._queue]
+        self._queue.clear()
+        return queue
+
+    def _write_states(self, frame: int, scan: Scan, queue: list[tuple[State, Value]]) -> None:
+        self._open.at(frame, scan.stamp_ns)
+        self._draw_states(queue, scan)
+        self._open.flush(STATES_PENDING)
+
+    def _write_frame(self, labelled: Labelled, curves: Mapping[str, float], queue: list[tuple[State, Value]]) -> None:
+        """Write a frame: its states, its points by outcome, the labels of all points, and the curves."""
         scan = labelled.scan
         self._open.at(labelled.frame, scan.stamp_ns)
+        if queue:
+            self._draw_states(queue, scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
         if self._scene is not None:
             self._scene.pose(scan)
             self._scene.frame(labelled)
@@ -247,10 +252,10 @@ class Recorder(Listener):
         for tab in keys.tabs(self._info) if self._states else ():
             self._open.log(paths.key(self._info.name, tab[0]), keys.strip(tab), static=True)
 
-    def _draw_states(self, scan: Scan, errors: F32 | None = None) -> None:
-        """Draw the queued states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
-        budget = Budget(scan, self._most, errors) if self._queue and self._most is not None else None
-        for state, value in self._queue:
+    def _draw_states(self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None) -> None:
+        """Draw states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
+        budget = None if self._most is None else Budget(scan, self._most, errors)
+        for state, value in queue:
             if isinstance(value, Text):
                 self._say(f"{state.name}: {value.text}")
             elif (drawn := states.draw(value, state, scan, budget)) is not None:
@@ -258,7 +263,6 @@ class Recorder(Listener):
                 self._open.log(path, drawn)
                 if isinstance(value, PolarGrid):
                     self._guide(path, value, scan)
-        self._queue.clear()
 
     def _guide(self, path: str, grid: PolarGrid, scan: Scan) -> None:
         """Distances and the direction of travel in a polar grid."""
@@ -305,6 +309,13 @@ class Recorder(Listener):
 
 
 _ERRORS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
+
+
+def _copied(value: Value) -> Value:
+    """A state with copies of its arrays."""
+    parts: dict[str, Any] = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    parts = {name: part.copy() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
+    return type(value)(**parts)
 
 
 def _bars(path: str, counts: Any, edges: Any) -> rr.BarChart:

@@ -10,10 +10,12 @@ from dynaviz.arrays import F32, I32, I64, Bool
 from dynaviz.metric import Labelled
 from dynaviz.results.behaviour import Behaviour
 from dynaviz.scan import Label, Scan
-from dynaviz.spatial.grid import in_key_range, unpack
+from dynaviz.kernels.keys import REACH as CELLS
+from dynaviz.spatial.grid import in_key_range, pack, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT
 from dynaviz_eval.per_scan import scan_squared_ranges
+from dynaviz_eval.sorted_runs import HELD, SortedRuns
 
 WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
 STILL = 0.5  # metres in a window: slower than anyone walks
@@ -24,6 +26,7 @@ FAR = 30.0  # metres: a car has a few dozen points there, and rays pass between 
 BRIEF = 5  # frames: too few hits to decide by
 TRACKS = 1000  # objects that are remembered
 CELL = 1.0  # metres: edge of a cell of a place
+_RECORD = np.dtype([("key", np.int64), ("visits", np.int32, 3)])
 SAMPLE = 15_000  # points of a scan that look for its cells: consecutive points are much closer than a cell
 
 
@@ -128,12 +131,16 @@ def shift(row: np.void, other: np.void) -> float:
 
 
 class Places:
-    """Remembers when each cell of the map was hit; memory grows with the mapped area."""
+    """Remembers when each cell of the map was hit; the cells of large maps are stored on disk during the run.
 
-    def __init__(self) -> None:
+    Args:
+        held: cells in memory.
+    """
+
+    def __init__(self, held: int = HELD) -> None:
         self._keys, self._visits, self._used = np.full(1 << 16, -1, np.int64), np.empty((1 << 16, 3), np.int32), 0
-        self._frame = 0
-        self._index: tuple[I32, I32] | None = None
+        self._frame, self._held = 0, held
+        self._stored = SortedRuns(_RECORD)
 
     def add(self, frame: int, points: F32) -> None:
         """Add the points of a scan, (N, 3) float32, metres, world frame; a scan's own, read-only array."""
@@ -142,18 +149,34 @@ class Places:
             begin, self._used = visits.visit(points, begin, step, frame, CELL, self._keys, self._visits, self._used)
             if begin < len(points):
                 self._keys, self._visits = visits.grow(self._keys, self._visits, 2 * len(self._keys))
+        if self._used > self._held:  # between frames, so that no frame counts twice
+            self._store()
 
     def visits(self, low: F32, high: F32) -> I32:
         """(K, 3) int32: first frame, last frame and number of frames of the cells within a box; after the last scan."""
-        if self._index is None:
-            used = self._keys >= 0
-            self._index = unpack(self._keys[used]), self._visits[used]
-        cells, visits = self._index
-        inside = np.ones(len(cells), np.bool_)
-        for axis in range(3):
-            inside &= cells[:, axis] >= np.floor(low[axis] / CELL)
-            inside &= cells[:, axis] <= np.floor(high[axis] / CELL)
-        return visits[inside]
+        if self._used:
+            self._store()
+        first, last = (np.clip(np.floor(corner / CELL), 1 - CELLS, CELLS - 2).astype(np.int64) for corner in (low, high))
+        ends = pack(np.array([[first[0] + 0.5, 0.5 - CELLS, 0.5 - CELLS], [last[0] + 1.5, 0.5 - CELLS, 0.5 - CELLS]]), 1)
+        records = self._stored.between(int(ends[0]), int(ends[1]))
+        cells = unpack(records["key"])
+        records = records[((cells >= first) & (cells <= last)).all(1)]
+        cell, of = np.unique(records["key"], return_inverse=True)
+        found = np.zeros((len(cell), 3), np.int32)
+        found[:, 0] = self._frame
+        np.minimum.at(found[:, 0], of, records["visits"][:, 0])
+        np.maximum.at(found[:, 1], of, records["visits"][:, 1])
+        np.add.at(found[:, 2], of, records["visits"][:, 2])
+        return found
+
+    def _store(self) -> None:
+        """Move all cells to the disk."""
+        used = self._keys >= 0
+        records = np.empty(self._used, _RECORD)
+        records["key"], records["visits"] = self._keys[used], self._visits[used]
+        self._stored.append(records)
+        self._keys.fill(-1)
+        self._used = 0
 
     def behaviour(self, case: np.void) -> Behaviour | None:
         """What the place of a case of static points did, given its row of ``summed``; None if unknown."""

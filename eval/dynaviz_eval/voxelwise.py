@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, I64
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, Labelled
 from dynaviz.results.scores import harmonic_mean, percent
 from dynaviz.scan import Label, Outcome
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
+from dynaviz_eval.sorted_runs import HELD, SortedRuns
 
 EDGE = 0.2  # metres
+_COUNTS = ("static", "static_kept", "dynamic", "dynamic_kept")
+_RECORD = np.dtype([("key", np.int64), ("kind", np.uint8)])
 
 
 class Voxelwise:
@@ -23,15 +26,17 @@ class Voxelwise:
     A voxel is static if it contains a static point, else dynamic if it contains a dynamic point. It is kept if it
     contains a kept point. PR: share of static voxels kept; RR: share of dynamic voxels not kept; F1: their harmonic
     mean; all in percent. A single kept point keeps its voxel, so these numbers flatter a method compared with SA and
-    DA. Unlabelled points do not count. Memory grows with the mapped area.
+    DA. Unlabelled points do not count. The voxels of large maps are stored on disk during the run.
 
     For a cleaned map written by another program, a voxel is kept if it contains a point of that map, as in those
     papers; the radius of nearest-neighbour scoring is not used.
     """
 
-    def __init__(self, info: MethodInfo, edge: float = EDGE) -> None:
+    def __init__(self, info: MethodInfo, edge: float = EDGE, held: int = HELD) -> None:
         self._edge = edge  # metres
         self._static, self._dynamic, self._kept = KeySet(), KeySet(), KeySet()
+        self._held = held  # voxels of a kind in memory
+        self._stored = SortedRuns(_RECORD)
         self._has_map = False
 
     def cleaned_map(self, points: F32) -> None:
@@ -50,23 +55,43 @@ class Voxelwise:
             self._dynamic.add(keys[finite & (labelled.scan.labels == Label.DYNAMIC)])
             if not self._has_map:
                 self._kept.add(keys[finite & kept])
+            if max(len(self._static), len(self._dynamic), len(self._kept)) > self._held:
+                self._store()
         return {}
 
     def finish(self) -> Mapping[str, Any]:
         """The section; rates are None if there are no voxels to count."""
-        static, kept = self._static.keys(), self._kept.keys()
-        dynamic = np.setdiff1d(self._dynamic.keys(), static, assume_unique=True)
-        static_kept, dynamic_kept = (len(np.intersect1d(v, kept, assume_unique=True)) for v in (static, dynamic))
-        PR = float(percent(static_kept, len(static))) if len(static) else None
-        RR = 100.0 * (1 - dynamic_kept / len(dynamic)) if len(dynamic) else None
+        counts = dict.fromkeys(_COUNTS, 0)
+        for static, dynamic, kept in self._parts():
+            dynamic = np.setdiff1d(dynamic, static, assume_unique=True)
+            found = (static, np.intersect1d(static, kept, True), dynamic, np.intersect1d(dynamic, kept, True))
+            for name, voxels in zip(_COUNTS, found, strict=True):
+                counts[name] += len(voxels)
+        PR = float(percent(counts["static_kept"], counts["static"])) if counts["static"] else None
+        RR = 100.0 * (1 - counts["dynamic_kept"] / counts["dynamic"]) if counts["dynamic"] else None
         F1 = None if PR is None or RR is None else float(harmonic_mean(PR, RR))
-        counts = {
-            "static": len(static),
-            "static_kept": static_kept,
-            "dynamic": len(dynamic),
-            "dynamic_kept": dynamic_kept,
-        }
         return {"voxelwise": {"edge_m": self._edge, "PR": PR, "RR": RR, "F1": F1, **counts}}
+
+    def _store(self) -> None:
+        """Move all voxels to the disk."""
+        sets = (self._static, self._dynamic, self._kept)
+        records = np.empty(sum(map(len, sets)), _RECORD)
+        records["kind"] = np.repeat(np.arange(3), [len(voxels) for voxels in sets])
+        records["key"] = np.concatenate([voxels.keys() for voxels in sets])
+        self._stored.append(records)
+        for voxels in sets:
+            voxels.clear()
+
+    def _parts(self) -> Iterator[tuple[I64, I64, I64]]:
+        """Static, dynamic and kept voxels, each (N,) sorted keys; part by part, of which each fits into memory."""
+        if not len(self._stored):
+            yield self._static.keys(), self._dynamic.keys(), self._kept.keys()
+            return
+        self._store()
+        for low, high in self._stored.intervals():
+            records = self._stored.between(low, high)
+            static, dynamic, kept = (np.unique(records["key"][records["kind"] == kind]) for kind in range(3))
+            yield static, dynamic, kept
 
     def figures(self) -> Mapping[str, Figure]:
         """None."""
