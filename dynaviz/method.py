@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -143,6 +144,28 @@ class Method(Labeller, Protocol):
 
     def observe(self, scan: Scan) -> None:
         """Learn from one scan."""
+        ...
+
+
+@runtime_checkable
+class Live(Protocol):
+    """A method that can run live: on scans as they come, in bounded memory.
+
+    Its context has a ``Window`` as extent. Register all state of a ``BlockGrid`` with ``per_block``, which resets it
+    where the window forgets. Store nothing else that grows, except what ``forget`` drops.
+    """
+
+    def forget(self, index: int) -> None:
+        """Drop what is stored about the scan with this index, for example its labels; it may be unknown."""
+        ...
+
+
+@runtime_checkable
+class Relabels(Protocol):
+    """A method that stores labels, and can decide those of the last scans again, by what it knows now."""
+
+    def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
+        """Label scans again, in order; later answers of ``label`` stay the same."""
         ...
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,11 @@ from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import SHIFTS, unpack
+from dynaviz.spatial.rolling import RollingDirectory
+from dynaviz.spatial.window import Window
 
 VOXELS = 8**3  # in a block
+State = TypeVar("State", bound=NDArray[Any])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +44,9 @@ class BlockGrid:
     state in arrays of ``len(grid)`` rows, so memory grows with the mapped area. A directory of super-blocks of 16^3
     blocks, dense over the bounds, finds the blocks, so maps of kilometres fit into memory.
 
+    A grid made from a ``Window`` follows it: blocks come and go, and their numbers are used again. It is as long as
+    there is room for blocks. Register state with ``per_block``, so that it is reset where a block goes.
+
     Like OctoMap's 16-bit keys, the grid reaches 32768 voxels to each side of the world's origin. Points beyond that,
     non-finite points and points outside the extent have no voxel.
 
@@ -56,19 +63,63 @@ class BlockGrid:
             raise ValueError(f"resolution must be positive, not {resolution}")
         self.resolution = resolution
         self._per_metre = 1.0 / resolution
-        reach = kernels.blocks.REACH // 128  # super-blocks
-        exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)
-        bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
-        self._base, self._shape = bounds[0], bounds[1] - bounds[0] + 1
-        self._blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
-        self._place = (self._base, self._shape, *kernels.blocks.directory(self._blocks, self._base, self._shape))
+        self._rolling: RollingDirectory | None = None
+        if isinstance(extent, Window):
+            self._rolling = RollingDirectory(extent, self._per_metre, _covering)
+            self._blocks, self._place = self._rolling.blocks, self._rolling.place
+        else:
+            self._blocks, self._place = self._known(extent)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are filled in order, so rows that no scan needs never occupy physical memory.
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
         self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
 
+    def _known(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
+        """The blocks of an extent that is known, and their directory."""
+        reach = kernels.blocks.REACH // 128  # super-blocks
+        exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)
+        bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
+        base, shape = bounds[0], bounds[1] - bounds[0] + 1
+        blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
+        return blocks, (base, shape, *kernels.blocks.directory(blocks, base, shape))
+
+    def per_block(self, state: State, empty: float = 0) -> State:
+        """Register state with one row per block, and return it.
+
+        Args:
+            state: (len or len + 1, ...), filled with ``empty``.
+            empty: what the rows of a block are set to when it goes; blocks go in live use only.
+        """
+        if self._rolling:
+            self._rolling.states.append((state, empty))
+        return state
+
+    @property
+    def rolls(self) -> bool:
+        """Whether blocks come and go."""
+        return self._rolling is not None
+
+    @property
+    def blocks(self) -> I64:
+        """(len, 3) int64, read-only: indices of the blocks from the world's origin; sorted unless they come and go."""
+        return self._blocks
+
+    @property
+    def span(self) -> int:
+        """Blocks that come and go exist within this number of blocks along each axis at a time."""
+        return self._rolling.span if self._rolling else int(self._place[1].max()) * 16
+
+    def existing(self) -> Bool:
+        """(len,) bool: the blocks that exist."""
+        return self._rolling.exists if self._rolling else np.ones(len(self), np.bool_)
+
+    def watch(self, came: Callable[[I32], None]) -> None:
+        """Call with the numbers of blocks that come, (K,) int32, before anything else happens to them."""
+        if self._rolling:
+            self._rolling.watchers.append(came)
+
     def __len__(self) -> int:
-        """Number of blocks."""
+        """Number of blocks, or of those for which there is room."""
         return len(self._blocks)
 
     def locate(self, points: F32) -> I64:

@@ -110,10 +110,12 @@ class DufoMap:
         params, self._probe = self.params, context.probe
         self._grid = VoidGrid(context.extent, params.resolution, params.hit_margin, params.unknown_margin)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
-        self._seen_free = np.zeros((rows, 8), np.int64)  # bits as in VoidMarks
-        self._crossed = np.zeros((rows, 8), np.int64)
+        self._seen_free = self._grid.per_block(np.zeros((rows, 8), np.int64))  # bits as in VoidMarks
+        self._crossed = self._grid.per_block(np.zeros((rows, 8), np.int64))
         self._listened = any(self._probe.wants(state.name) for state in STATES)
         self._with_points = np.zeros((rows if self._listened else 0, 8), np.int64)
+        if self._listened:
+            self._grid.per_block(self._with_points)
 
     def observe(self, scan: Scan) -> None:
         """Find the scan's void voxels and mark them as seen free."""
@@ -133,6 +135,9 @@ class DufoMap:
         reasons[dynamic] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
+
+    def forget(self, index: int) -> None:
+        """Nothing: scans leave only voxels."""
 
     def halo(self) -> Halo:
         """Voxels that decide whether others are void, and the hits that end rays."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I64
+from dynaviz.arrays import F32, F64, I32, I64, Intp
+from dynaviz.spatial.blocks import BlockGrid
 
 SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
 WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
@@ -59,16 +60,14 @@ class GroundHeight:
             voxels: (N,) int64, -1 for none.
             position: (3,) float64, metres, world frame: position of the sensor.
         """
-        stale = np.flatnonzero(self._stale[:-1])
-        kernels.ground_height.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
-        self._stale[:] = False
+        self._refresh()
         place = (voxels, self._column, self._columns)
         low, high = kernels.ground_height.spanned(*place)
         middle = np.floor(position[:2] / self._edge).astype(np.int64)
         low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
         if (low > high).any():
             return np.full(len(points), np.inf, np.float32)
-        near = slice(*np.searchsorted(self._columns[:, 0], (low[0], high[0] + 1)))
+        near = self._between(low[0], high[0])
         xy, floor = self._columns[near], self._floor[near]
         inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
         surface = np.full(high - low + 1, np.inf)
@@ -78,7 +77,66 @@ class GroundHeight:
         height: F32 = kernels.ground_height.heights(kernels.as_readonly(points, np.float32), *place, low, surface)
         return height
 
+    def _refresh(self) -> None:
+        """Compute the floors of the columns that got points."""
+        stale = np.flatnonzero(self._stale[:-1])
+        kernels.ground_height.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
+        self._stale[:] = False
+
+    def _between(self, low: int, high: int) -> slice | Intp:
+        """The columns from one x to another, both included."""
+        return slice(*np.searchsorted(self._columns[:, 0], (low, high + 1)))
+
     def quarters(self, voxels: I64) -> I64:
         """(N,) int64: number of the quarter column that contains each voxel; the last numbers are for voxels -1."""
         quarters: I64 = self._column[voxels >> 9] * 4 + (voxels >> 8 & 1) * 2 + (voxels >> 5 & 1)
         return quarters
+
+
+class RollingGroundHeight(GroundHeight):
+    """Heights above the ground in a grid whose blocks come and go.
+
+    The numbers of columns wrap around in both directions, at a distance in which no two blocks exist at a time.
+
+    Args:
+        grid: follows a window.
+    """
+
+    def __init__(self, grid: BlockGrid) -> None:
+        self._grid, self._edge = grid, 8 * grid.resolution
+        self._step = SLOPE * self._edge
+        self._size = grid.span
+        n, rows = self._size**2, len(grid)
+        self._columns = np.full((n, 2), np.iinfo(np.int32).min, np.int64)
+        self._column = np.full(rows + 1, n)  # of each block; the last is for -1
+        self._number = grid.per_block(np.zeros((rows, 8), np.int32))
+        self._height = grid.per_block(np.zeros((rows, 8), np.int64))
+        self._floor, self._stale = np.full(n, np.inf), np.zeros(n + 1, np.bool_)
+        grid.watch(self._came)
+
+    def _came(self, numbers: I32) -> None:
+        """Number the columns of new blocks; a column that was elsewhere before has no floor."""
+        keys = self._grid.blocks[numbers, :2]
+        columns = (keys % self._size) @ np.array([self._size, 1])
+        self._column[numbers] = columns
+        moved = (self._columns[columns] != keys).any(1)
+        self._floor[columns[moved]] = np.inf
+        self._columns[columns] = keys
+
+    def _refresh(self) -> None:
+        blocks = np.flatnonzero(self._stale[self._column[:-1]] & self._grid.existing())
+        blocks = blocks[self._number[blocks].any(1)]
+        columns = self._column[blocks]
+        order = np.lexsort((self._grid.blocks[blocks, 2], columns))
+        blocks, columns = blocks[order], columns[order]
+        firsts = np.flatnonzero(np.diff(columns, prepend=-1))
+        floor = np.empty(len(firsts))
+        layers = self._number[blocks], self._height[blocks]
+        keys = kernels.as_readonly(self._grid.blocks[blocks], np.int64)
+        kernels.ground_height.floors(np.arange(len(firsts)), np.append(firsts, len(blocks)), keys, *layers, floor)
+        self._floor[columns[firsts]] = floor
+        self._stale[:] = False
+
+    def _between(self, low: int, high: int) -> Intp:
+        inside = (self._columns[:, 0] >= low) & (self._columns[:, 0] <= high) & (self._floor < np.inf)
+        return np.flatnonzero(inside)

@@ -150,8 +150,10 @@ class OctoMap:
         self._seed, self._probe = context.seed, context.probe
         self._grid = BlockGrid(context.extent, self.params.resolution)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
-        self._log_odds = np.zeros((rows, VOXELS), np.float32)
-        self._ever = np.zeros((rows, 16), np.int64)  # voxels crossed or hit by any scan so far; bits as in Marks
+        self._log_odds = self._grid.per_block(np.zeros((rows, VOXELS), np.float32))
+        self._ever = self._grid.per_block(
+            np.zeros((rows, 16), np.int64)
+        )  # voxels crossed or hit by any scan so far; bits as in Marks
         probabilities = (self.params.prob_miss, self.params.prob_hit, self.params.clamp_min, self.params.clamp_max)
         self._logits = tuple(np.float32(logit(p)) for p in probabilities)
         self._ground: dict[int, U8] = {}  # by scan index: the mask of its ground points, packed
@@ -179,6 +181,11 @@ class OctoMap:
         reasons[ground] = GROUND
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
+
+    def forget(self, index: int) -> None:
+        """Drop the masks of a scan."""
+        self._ground.pop(index, None)
+        self._noise.pop(index, None)
 
     def halo(self) -> Halo:
         """Nothing else: a voxel is judged by the rays that cross or hit it."""

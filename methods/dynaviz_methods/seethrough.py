@@ -31,6 +31,7 @@ Labels are decided once, in the order of the scans, and stored with four bits pe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -44,7 +45,7 @@ from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods.ground_height import GroundHeight
+from dynaviz_methods.ground_height import GroundHeight, RollingGroundHeight
 from dynaviz_methods.lookups import known
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
@@ -133,11 +134,6 @@ class ClearGrid(BlockGrid):
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
 
-    @property
-    def blocks(self) -> I64:
-        """(B, 3) int64: keys of the blocks, sorted."""
-        return self._blocks
-
     def mark_once(self, scan: Scan, voxels: I64) -> Marks:
         """Cast one ray per origin to the centre of each voxel with points; mark the crossed and hit voxels.
 
@@ -203,14 +199,18 @@ class SeeThrough:
         """Allocate the map where points will lie."""
         self._probe = context.probe
         self._grid = ClearGrid(context.extent, self.params.resolution)
-        self._ground = GroundHeight(self._grid.blocks, self.params.resolution)
+        size = self.params.resolution
+        self._ground = RollingGroundHeight(self._grid) if self._grid.rolls else GroundHeight(self._grid.blocks, size)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
-        self._hits, self._passed, self._clear = (np.zeros((rows, VOXELS), np.uint16) for _ in range(3))
+        self._hits, self._passed, self._clear = (
+            self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3)
+        )
         # For each quarter column: the last scan with a dynamic object, and the number of scans in which that object
         # was dynamic, for ``label`` and for ``observe``. Then the last scans with any points and with dynamic points.
         places = 4 * len(self._ground) + 4
         self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
         self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
+        self._observed = 0
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
@@ -223,7 +223,8 @@ class SeeThrough:
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
         self._ground.add(points, voxels)
-        now = self._number[scan.index] = len(self._number)
+        now = self._number[scan.index] = self._observed
+        self._observed += 1
         reasons = self._judge(scan, points, voxels, places, self._so_far)
         self._seen[places[(reasons != LOW) & (reasons != FOOT)]] = now
         self._dynamic[places[reasons == SEEN_THROUGH]] = now
@@ -242,6 +243,20 @@ class SeeThrough:
         pairs = self._reasons[scan.index]
         reasons = np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
         return Labels(REMOVED[reasons], reasons)
+
+    def forget(self, index: int) -> None:
+        """Drop the labels of a scan."""
+        self._number.pop(index, None)
+        self._reasons.pop(index, None)
+
+    def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
+        """Label scans again, in order, as if none had been labelled; the stored labels stay."""
+        stored = self._reasons, self._movers
+        self._reasons, self._movers = {}, np.full_like(self._movers, -LATELY - 1)
+        try:
+            return [self.label(scan) for scan in scans]
+        finally:
+            self._reasons, self._movers = stored
 
     def _located(self, scan: Scan) -> tuple[F32, I64, I64]:
         """The scan's points (N, 3), their voxels (N,), -1 for none, and their quarter columns (N,)."""

@@ -13,6 +13,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import SHIFTS, unpack
+from dynaviz.spatial.window import Window
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +97,8 @@ class VoidGrid(BlockGrid):
 
 def widened(extent: Extent, around: float) -> Extent:
     """The extent, enlarged by ``around`` metres on all sides."""
+    if isinstance(extent, Window):
+        return extent.widened(around)
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
     packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
     for shift in SHIFTS:  # one axis at a time, so that no intermediate list is much longer than the result
