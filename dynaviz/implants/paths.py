@@ -15,6 +15,8 @@ NEAREST = 4.0  # metres from the sensor
 WITHIN = 0.3  # share of the wanted distance to the sensor
 LANE = 3.5  # metres, width of a lane
 LANES = (-1, 0, 1, 1, 1, 2)  # lanes to the left of the sensor's: most movers come towards it on the next lane
+BESIDE, GAP = 40, (8.0, 20.0)  # paths that keep pace with the sensor, and metres to it in its lane; half in others
+FINE = 0.05  # metres between places at which the sensor is looked for on the road
 AHEAD = 60.0  # metres by which the trajectory is extended at both ends
 
 
@@ -80,6 +82,41 @@ def followed(route: Route, sensor: F64, away: float, longest: float, rng: np.ran
         x, y, _ = line.at(s)
         xy, anchor = np.stack([x, y], axis=1), int(np.clip((at - low) / SPACING, 0, len(s) - 1))
         found.append(Path(xy[::-1], len(s) - 1 - anchor) if opposite else Path(xy, anchor))
+    return found
+
+
+def stations(route: Route, positions: F64) -> F64:
+    """(F,) metres along a route, never backwards, that are nearest to (F, 2) positions of the sensor."""
+    from scipy.spatial import cKDTree
+
+    fine = np.arange(0, route.length, FINE)
+    x, y, _ = route.at(fine)
+    _, nearest = cKDTree(np.column_stack([x, y])).query(positions)
+    reached: F64 = np.maximum.accumulate(fine[nearest])
+    return reached
+
+
+def beside(route: Route, reached: F64, spare: float, rng: np.random.Generator) -> list[tuple[Path, F64]]:
+    """Paths in the lanes of a road at some distance ahead of, behind or next to the sensor all the time.
+
+    Args:
+        route: the road.
+        reached: (F,) metres along it, of the sensor.
+        spare: metres of path before the first and after the last position.
+        rng: chooses lanes and distances.
+
+    Returns:
+        Of each, the path and (F,) metres along it.
+    """
+    found = []
+    for _ in range(BESIDE):
+        lane, ahead = int(rng.integers(-1, 2)), float(rng.uniform(*GAP) * rng.choice((-1, 1)))
+        line = route.shifted(lane * LANE)
+        at = np.interp(reached + (ahead if lane == 0 else 0.5 * ahead), route.distance, line.distance)
+        first, last = at[0] - spare, at[-1] + spare
+        if first >= 0 and last <= line.length:
+            x, y, _ = line.at(np.arange(first, last, SPACING))
+            found.append((Path(np.column_stack([x, y]), 0), at - first))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.paths import NEAREST, SPACING, Path, arcs, followed, paced, road, swerved
+from dynaviz.implants.paths import NEAREST, SPACING, Path, arcs, beside, followed, paced, road, stations, swerved
 from dynaviz.implants.scene import Implant
 from dynaviz.implants.schedule import cruise, park, pause, stand
 from dynaviz.implants.space import TALL, FreeSpace
@@ -33,6 +34,7 @@ TRIED = 60  # best paths for which a schedule is checked
 DRIVING = 3.0  # m/s; a faster sensor drives on a road
 ROADWAY = 3.0  # metres from the middle of the sensor's lane
 GOLDEN = 0.6180339887498949  # multiples of the golden ratio, without the whole part, are spread evenly
+SPARE = 0.2  # seconds for which a mover that keeps pace goes on before the first and after the last frame
 TIGHT = 0.6  # metres; a path this close to obstacles brushes along them
 
 
@@ -69,6 +71,7 @@ KINDS = {
     "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 40.0, 1.6),
     "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 35.0, 1.4),
 }
+STOPS = ("waits", "parks", "stands")
 ORDER = {"trucks": "truck", "cars": "car", "parks": "car", "cyclists": "cyclist", "persons": "person"}
 """Kind of each option; the largest are placed first."""
 
@@ -169,21 +172,39 @@ class _Planner:
         brushes = name == "person" and number % 2 == 1
         trip = self._trip(kind, parks, number, rng)
         shape = int(rng.integers(2**31))
+        along = self._along(kind, rng) if name == "car" and number % 4 == 1 and not parks else []
+        for path, schedule, note in itertools.chain(along, self._ways(kind, trip, brushes, rng)):
+            track = np.column_stack([path.xy, self._space.height(path.xy)]).round(3)
+            mover = Implant(name, instance, shape, track, schedule, note)
+            discs = footprints(mover, survey.times)
+            berth = max(kind.berth, STANDING) if note in STOPS and kind.radius > 1 else kind.berth
+            if self._free(discs, kind.radius, berth) and not self._pops(discs, kind.radius):
+                self._tracks.append((discs, kind.radius))
+                return mover
+        return None
+
+    def _ways(self, kind: Kind, trip: Trip, brushes: bool, rng: np.random.Generator) -> Iterator[tuple[Path, F64, str]]:
+        """Paths with schedules, the best first, and what they are called."""
         notes = {"cruise": "brushes along obstacles" if brushes else "moves"}
+        times = self._survey.times
         paths = list(self._best_paths(kind, trip, brushes, rng))
-        if name == "person":
-            paths = [trip.paced(path, survey.times) for path in paths]
+        if kind is KINDS["person"]:
+            paths = [trip.paced(path, times) for path in paths]
         for behaviour in (trip.behaviour, "stands"):
             for path in paths:
-                track = np.column_stack([path.xy, self._space.height(path.xy)]).round(3)
-                schedule = trip.schedule(path, survey.times, kind.braking, behaviour)
-                mover = Implant(name, instance, shape, track, schedule, notes.get(behaviour, behaviour))
-                discs = footprints(mover, survey.times)
-                berth = max(kind.berth, STANDING) if behaviour != "cruise" and kind.radius > 1 else kind.berth
-                if self._free(discs, kind.radius, berth) and not self._pops(discs, kind.radius):
-                    self._tracks.append((discs, kind.radius))
-                    return mover
-        return None
+                yield path, trip.schedule(path, times, kind.braking, behaviour), notes.get(behaviour, behaviour)
+
+    def _along(self, kind: Kind, rng: np.random.Generator) -> Iterator[tuple[Path, F64, str]]:
+        """Free paths with schedules of vehicles that keep pace with a sensor on a road, near it all the time."""
+        if self._road is None or self._pace <= DRIVING:
+            return
+        survey, spare = self._survey, self._pace * SPARE
+        reached = stations(self._road, survey.positions[:, :2])
+        times = np.concatenate([[survey.times[0] - SPARE], survey.times, [survey.times[-1] + SPARE]])
+        for path, metres in beside(self._road, reached, kind.discs[-1] + spare, rng):
+            if self._open(path.xy, kind).all():
+                knots = np.concatenate([[metres[0] - spare], metres, [metres[-1] + spare]])
+                yield path, np.column_stack([times, knots]).round(3), "keeps pace"
 
     def _trip(self, kind: Kind, parks: bool, number: int, rng: np.random.Generator) -> Trip:
         """What a mover does, when, where and how fast; vehicles keep pace with the sensor if that is fast."""
