@@ -20,10 +20,25 @@ if TYPE_CHECKING:
     from dynaviz.diagnosis import doctor
     from dynaviz.explanation import why
     from dynaviz.explorer import explore
+    from dynaviz.online import live
     from dynaviz.reporting import report
     from dynaviz.results.result import Result
 
-__all__ = ["Result", "bench", "clean", "compare", "doctor", "explore", "open", "report", "run", "score", "tune", "why"]
+__all__ = [
+    "Result",
+    "bench",
+    "clean",
+    "compare",
+    "doctor",
+    "explore",
+    "live",
+    "open",
+    "report",
+    "run",
+    "score",
+    "tune",
+    "why",
+]
 
 _HOMES = {
     "bench": "dynaviz.benchmarking.bench",
@@ -31,6 +46,7 @@ _HOMES = {
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "explore": "dynaviz.explorer",
+    "live": "dynaviz.online",
     "open": "dynaviz.api",
     "report": "dynaviz.reporting",
     "run": "dynaviz.api",

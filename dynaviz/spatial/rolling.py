@@ -31,6 +31,7 @@ class RollingDirectory:
     Attributes:
         blocks: (capacity, 3) int64, read-only: indices of the blocks.
         exists: (capacity,) bool.
+        farthest: metres from the world's origin, along each axis, up to which blocks exist.
         span: no two blocks that exist are so many blocks apart along an axis.
         place: base, shape, top and children, as the kernels take them; changed in place.
         states: arrays with one row per block, and the value of empty rows.
@@ -42,6 +43,7 @@ class RollingDirectory:
         self._edge = 8 / per_metre  # of a block, metres
         capacity = round(ROOM * window.room * max((CELL / self._edge) ** 3, 1.0))
         across = math.ceil(2 * (window.limit + 4 * CELL) / (16 * self._edge)) + 2  # super-blocks
+        self.farthest = kernels.blocks.REACH / per_metre
         self.span = 16 * across
         shape = np.full(3, across + 2 * FAR, np.int64)
         top, children = np.zeros(int(shape.prod()), np.int32), np.zeros((across**3 + 1, 4096), np.int32)

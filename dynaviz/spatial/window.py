@@ -19,7 +19,13 @@ CROWDED = 0.8  # part of the cells that is kept if there is no room for more
 
 
 class Follower(Protocol):
-    """What lives in a window: a grid."""
+    """What lives in a window: a grid.
+
+    Attributes:
+        farthest: metres from the world's origin, along each axis, up to which it has keys.
+    """
+
+    farthest: float
 
     def grow(self, cells: I32, position: F64) -> bool:
         """Add what covers new cells (K, 3); returns False if there was no room for all."""
@@ -58,6 +64,11 @@ class Window(Extent):
     def limit(self) -> float:
         """Metres around the sensor beyond which nothing exists for long."""
         return self._cells.reach * (1 + SLACK)
+
+    @property
+    def farthest(self) -> float:
+        """Metres from the world's origin up to which a sensor may go: all grids reach beyond it by the limit."""
+        return min((follower.farthest for follower in self._cells.followers), default=math.inf) - 1.5 * self.limit
 
     @property
     def room(self) -> int:
