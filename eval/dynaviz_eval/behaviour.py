@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.kernels.keys import REACH as KEY_REACH
+from dynaviz.kernels.keys import X_SHIFT
 from dynaviz.metric import Labelled
 from dynaviz.results.behaviour import Behaviour
 from dynaviz.scan import Label, Scan
-from dynaviz.kernels.keys import REACH as CELLS
-from dynaviz.spatial.grid import in_key_range, pack, unpack
+from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT
 from dynaviz_eval.per_scan import scan_squared_ranges
@@ -156,9 +157,11 @@ class Places:
         """(K, 3) int32: first frame, last frame and number of frames of the cells within a box; after the last scan."""
         if self._used:
             self._store()
-        first, last = (np.clip(np.floor(corner / CELL), 1 - CELLS, CELLS - 2).astype(np.int64) for corner in (low, high))
-        ends = pack(np.array([[first[0] + 0.5, 0.5 - CELLS, 0.5 - CELLS], [last[0] + 1.5, 0.5 - CELLS, 0.5 - CELLS]]), 1)
-        records = self._stored.between(int(ends[0]), int(ends[1]))
+        first, last = (
+            np.clip(np.floor(corner / CELL), -KEY_REACH, KEY_REACH - 1).astype(np.int64) for corner in (low, high)
+        )
+        columns = [(int(x) + KEY_REACH) << X_SHIFT for x in (first[0], last[0] + 1)]
+        records = self._stored.between(*columns)
         cells = unpack(records["key"])
         records = records[((cells >= first) & (cells <= last)).all(1)]
         cell, of = np.unique(records["key"], return_inverse=True)

@@ -19,7 +19,7 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 3_000_000  # wrong and correct points each in memory at once
+_BLOCK = 1_000_000  # wrong and correct points each in memory at once
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -93,14 +93,16 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
                 np.minimum(distance, nearest_distance(queries, reference[near], LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
             fine += np.bincount(bins, minlength=len(fine))
-            coarse = of_frame * by_frame.shape[1] + bins // round(BIN / _STEP)
-            by_frame += np.bincount(coarse, minlength=by_frame.size).reshape(by_frame.shape)
+            first, last = int(of_frame[0]), int(of_frame[-1]) + 1  # frames are in order
+            here = by_frame[first:last]
+            coarse = (of_frame - first) * here.shape[1] + bins // round(BIN / _STEP)
+            here += np.bincount(coarse, minlength=here.size).reshape(here.shape)
     return fine, by_frame
 
 
 def _slabs(wrong: PointSpool, correct: PointSpool, axis: int, block: int) -> list[tuple[float, float]]:
     """Intervals that cover a whole axis and contain about equally many points each."""
-    step = 64
+    step = max(64, (wrong.points + correct.points) // block)
     sample = np.concatenate([wrong.sample(axis, step), correct.sample(axis, step)])
     count = -(-(wrong.points + correct.points) // block)
     cuts = np.unique(np.quantile(sample.astype(np.float64), np.arange(1, count) / count))
