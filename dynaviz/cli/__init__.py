@@ -32,6 +32,7 @@ from dynaviz.cli import (
     implant,
     info,
     list,
+    live,
     repair,
     report,
     rescore,
@@ -80,7 +81,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, clean, run, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate,
+    demo, clean, run, live, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate,
     implant, tune, download, convert, export_labels, explore, rescore, view, shot, why, repair
 )  # fmt: skip
 for command in COMMANDS:

@@ -151,15 +151,13 @@ def add_blocks(blocks, base, shape, top, children, sizes, keys, free, free_child
 
 @njit(cache=True, nogil=True)
 def remove_blocks(blocks, base, shape, top, children, sizes, keys, free, free_children, left):
-    """Remove blocks by their numbers (K,); the other arguments are those of ``add_blocks``."""
+    """Remove blocks by their numbers (K,), which are not free yet; the other arguments are those of ``add_blocks``."""
     for k in range(len(blocks)):
         block = blocks[k]
         x, y, z = keys[block, 0] - (base[0] << 4), keys[block, 1] - (base[1] << 4), keys[block, 2] - (base[2] << 4)
         j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
         row = top[j]
         children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)] = 0
-        free[left[0]] = block
-        left[0] += 1
         sizes[row] -= 1
         if sizes[row] == 0:
             top[j] = 0
@@ -182,3 +180,37 @@ def far_blocks(keys, exists, centre, limit):
                 found[n] = block
                 n += 1
     return found[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def join(blocks, base, shape, top, children, keys, neighbours):
+    """Enter the 27 neighbours of new blocks (K,), in the order of x, y and z, and the blocks in those of theirs.
+
+    Args:
+        base, shape, top, children, keys: as for ``add_blocks``.
+        neighbours: (capacity, 27) int32, -1 if absent. Modified.
+    """
+    for n in range(len(blocks)):
+        block = blocks[n]
+        for side in range(27):
+            x = keys[block, 0] - (base[0] << 4) + side // 9 - 1
+            y = keys[block, 1] - (base[1] << 4) + side // 3 % 3 - 1
+            z = keys[block, 2] - (base[2] << 4) + side % 3 - 1
+            other = np.int32(-1)
+            if 0 <= x >> 4 < shape[0] and 0 <= y >> 4 < shape[1] and 0 <= z >> 4 < shape[2]:
+                row = top[((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)]
+                other = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)] - np.int32(1)
+            neighbours[block, side] = other
+            if other >= 0:
+                neighbours[other, 26 - side] = block
+
+
+@njit(cache=True, nogil=True)
+def part(blocks, neighbours):
+    """Remove blocks (K,) that go from the neighbours of others; see ``join``."""
+    for n in range(len(blocks)):
+        for side in range(27):
+            other = neighbours[blocks[n], side]
+            if other >= 0:
+                neighbours[other, 26 - side] = -1
+        neighbours[blocks[n]] = -1

@@ -45,12 +45,7 @@ def live(
     Raises:
         UsageError: for an unknown method or sensor, an invalid number, or a method that cannot run live; says why.
     """
-    if not 1.0 <= reach <= 500.0:
-        raise UsageError(f"reach = {reach}: give 1 to 500 metres")
-    if keep < 0:
-        raise UsageError(f"keep = {keep}: give a number of scans of at least 0")
-    if not 0.01 <= map_voxel <= 10:
-        raise UsageError(f"map_voxel = {map_voxel}: give 0.01 to 10 metres")
+    check_numbers(reach, keep, map_voxel)
     kind = registry.load("methods", method)
     reason = why_not_live(kind)
     if reason:
@@ -61,6 +56,20 @@ def live(
     options = Settings(reach, keep, map_voxel, seed)
     warm_up(kind, resolved.params, chosen, options)
     return LiveSession(kind(resolved.params), chosen, options)
+
+
+def check_numbers(reach: float, keep: int, map_voxel: float) -> None:
+    """Check numbers that a user gave.
+
+    Raises:
+        UsageError: for one that is out of range.
+    """
+    if not 1.0 <= reach <= 500.0:
+        raise UsageError(f"reach = {reach}: give 1 to 500 metres")
+    if keep < 0:
+        raise UsageError(f"keep = {keep}: give a number of scans of at least 0")
+    if not 0.01 <= map_voxel <= 10:
+        raise UsageError(f"map_voxel = {map_voxel}: give 0.01 to 10 metres")
 
 
 def why_not_live(kind: type[Method]) -> str | None:

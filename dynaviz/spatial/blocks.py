@@ -113,6 +113,19 @@ class BlockGrid:
         """(len,) bool: the blocks that exist."""
         return self._rolling.exists if self._rolling else np.ones(len(self), np.bool_)
 
+    def neighbours(self) -> I32:
+        """(len, 27) int32: numbers of the blocks around each block, by x, y and z; -1 if absent. For rolling grids."""
+        assert self._rolling is not None
+        return self._rolling.neighbours()
+
+    def remaining(self, blocks: I32) -> I32:
+        """Those of some blocks (K,) from the last scan that still exist."""
+        return blocks[self._rolling.exists[blocks]] if self._rolling else blocks
+
+    def remaining_voxels(self, voxels: I64) -> I64:
+        """Those of some voxels (K,) from the last scan whose blocks still exist."""
+        return voxels[self._rolling.exists[voxels >> 9]] if self._rolling else voxels
+
     def watch(self, came: Callable[[I32], None]) -> None:
         """Call with the numbers of blocks that come, (K,) int32, before anything else happens to them."""
         if self._rolling:

@@ -59,7 +59,15 @@ class RollingDirectory:
         self._books = (np.zeros(len(children), np.int32), keys, free, free_children, left)
         self.states: list[tuple[NDArray[Any], float]] = []
         self.watchers: list[Callable[[I32], None]] = []
+        self._gone = np.empty(0, np.int32)
+        self._neighbours: I32 | None = None
         window.attach(self)
+
+    def neighbours(self) -> I32:
+        """(capacity, 27) int32, kept up to date from the first call on: the blocks around each block; -1 if absent."""
+        if self._neighbours is None:
+            self._neighbours = np.empty((len(self.exists), 27), np.int32)  # rows are filled when their block comes
+        return self._neighbours
 
     def grow(self, cells: I32, position: F64) -> bool:
         """Add the blocks that cover cells (K, 3); returns False if there was no room for all."""
@@ -72,18 +80,30 @@ class RollingDirectory:
         blocks = kernels.as_readonly(self._covering(cells, self._per_metre, bounds), np.int32)
         added, room = kernels.window.add_blocks(blocks, *self.place, *self._books)
         self.exists[added] = True
+        if self._neighbours is not None:
+            kernels.window.join(added, *self.place, self._books[1], self._neighbours)
         for came in self.watchers:
             came(added)
         return bool(room)
 
     def shrink(self, position: F64, limit: float) -> None:
-        """Remove the blocks of which no cell is within ``limit`` metres of a position, and reset their state."""
+        """Remove the blocks of which no cell is within ``limit`` metres of a position, and reset their state.
+
+        Their rows are used again only after the next call, so that methods which remember numbers of blocks or voxels
+        from the last scan find out with ``exists`` that they are gone.
+        """
+        free, left = self._books[2], self._books[4]
+        free[left[0] : left[0] + len(self._gone)] = self._gone
+        left[0] += len(self._gone)
         limit += CELL + self._edge  # of centres: half diagonals of both
         gone = kernels.window.far_blocks(self.blocks, self.exists, position / self._edge, limit / self._edge)
         for state, empty in self.states:
             state[gone] = empty
         self.exists[gone] = False
+        if self._neighbours is not None:
+            kernels.window.part(gone, self._neighbours)
         kernels.window.remove_blocks(gone, *self.place, *self._books)
+        self._gone = gone
 
     def _centre(self, position: F64) -> None:
         """Move the directory if the sensor is more than a quarter of FAR from its middle."""

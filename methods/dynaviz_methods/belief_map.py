@@ -67,13 +67,14 @@ class BeliefMap(BlockGrid):
         self._max_range, self._forget_after, self._truncate = max_range, forget_after, truncate
         self._sizes = np.bitwise_count(np.arange(1 << (2 * half + 1)))  # bits set in the numbers of a row
         n = len(self)
-        self.hit, self.turned, self._sources, self._known = (np.zeros((n, 8), np.uint64) for _ in range(4))
-        self.belief, self.state = np.zeros((n, VOXELS)), np.zeros((n, VOXELS), np.uint8)
-        self.since, self._seen, self._scores = (np.zeros((n, VOXELS), np.int32) for _ in range(3))
-        self._used, self._is_used = np.empty(0, np.int32), np.zeros(n, np.bool_)  # blocks with observed voxels
-        self._first = np.full(n, kernels.beliefs.NEVER)  # by block; see ``kernels.beliefs.expire``
+        own = self.per_block
+        self.hit, self.turned, self._sources, self._known = (own(np.zeros((n, 8), np.uint64)) for _ in range(4))
+        self.belief, self.state = own(np.zeros((n, VOXELS))), own(np.zeros((n, VOXELS), np.uint8))
+        self.since, self._seen, self._scores = (own(np.zeros((n, VOXELS), np.int32)) for _ in range(3))
+        self._used, self._is_used = np.empty(0, np.int32), own(np.zeros(n, np.bool_))  # blocks with observed voxels
+        self._first = own(np.full(n, never := kernels.beliefs.NEVER), never)  # by block; see ``kernels.beliefs.expire``
         self._marks = lane_marks(n)
-        self._neighbours = neighbours_of(self._blocks)
+        self._neighbours = self.neighbours() if self.rolls else neighbours_of(self._blocks)
         self._likelihoods = np.exp(-np.arange(CAP + 1) / 2)
         self._before = np.empty(0, np.int64)  # occupied voxels of the last scan
         self.number = 0  # of the scan, from 1
@@ -94,6 +95,7 @@ class BeliefMap(BlockGrid):
         """
         self.number += 1
         self._origin = origin
+        self._used, self._before = self.remaining(self._used), self.remaining_voxels(self._before)
         blocks = np.sort(_set(self.hit, voxels))
         self._occupied = voxels_of(blocks, self.hit[blocks].view(np.int64))
         self.hit[blocks] = 0

@@ -12,6 +12,7 @@ from dynaviz.arrays import F64, I64, U8, U64
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.spatial.window import Window
 from dynaviz_methods.belief_map import lane_marks, merged, neighbours_of
 from dynaviz_methods.lookups import around, known
 from dynaviz_methods.voids import widened
@@ -54,15 +55,20 @@ class ClearSpace(BlockGrid):
         size = SUB_VOXELS * params.sub_voxel
         # The port skips blocks that are free entirely, which depends on blocks far from any point.
         super().__init__(_filled(extent, 24 * size) if params.port else widened(extent, 2 * size), size)
-        self._params, n = params, len(self)
-        self._neighbours = neighbours_of(self._blocks)
-        self.free, self.seen, self.often, self.revoked, self._hit = (np.zeros((n, 8), np.uint64) for _ in range(5))
-        self._recorded = np.zeros(n, np.bool_)
-        self._free_count, self._hit_count = np.zeros((n, VOXELS), np.int32), np.zeros((n, VOXELS), np.int32)
+        self._params, n, own = params, len(self), self.per_block
+        self._neighbours = self.neighbours() if self.rolls else neighbours_of(self._blocks)
+        self.free, self.seen, self.often, self.revoked, self._hit = (own(np.zeros((n, 8), np.uint64)) for _ in range(5))
+        self._recorded = own(np.zeros(n, np.bool_))
+        self._free_count, self._hit_count = own(np.zeros((n, VOXELS), np.int32)), own(np.zeros((n, VOXELS), np.int32))
         self._marks_of_rays = lane_marks(n)
         self._ranks = np.zeros(n * VOXELS, np.int32)
         self._of_scan = np.zeros(n * VOXELS + 1, np.uint8)  # levels by voxel; the last entry is for points without one
-        self._rows, self._used, self._stamp = np.full(n * VOXELS, -1, np.int32), 0, 0
+        self._rows, self._used, self._stamp = np.empty(n * VOXELS, np.int32), 0, 0
+        if self.rolls:  # memory only for blocks that exist
+            own(self._rows.reshape(n, VOXELS), -1)
+            self.watch(lambda came: self._rows.reshape(n, VOXELS).__setitem__(came, -1))
+        else:
+            self._rows[:] = -1
         self._owners, self._marks = np.zeros(1024, np.int64), np.zeros(1024, np.int64)
         self._scans, self._levels = np.full((1024, SUB_VOXELS**3), -1, np.int32), np.zeros((1024, 64), np.uint8)
 
@@ -122,6 +128,8 @@ class ClearSpace(BlockGrid):
 
     def insert(self, scan: Scan, occupied: Occupied, number: int) -> U8:
         """Insert a scan into the map; returns the level of each point by its own scan, (N,) uint8."""
+        if self.rolls and self._used + len(occupied.cells) > len(self._owners):
+            self._compact()
         while self._used + len(occupied.cells) > len(self._owners):
             self._owners = np.append(self._owners, np.zeros_like(self._owners))
             self._marks = np.append(self._marks, np.zeros_like(self._marks))
@@ -134,6 +142,15 @@ class ClearSpace(BlockGrid):
         self._of_scan[occupied.cells] = 0
         self._hit[occupied.blocks] = 0
         return own
+
+    def _compact(self) -> None:
+        """Close the gaps that voxels left in the table when their blocks went."""
+        kept = np.flatnonzero(self._rows[self._owners[: self._used]] == np.arange(self._used))
+        for table in (self._owners, self._marks, self._scans, self._levels):
+            table[: len(kept)] = table[kept]
+        self._scans[len(kept) :], self._levels[len(kept) :] = -1, 0
+        self._used = len(kept)
+        self._rows[self._owners[: self._used]] = np.arange(self._used, dtype=np.int32)
 
     def passes(self, voxels: I64) -> tuple[F64, F64]:
         """Scans in a row that passed through each voxel (K,), and clear voxels among the 27 around it; NaN if none."""
@@ -156,7 +173,9 @@ class ClearSpace(BlockGrid):
 
 
 def _filled(extent: Extent, around: float) -> Extent:
-    """All cells within the bounds of an extent, and around them, metres."""
+    """All cells within the bounds of an extent, and around them, metres; live, those that rays reach."""
+    if isinstance(extent, Window):
+        return extent
     low, high = extent.low - around, extent.high + around
     first, last = (np.floor(bound / CELL).astype(np.int64) for bound in (low, high))
     axes = [np.arange(a, b + 1, dtype=np.int32) for a, b in zip(first, last, strict=True)]

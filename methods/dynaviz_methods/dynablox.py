@@ -199,6 +199,10 @@ class Dynablox:
         reasons = bits @ np.array([1, 2, 4], np.uint8)
         return Labels(self._removed[reasons], reasons)
 
+    def forget(self, index: int) -> None:
+        """Drop the labels of a scan."""
+        self._reasons.pop(index, None)
+
     def halo(self) -> Halo:
         """The size of an object: clusters are judged as a whole."""
         return Halo(OBJECT)

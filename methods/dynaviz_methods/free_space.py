@@ -16,6 +16,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, BlockGrid, read, voxels_of
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import SHIFTS
+from dynaviz.spatial.window import Window
 
 Bits = tuple[I32, U64]
 
@@ -60,15 +61,18 @@ class FreeSpace:
 
     def __init__(self, extent: Extent, params: Any, view: SensorView) -> None:
         self._params, self._view, self._frame = params, view, -1
-        blocks = self._lay_out(extent)
-        n, voxels = blocks, int(self._first[-1])
+        n = self._follow(extent) if isinstance(extent, Window) else self._lay_out(extent)
+        voxels = int(self._first[-1])
         self._distance, self._weight = np.zeros(voxels, np.float32), np.zeros(voxels, np.uint16)
         self._counts = np.zeros(voxels, np.uint16)
+        if self.grid.rolls:
+            for state in (self._distance, self._weight, self._counts):
+                self.grid.per_block(state.reshape(n, VOXELS))
         self.free, self.revoked, self._observed, self._near, self._clear, self._updated, self._hit, self._reached = (
-            np.zeros((n, 8), np.uint64) for _ in range(8)
+            self.grid.per_block(np.zeros((n, 8), np.uint64)) for _ in range(8)
         )
-        self._recent = np.zeros((n, params.burn_in + 1, 8), np.uint64)
-        self._stamps = np.full((n, params.burn_in + 1), LONG_AGO, np.int32)
+        self._recent = self.grid.per_block(np.zeros((n, params.burn_in + 1, 8), np.uint64))
+        self._stamps = self.grid.per_block(np.full((n, params.burn_in + 1), LONG_AGO, np.int32), LONG_AGO)
         self._seen: list[I32] = []  # blocks visited in each of the last frames
         self._in_view = np.empty(0, np.int32)
         self.image = np.zeros((view.rows, view.columns), np.float32)
@@ -89,6 +93,20 @@ class FreeSpace:
         self._needed = kernels.ever_free.spread(np.repeat(full[:, None], 8, 1), self.neighbours)
         self._first = np.append(0, np.cumsum(np.bitwise_count(self._needed).sum(1, dtype=np.int64)))
         return len(keys)
+
+    def _follow(self, window: Window) -> int:
+        """Let blocks come and go with a window, with all voxels of each; return for how many there is room.
+
+        Pixels of the range image observe the space between rays, too.
+        """
+        p, view = self._params, self._view
+        pixel = max(1 / view.numbers[3], 1 / view.numbers[4])  # radians
+        self.grid = BlockGrid(window.widened(pixel * window.reach + p.truncation + p.resolution), p.resolution)
+        n = len(self.grid)
+        self._blocks, self.neighbours = self.grid.blocks, self.grid.neighbours()
+        self._inner, self._outer = np.ones(n, np.bool_), np.append(np.zeros(n, np.bool_), True)
+        self._needed, self._first = np.full((n, 8), ~np.uint64(0)), np.arange(n + 1) * VOXELS
+        return n
 
     def locate(self, points: F32) -> I64:
         """(N,) int64: the voxel of each point, -1 if none.
@@ -122,6 +140,8 @@ class FreeSpace:
         """
         p, k, lanes = self._params, kernels.ever_free, kernels.threads_in_use()
         self._frame += 1
+        self._in_view = self.grid.remaining(self._in_view)
+        self._seen = [self.grid.remaining(blocks) for blocks in self._seen]
         now = self._union(self._in_view, k.put(voxels, self._hit))
         # Voxels last occupied more than burn_in frames ago may be clear now. At the end of the first burn-in this
         # holds for all voxels: those never occupied count as occupied just before the first frame.
@@ -166,16 +186,25 @@ class FreeSpace:
         p, view, k = self._params, self._view.numbers, kernels.signed_distance
         pose = self._position, self._axes
         edge = 8 * p.resolution
-        reach = float(self._tiles.max()) + p.truncation + edge
-        ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
-        first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
-        seen = k.in_view(self._blocks[first:last], edge, *pose, view, self._tiles, p.truncation)
-        self._in_view = (first + np.flatnonzero(seen)).astype(np.int32)
+        self._in_view = self._visible(edge)
         k.integrate(
             *(self._in_view, self._blocks, p.resolution, *pose, self._offsets(), view, self.image.ravel()),
             *(p.truncation, p.occupied_distance, p.max_weight, self._needed, self._first),
             *(self._distance, self._weight, self._observed, self._near, self._updated, kernels.threads_in_use()),
         )
+
+    def _visible(self, edge: float) -> I32:
+        """Blocks that may contain voxels in view."""
+        p, view = self._params, self._view.numbers
+        pose = self._position, self._axes, view, self._tiles, p.truncation
+        if self.grid.rolls:
+            blocks = np.flatnonzero(self.grid.existing()).astype(np.int32)
+            return blocks[kernels.signed_distance.in_view(self._blocks[blocks], edge, *pose)]
+        reach = float(self._tiles.max()) + p.truncation + edge
+        ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
+        first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
+        seen = kernels.signed_distance.in_view(self._blocks[first:last], edge, *pose)
+        return (first + np.flatnonzero(seen)).astype(np.int32)
 
     def _union(self, *blocks: I32) -> I32:
         """The union of several lists of blocks, sorted; -1 is ignored."""

@@ -213,6 +213,10 @@ class Freedom:
         packed = self._own.get(scan.index, np.zeros(-(-2 * len(scan) // 8), np.uint8))
         return np.unpackbits(packed, count=2 * len(scan)).reshape(-1, 2) @ np.array([1, 2], np.uint8)
 
+    def forget(self, index: int) -> None:
+        """Drop the levels of a scan."""
+        self._own.pop(index, None)
+
     def halo(self) -> Halo:
         """The distance over which labels grow; all points with ``port``, which skips blocks that are free entirely."""
         edge = SUB_VOXELS * float(self.params.sub_voxel)

@@ -181,6 +181,7 @@ class HmmMos:
     def observe(self, scan: Scan) -> None:
         """Integrate the scan, and label its points by the changes that it makes."""
         p, voxels = self.params, self._map.place(scan.points)
+        self._drop_gone()
         origin = scan.position.astype(np.float32).astype(np.float64) if p.port else scan.position.copy()
         used = (voxels >= 0) & (kernels.integer_lines.squared_ranges(scan.points, origin) > p.min_range**2)
         self._map.see(voxels[used], origin)
@@ -196,6 +197,18 @@ class HmmMos:
         self._reasons[scan.index] = np.packbits(reasons[:, None] >> np.arange(4, dtype=np.uint8) & 1)
         self._show(scores, sums, threshold, reasons)
         self._map.done()
+
+    def forget(self, index: int) -> None:
+        """Drop the labels of a scan."""
+        self._reasons.pop(index, None)
+
+    def _drop_gone(self) -> None:
+        """Drop what earlier scans remember of voxels that are gone."""
+        if self._map.rolls:
+            self._last = self._map.remaining_voxels(self._last)
+            for n, (voxels, medians) in enumerate(self._window):
+                exist = self._map.existing()[voxels >> 9]
+                self._window[n] = voxels[exist], medians[exist]
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose voxel was dynamic when the scan was observed."""

@@ -1,0 +1,115 @@
+"""dynaviz live."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynaviz.cli.console import print_json, program, progress, show
+from dynaviz.cli.options import (
+    Deskew,
+    Extrinsic,
+    Frames,
+    Json,
+    PointsIn,
+    Poses,
+    Preset,
+    Quiet,
+    SensorName,
+    Stride,
+    Threads,
+    method_names,
+    open_sequence,
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the command."""
+    app.command("live")(live)
+
+
+def live(
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="Bag, MCAP file, folder of scans or sequence to play.")
+    ],
+    method: Annotated[
+        str, typer.Option("-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names)
+    ] = "seethrough",
+    rate: Annotated[float, typer.Option(metavar="X", help="Speed; 0 labels every scan, as fast as possible.")] = 1.0,
+    reach: Annotated[
+        float, typer.Option(metavar="METRES", help="Judge points up to this distance; forget what lies beyond.")
+    ] = 60.0,
+    view: Annotated[bool, typer.Option("--view", help="Show it in the viewer.")] = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser on this machine.")] = False,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve; the next port is used, too."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Record the last minutes into this folder.")
+    ] = None,
+    minutes: Annotated[float, typer.Option(metavar="N", help="How many minutes that recording keeps.")] = 5.0,
+    frames: Frames = None,
+    stride: Stride = 1,
+    poses: Poses = None,
+    points_in: PointsIn = None,
+    deskew: Deskew = None,
+    extrinsic: Extrinsic = None,
+    sensor: SensorName = None,
+    preset: Preset = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
+    ] = None,
+    threads: Threads = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Play a recording to a method as a sensor would: scan by scan, at its own speed, in bounded memory.
+
+    A scan is dropped if the next one has come before the method is ready for it. The report shows how many were
+    dropped, and how long the others took.
+
+    \b
+    dynaviz live drive.mcap --view
+    dynaviz live drive.bag -m dufomap --serve --port 9090
+    dynaviz live simulate:demo --rate 0 -o recordings/live --minutes 2
+    """
+    from dynaviz.online.run import play_live
+
+    sequence = open_sequence(
+        source,
+        frames=frames,
+        stride=stride,
+        poses=poses,
+        points_in=points_in,
+        deskew=deskew,
+        extrinsic=extrinsic,
+        sensor=sensor,
+    )
+    with progress(f"live {source}") as report:
+        played = play_live(
+            sequence,
+            method,
+            rate=rate,
+            reach=reach,
+            preset=preset,
+            settings=tuple(settings or ()),
+            threads=threads,
+            view=view,
+            serve=serve,
+            port=port,
+            out=out,
+            minutes=minutes,
+            progress=report,
+            announce=show,
+        )
+    if print_json(played.to_dict(), json):
+        return
+    show(str(played))
+    if out is not None:
+        show(f"Open the last minutes with: rerun {shlex.quote(str(out))}/live-*.rrd, or {program()} view FILE")

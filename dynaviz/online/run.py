@@ -1,0 +1,96 @@
+"""Play a sequence live with everything around it: outputs, sensor facts, the report."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from dynaviz import kernels, params, registry
+from dynaviz.engine.needs import suited
+from dynaviz.errors import UsageError
+from dynaviz.online import check_numbers, why_not_live
+from dynaviz.online.player import PERIOD, Played, PlayReport, play
+from dynaviz.online.session import LiveSession, Settings, warm_up
+from dynaviz.probe import SILENT
+from dynaviz.progress import Progress, silent
+from dynaviz.scan import Sequence, stream
+
+
+def play_live(
+    sequence: Sequence,
+    method: str = "seethrough",
+    *,
+    rate: float = 1.0,
+    reach: float = 60.0,
+    preset: str | None = None,
+    settings: Iterable[str] | Mapping[str, Any] = (),
+    threads: int | None = None,
+    view: bool = False,
+    serve: bool = False,
+    port: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    minutes: float = 5.0,
+    progress: Progress = silent,
+    announce: Any = print,
+) -> PlayReport:
+    """Play a sequence to a method as a sensor would, and report how it kept up.
+
+    Args:
+        sequence: what to play.
+        method: its name.
+        rate: speed as a multiple of the recorded one; 0 plays every scan as fast as possible.
+        reach: metres around the sensor within which points are judged.
+        preset, settings: layers of parameters.
+        threads: for kernels; None for all cores.
+        view: show it in a viewer.
+        serve: show it in a browser on this machine.
+        port: of the page, with ``serve``.
+        out: folder of the rolling recording; None for none.
+        minutes: how much of the past that recording keeps.
+        progress: called with the number of scans so far.
+        announce: called with the address of the page.
+
+    Raises:
+        UsageError: for an invalid number or a method that cannot run live.
+        DataError: for data that cannot be read, or a folder that cannot be written.
+    """
+    if not 0 <= rate < float("inf"):
+        raise UsageError(f"rate = {rate}: give a number of at least 0; 0 plays every scan as fast as possible")
+    if not 0 < minutes < float("inf"):
+        raise UsageError(f"minutes = {minutes}: give a number above 0")
+    if port is not None and not serve:
+        raise UsageError(f"port {port} is that of a page: add --serve")
+    check_numbers(reach, 0, 0.2)
+    kind = registry.load("methods", method)
+    if reason := why_not_live(kind):
+        raise UsageError(f"{method} cannot run live: {reason}")
+    resolved = params.resolve(kind, preset, None, settings)
+    sequence, options = suited(kind, resolved.params, sequence), Settings(reach, 0)
+    kernels.set_threads(threads)
+    warm_up(kind, resolved.params, sequence.sensor, options)
+    with contextlib.ExitStack() as stack:
+        recording = None
+        if view or serve or out is not None:
+            from dynaviz.viz import viewer
+            from dynaviz.viz.live import LiveRecording, serving
+
+            inlet = viewer.open_window() if view else None
+            if serve:
+                inlet, address = stack.enter_context(serving(port))
+                announce(f"Watch it in a browser on this machine at {address}")
+            recording = LiveRecording(kind.info, sequence.name, None if out is None else Path(out), minutes, inlet)
+            stack.callback(recording.close)
+        session = LiveSession(kind(resolved.params), sequence.sensor, options, recording or SILENT)
+        report = PlayReport(method, sequence.name, rate)
+
+        def shown(played: Played) -> None:
+            progress("play", played.frame + 1, len(sequence))
+            if recording is not None:
+                static_map = session.map() if recording.wants_map() else None
+                recording.show(played, len(report.dropped), static_map)
+
+        period = 1 / sequence.sensor.rate if sequence.sensor.rate else PERIOD
+        return play(session, stream(sequence), report, shown, period=period)

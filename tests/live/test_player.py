@@ -1,0 +1,111 @@
+"""Playing a sequence live: when scans are dropped, and what the report and the rolling recording contain."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dynaviz as dv
+from dynaviz.errors import UsageError
+from dynaviz.method import Labels
+from dynaviz.online.player import PlayReport, play
+from dynaviz.online.run import play_live
+from dynaviz.scan import Scan
+from dynaviz.testing.world import InMemory, crossing
+
+
+class Simulated:
+    """A clock that advances only by sleeping and working."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.time += seconds
+
+
+class Slow:
+    """A session that takes some seconds per scan."""
+
+    restarts = 0
+
+    def __init__(self, clock: Simulated, seconds: list[float]) -> None:
+        self.clock, self.seconds, self.began = clock, seconds, list[float]()
+
+    def add(self, scan: Scan) -> Labels:
+        self.began.append(round(self.clock.time - 100.0, 6))
+        self.clock.time += self.seconds[min(len(self.began), len(self.seconds)) - 1]
+        return Labels(np.arange(len(scan)) == 0, np.zeros(len(scan), np.uint8))
+
+
+def scans(count: int, stamps: bool = True) -> list[Scan]:
+    points = np.ones((4, 3), np.float32)
+    return [Scan(n, points, np.eye(4), 10**18 + 100_000_000 * n if stamps else None) for n in range(count)]
+
+
+@pytest.mark.parametrize("stamps", [True, False])
+@pytest.mark.parametrize(
+    ("seconds", "rate", "began", "dropped"),
+    [
+        ([0.05], 1.0, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5], []),
+        ([0.05], 2.0, [0.0, 0.05, 0.1, 0.15, 0.2, 0.25], []),
+        ([0.25], 1.0, [0.0, 0.25, 0.5], [1, 3, 4]),
+        ([0.31, 0.01], 1.0, [0.0, 0.31, 0.4, 0.5], [1, 2]),
+        ([0.25], 0.0, [0.0, 0.25, 0.5, 0.75, 1.0, 1.25], []),
+    ],
+)
+def test_scans_are_dropped_when_a_newer_one_has_come(
+    stamps: bool, seconds: list[float], rate: float, began: list[float], dropped: list[int]
+) -> None:
+    clock = Simulated()
+    session: Any = Slow(clock, seconds)
+    report = play(session, scans(6, stamps), PlayReport("slow", "six", rate), clock=clock)
+    assert session.began == pytest.approx(began)
+    assert report.dropped == dropped
+    assert len(report.latencies) == 6 - len(dropped)
+    assert (report.points, report.dynamic) == (4 * len(began), len(began))
+    assert report.to_dict()["frames"] == 6
+    assert f"dropped because a newer scan had come: {len(dropped)}" in str(report)
+
+
+def test_a_report_without_scans_has_no_latencies() -> None:
+    report = play(SimpleNamespace(restarts=0), [], PlayReport("none", "empty", 1.0), clock=Simulated())  # type: ignore[arg-type]
+    assert json.loads(json.dumps(report.to_dict()))["labelled"] == 0
+    assert "worst" not in str(report)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"rate": -1.0}, "rate"), ({"minutes": 0.0}, "minutes"), ({"port": 9090}, "serve"), ({"reach": 0.1}, "reach")],
+)
+def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        play_live(InMemory(crossing(1)), "dufomap", **options)
+
+
+def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rerun.chunk import RrdReader
+
+    from dynaviz.viz import live as recording
+
+    monkeypatch.setattr(recording, "SEGMENT", 0.0)  # a file per scan
+    monkeypatch.setattr(recording.LiveRecording, "_room", lambda self: 3)
+    sequence = InMemory(crossing(5))
+    report = play_live(sequence, "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=0.01)
+    files = sorted((tmp_path / "live").glob("*.rrd"))
+    assert [path.stem for path in files] == ["live-000002", "live-000003", "live-000004"]
+    entities = {str(chunk.entity_path) for chunk in RrdReader(files[-1]).stream()}
+    assert {"/world/scan", "/world/removed_now", "/world/map", "/world/dufomap/void", "/log"} <= entities
+    online = dv.run("dufomap", sequence, online=True)
+    assert report.dynamic == sum(int(online.labels[frame].sum()) for frame in range(5))
+    assert len(report.latencies) == 5
+    assert not report.dropped
