@@ -15,7 +15,7 @@ NEAREST = 4.0  # metres from the sensor
 WITHIN = 0.3  # share of the wanted distance to the sensor
 LANE = 3.5  # metres, width of a lane
 LANES = (-1, 0, 1, 1, 1, 2)  # lanes to the left of the sensor's: most movers come towards it on the next lane
-BESIDE, GAP = 40, (8.0, 20.0)  # paths that keep pace with the sensor, and metres to it in its lane; half in others
+BESIDE, GAP = 200, (8.0, 25.0)  # paths that keep pace with the sensor, and metres to it in its lane; half in others
 FINE = 0.05  # metres between places at which the sensor is looked for on the road
 AHEAD = 60.0  # metres by which the trajectory is extended at both ends
 
@@ -111,7 +111,7 @@ def beside(route: Route, reached: F64, spare: float, rng: np.random.Generator) -
     found = []
     for _ in range(BESIDE):
         lane, ahead = int(rng.integers(-1, 2)), float(rng.uniform(*GAP) * rng.choice((-1, 1)))
-        line = route.shifted(lane * LANE)
+        line = route.shifted(lane * LANE + float(rng.normal(0, 0.3)))
         at = np.interp(reached + (ahead if lane == 0 else 0.5 * ahead), route.distance, line.distance)
         first, last = at[0] - spare, at[-1] + spare
         if first >= 0 and last <= line.length:
