@@ -32,7 +32,9 @@ from dynaviz.progress import Progress, silent
 from dynaviz.results.result import RecordMode, Result
 from dynaviz.scan import Sequence, select_frames
 from dynaviz.sensors import load_sensor
+from dynaviz.tiling.counts import TileCounts
 from dynaviz.tiling.run import TileOptions, label_tiles
+from dynaviz.viz.quota import parse_bytes
 
 Record = Literal[RecordMode, "none"]
 
@@ -107,6 +109,7 @@ def run(
     tiles: float | None = None,
     workers: int = 1,
     scheduler: str | None = None,
+    record_budget: int | str | None = None,
     maps: bool = True,
     command: str = "",
     progress: Progress = silent,
@@ -131,6 +134,8 @@ def run(
             interrupted run continues with the tiles that are missing.
         workers: number of tiles that run at a time, each in its own process.
         scheduler: address of a Dask scheduler whose workers run the tiles instead.
+        record_budget: size of the recordings together, bytes or text such as ``2GB``: states are left out first, then
+            drawn points; the labels of all points are always recorded. None for any size.
         maps: write ``static_map.pcd`` and ``dynamic_points.pcd``.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames or tiles done and their total.
@@ -149,6 +154,7 @@ def run(
         raise UsageError(f"seed = {seed}: give 0 or a positive number")
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, config, settings)
+    _warn_of_findings(sequence)
     sequence = suited(kind, resolved.params, sequence)
     folder = None if out is None else Path(out)
     if refine_poses:
@@ -169,11 +175,13 @@ def run(
     recording, mode = _recording(record, folder)
     if view and recording is None:
         raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")
+    budget = parse_bytes(record_budget) if isinstance(record_budget, str) else record_budget
     if tiles is not None:
-        return _run_tiles(folder, recording, mode, spec, TileOptions(tiles, workers, scheduler), progress)
+        options = TileOptions(tiles, workers, scheduler, budget)
+        return _run_tiles(folder, recording, mode, spec, options, progress, maps)
     if workers != 1 or scheduler:
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
-    return _run_into(folder, recording, mode, spec, view, progress, maps=maps)
+    return _run_into(folder, recording, mode, spec, view, progress, maps=maps, budget=budget)
 
 
 def score(
@@ -274,6 +282,17 @@ def _overwritten(path: Path) -> list[Path]:
     return [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
 
 
+def _warn_of_findings(sequence: Sequence) -> None:
+    """Warn if poses or points are likely wrong. Data sets with ground truth are taken to be right."""
+    if sequence.has_labels:
+        return
+    from dynaviz.diagnosis import quick_check
+
+    for finding in quick_check(sequence):
+        advice = f"{finding.fix}. 'dynaviz doctor' examines all frames"
+        warnings.warn(f"{sequence.name}: {finding.name}: {finding.problem}. {advice}", stacklevel=3)
+
+
 def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode]:
     """Path and mode of the recording."""
     if Path(record).suffix == ".rrd":
@@ -292,10 +311,11 @@ def _run_into(
     progress: Progress,
     check: SourceCheck | None = None,
     maps: bool = True,
+    budget: int | None = None,
 ) -> Result:
     """Run and write all files; each appears only when it is complete, ``result.json`` last."""
     with locked(folder, spec.command) if folder else contextlib.nullcontext():
-        result = _run_and_record(folder, recording, mode, spec, view, progress, check, maps)
+        result = _run_and_record(folder, recording, mode, spec, view, progress, check, maps, budget)
         if folder is not None:
             write_summary(folder, spec, result)
             result = replace(result, answers=replace(result.answers, folder=folder))
@@ -303,25 +323,41 @@ def _run_into(
 
 
 def _run_tiles(
-    folder: Path | None, recording: Path | None, mode: RecordMode, spec: RunSpec, tiles: TileOptions, progress: Progress
+    folder: Path | None,
+    recording: Path | None,
+    mode: RecordMode,
+    spec: RunSpec,
+    options: TileOptions,
+    progress: Progress,
+    maps: bool,
 ) -> Result:
     """Run every tile, then score and record the labels of all as those of one run."""
     if folder is None:
         raise UsageError("tiles need out=FOLDER, which keeps the answers of finished tiles")
+    drawn = recording is not None and mode != "scores"
+    share = options.budget and options.budget // 2  # of the recordings of tiles, and of that of the whole run
     with locked(folder, spec.command):
         labeller, index = label_tiles(
             folder,
             type(spec.labeller),
             spec.params,
             spec.sequence,
-            tiles,
+            replace(options, budget=share if drawn else None),
             online=spec.online,
             seed=spec.seed,
+            record=mode if drawn else None,
             progress=progress,
         )
-        whole = replace(spec, labeller=labeller, summary=index.summary)
-        result = _run_and_record(folder, recording, mode, whole, False, progress, None)
-        sections = msgspec.structs.replace(result.sections, tiling=labeller.tiling)
+        whole, counts = replace(spec, labeller=labeller, summary=index.summary), TileCounts(index.size)
+        others: list[Listener] = [counts]
+        if drawn:
+            from dynaviz.viz.overview import Overview
+
+            others.append(Overview(folder / "overview.rrd", counts))
+        budget = share if drawn else options.budget
+        result = _run_and_record(folder, recording, mode, whole, False, progress, None, maps, budget, others)
+        tiling = msgspec.structs.replace(labeller.tiling, tile=counts.rows())
+        sections = msgspec.structs.replace(result.sections, tiling=tiling)
         result = replace(result, sections=sections, runtime=labeller.runtime)
         write_summary(folder, whole, result)
     return result
@@ -336,12 +372,14 @@ def _run_and_record(
     progress: Progress,
     check: SourceCheck | None,
     maps: bool = True,
+    budget: int | None = None,
+    others: Iterable[Listener] = (),
 ) -> Result:
     """Run and write labels, maps and the recording."""
     probe: Probe = SILENT
     recorder = None
     with contextlib.ExitStack() as stack:
-        listeners: list[Listener] = [check] if check else []
+        listeners: list[Listener] = [*others, *([check] if check else [])]
         if folder is not None:
             listeners.append(RemoveStaleOutputs(folder, recording, maps))
             listeners.append(stack.enter_context(LabelsFile(folder)))
@@ -350,7 +388,7 @@ def _run_and_record(
         if recording is not None:
             from dynaviz.viz.recorder import Recorder
 
-            recorder = stack.enter_context(Recorder(recording, mode, live=view))
+            recorder = stack.enter_context(Recorder(recording, mode, live=view, budget=budget))
             listeners.append(recorder)
             probe = SILENT if mode == "scores" else recorder  # it shows no states, so the runtime stays honest
         result = execute(spec, listeners, probe, progress, check.section if check else None)

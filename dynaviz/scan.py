@@ -120,6 +120,13 @@ class Scan:
         """The scan without labels, classes and instances, as methods receive it."""
         return dataclasses.replace(self, labels=None, classes=None, instances=None, class_names={})
 
+    def chosen(self, rows: Intp) -> Scan:
+        """The scan reduced to some of its points, (K,) rows."""
+        fields = ("points", "labels", "classes", "instances", "times")
+        arrays = {name: array[rows] for name in fields if (array := getattr(self, name)) is not None}
+        origins = self.origins if len(self.origins) == 1 else self.origins[rows]
+        return dataclasses.replace(self, **arrays, origins=origins)
+
     def moved(self, offset: F64) -> Scan:
         """The scan with ``offset``, (3,) metres, added to all positions; in float64 before rounding."""
         T_world_sensor = self.T_world_sensor.copy()

@@ -101,6 +101,14 @@ Deskew = Annotated[
     typer.Option("--deskew/--no-deskew", help="Compensate the motion during each sweep of a bag. [default: deskew]"),
 ]
 Record = Annotated[RecordModeOption, typer.Option(help="How much to record in run.rrd.")]
+RecordBudget = Annotated[
+    str | None,
+    typer.Option(metavar="SIZE", help="Size of the recordings, such as 2GB; states of the method are left out first."),
+]
+Workers = Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
+]
 Threads = Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")]
 
 

@@ -21,11 +21,14 @@ from dynaviz.cli.options import (
     Preset,
     Quiet,
     Record,
+    RecordBudget,
     RecordModeOption,
     RefinePoses,
+    Scheduler,
     SensorName,
     Stride,
     Threads,
+    Workers,
     open_sequence,
 )
 
@@ -72,6 +75,7 @@ def run(
     deskew: Deskew = None,
     extrinsic: Extrinsic = None,
     record: Record = RecordModeOption.errors,
+    record_budget: RecordBudget = None,
     view: Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")] = False,
     threads: Threads = None,
     seed: Annotated[
@@ -81,10 +85,8 @@ def run(
         float | None,
         typer.Option(metavar="METRES", help="Divide the map into squares of this size, for drives of any length."),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
-    ] = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     maps: Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")] = True,
     json: Json = None,
     quiet: Quiet = False,
@@ -128,6 +130,7 @@ def run(
             online=online,
             seed=seed,
             threads=threads,
+            record_budget=record_budget,
             tiles=tiles,
             workers=workers,
             scheduler=scheduler,

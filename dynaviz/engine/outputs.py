@@ -12,7 +12,6 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.io.atomic import atomic_file, remove, write_atomic
 from dynaviz.io.pcd import PcdWriter
@@ -35,7 +34,6 @@ class LabelsFile(Listener):
 
     def __init__(self, folder: Path):
         self._path, self._stack = folder / "labels.npz", contextlib.ExitStack()
-        self._bits = PackedBits()
         self._points: list[int] = []
         self._frames: list[int] = []
 
@@ -59,7 +57,6 @@ class LabelsFile(Listener):
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Append a frame."""
-        self._bits.append(labelled.dynamic)
         self._points.append(len(labelled.scan))
         self._frames.append(labelled.scan.index)
         self._reasons.write(labelled.reasons.tobytes())
@@ -67,7 +64,7 @@ class LabelsFile(Listener):
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """Append the labels."""
         self._reasons.close()
-        self._put("dynamic", self._bits.packed())
+        self._put("dynamic", result.labels.packed)
         self._put("points", np.array(self._points, np.int64))
         self._put("frames", np.array(self._frames, np.int64))
         self._put("labels_sha256", np.array(result.labels_sha256))

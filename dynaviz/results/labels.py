@@ -23,7 +23,7 @@ class RunLabels(Sequence[Bool]):
     """
 
     def __init__(self, packed: U8, points: I64) -> None:
-        self._packed, self._ends = packed, np.concatenate([[0], np.cumsum(points)])
+        self.packed, self._ends = packed, np.concatenate([[0], np.cumsum(points)])
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RunLabels:
@@ -51,7 +51,7 @@ class RunLabels(Sequence[Bool]):
         if isinstance(position, slice):
             return [self[k] for k in range(*position.indices(len(self)))]
         first, end = (int(self._ends[k]) for k in (range(len(self))[position], range(len(self))[position] + 1))
-        bits = np.unpackbits(self._packed[first // 8 : -(-end // 8)])
+        bits = np.unpackbits(self.packed[first // 8 : -(-end // 8)])
         return bits[first % 8 : first % 8 + end - first].astype(np.bool_)
 
     def __iter__(self) -> Iterator[Bool]:

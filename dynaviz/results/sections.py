@@ -357,6 +357,25 @@ class Voxelwise(Struct, frozen=True):
     dynamic_kept: int = 0
 
 
+class TileRow(Struct, frozen=True):
+    """The counts of a tile.
+
+    Attributes:
+        column, row: the tile spans [column, column + 1) * size_m in x, and the same with row in y.
+        static_kept, static_removed, dynamic_removed, dynamic_kept: numbers of points, as in ``counts``.
+        unlabelled_kept, unlabelled_removed: the same of points without ground truth.
+    """
+
+    column: int
+    row: int
+    static_kept: int = 0
+    static_removed: int = 0
+    dynamic_removed: int = 0
+    dynamic_kept: int = 0
+    unlabelled_kept: int = 0
+    unlabelled_removed: int = 0
+
+
 class Tiling(Struct, frozen=True):
     """How a run was divided.
 
@@ -364,12 +383,14 @@ class Tiling(Struct, frozen=True):
         size_m: edge of a tile; halo_m: distance around each within which points decided its labels.
         tiles: number of tiles with points.
         frames: frames that all tiles together have read, empty ones included.
+        tile: counts of each tile.
     """
 
     size_m: float = 0.0
     halo_m: float = 0.0
     tiles: int = 0
     frames: int = 0
+    tile: tuple[TileRow, ...] = ()
 
 
 class Sections(Struct, frozen=True, omit_defaults=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import tempfile
 import time
@@ -16,6 +17,7 @@ from dynaviz.tasks.task import ERRORS, AnyTask, Task, TaskProgress, clear, error
 
 TOPIC = "dynaviz-tasks"
 LARGEST = 2_000_000_000  # bytes of one task's files, which pass through the memory of worker, scheduler and client
+SPARE = 4  # tasks that wait at the scheduler, in addition to one per thread
 CONNECT_TIMEOUT = 15  # seconds to wait for the scheduler
 
 
@@ -53,18 +55,31 @@ class DaskExecutor(Generic[AnyTask]):
         """
         from distributed import as_completed
 
-        by_key = {f"{task.path.as_posix()}-{time.time_ns()}": task for task in todo}
+        by_key: dict[str, AnyTask] = {}
+        running: dict[str, Any] = {}
         self._client.subscribe_topic(TOPIC, lambda event: self._on_event(by_key, event[1]))
-        futures = [self._client.submit(remote, task, key, key=key, pure=False) for key, task in by_key.items()]
+        ended, waiting = as_completed(loop=self._client.loop), iter(todo)
+
+        def submit() -> None:
+            # A few at a time: tasks contain the list of all scans, and the scheduler would keep thousands of them.
+            room = 2 * sum(self._client.nthreads().values()) + SPARE - len(running)
+            for task in itertools.islice(waiting, max(room, 0)):
+                key = f"{task.path.as_posix()}-{time.time_ns()}"
+                by_key[key] = task
+                running[key] = self._client.submit(remote, task, key, key=key, pure=False)
+                ended.add(running[key])
+
         try:
-            for future in as_completed(futures, loop=self._client.loop):
+            submit()
+            for future in ended:
                 task = by_key[future.key]
-                self._fetch(task, future)
+                self._fetch(task, running.pop(future.key))
                 future.release()
+                submit()
                 yield task
         finally:
             self._client.unsubscribe_topic(TOPIC)
-            self._client.cancel(futures)
+            self._client.cancel(list(running.values()))
 
     def close(self) -> None:
         """Disconnect from the cluster, which keeps running."""

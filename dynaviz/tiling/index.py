@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64
@@ -14,6 +15,8 @@ from dynaviz.engine.summary import ScanDigest, SequenceSummary
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.npy import open_npy
+from dynaviz.pose_noise import PoseNoiseMeter
+from dynaviz.results.sections import PoseNoise
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.tiling.grid import Tile, TileGrid, unpacked
@@ -37,6 +40,7 @@ class SequenceIndex:
         frame_of, tile_of, count_of: (K,) int64: frame (position in the sequence), packed tile, and number of the
             frame's points in it; by frame.
         low, high: (3,) float64, metres, world frame: bounds of all finite points and ray origins.
+        pose_noise: as in ``SequenceSummary``.
     """
 
     size: float
@@ -51,6 +55,7 @@ class SequenceIndex:
     count_of: I64
     low: F64
     high: F64
+    pose_noise: PoseNoise | None = None
 
     @classmethod
     def of(cls, sequence: Sequence, size: float, progress: Callable[[int], None] = lambda done: None) -> SequenceIndex:
@@ -61,12 +66,13 @@ class SequenceIndex:
             size: edge of a tile, metres.
             progress: called with the number of frames done.
         """
-        grid, digest, rows = TileGrid(size), ScanDigest(), _Rows()
+        grid, digest, rows, meter = TileGrid(size), ScanDigest(), _Rows(), PoseNoiseMeter(len(sequence))
         for done, scan in enumerate(stream(sequence), 1):
             digest.add(scan)
+            meter.add(done - 1, scan)
             rows.add(scan, *np.unique(grid.owners(scan), return_counts=True))
             progress(done)
-        return cls(size, fingerprint(sequence), digest.hexdigest(), *rows.arrays())
+        return cls(size, fingerprint(sequence), digest.hexdigest(), *rows.arrays(), meter.result())
 
     @property
     def tiles(self) -> list[Tile]:
@@ -77,9 +83,20 @@ class SequenceIndex:
     def summary(self) -> SequenceSummary:
         """The summary of the sequence; its cells are those of the sensor's path only, to bound their number."""
         cells = np.unique(np.floor(self.positions / CELL).astype(np.int32), axis=0)
-        return SequenceSummary(
-            Extent(self.low, self.high, cells), len(self.points), int(self.points.sum()), self.digest
-        )
+        extent, points = Extent(self.low, self.high, cells), int(self.points.sum())
+        return SequenceSummary(extent, len(self.points), points, self.digest, self.pose_noise)
+
+    @property
+    def points_by_tile(self) -> dict[Tile, float]:
+        """Share of the points that lie in each tile."""
+        tiles, of = np.unique(self.tile_of, return_inverse=True)
+        shares = np.bincount(of, self.count_of) / max(int(self.count_of.sum()), 1)
+        return dict(zip(map(unpacked, tiles.tolist()), shares.tolist(), strict=True))
+
+    @property
+    def most_tiles(self) -> int:
+        """Number of tiles in which a frame has points, at most."""
+        return int(np.bincount(self.frame_of).max(initial=0))
 
     def frames_reaching(self, tile: Tile, margin: float) -> I64:
         """(K,) int64: the frames whose rays may cross a tile or end within ``margin`` metres of it."""
@@ -104,7 +121,8 @@ class SequenceIndex:
     def save(self, path: Path) -> None:
         """Write the index, whole or not at all."""
         buffer = io.BytesIO()
-        facts = {"size": self.size, "fingerprint": self.fingerprint, "digest": self.digest}
+        noise = msgspec.json.encode(self.pose_noise).decode()
+        facts = {"size": self.size, "fingerprint": self.fingerprint, "digest": self.digest, "pose_noise": noise}
         np.savez_compressed(buffer, **facts, **{name: getattr(self, name) for name in _ARRAYS})  # type: ignore[arg-type]
         write_atomic(path, buffer.getvalue())
 
@@ -117,7 +135,8 @@ class SequenceIndex:
         """
         with open_npy(path, "index of a run with tiles", "Delete it; the run writes it again") as z:
             facts = float(z["size"]), str(z["fingerprint"]), str(z["digest"])
-            return cls(*facts, *(z[name] for name in _ARRAYS))
+            noise = msgspec.json.decode(str(z["pose_noise"]), type=PoseNoise | None)
+            return cls(*facts, *(z[name] for name in _ARRAYS), noise)
 
 
 def indexed(path: Path, sequence: Sequence, size: float, progress: Callable[[int], None]) -> SequenceIndex:

@@ -20,16 +20,17 @@ from dynaviz.arrays import U8, Bool
 from dynaviz.errors import DataError, UsageError
 from dynaviz.method import Context, Halo, Labels, Tileable
 from dynaviz.progress import Progress, silent
-from dynaviz.results.result import environment
+from dynaviz.results.result import RecordMode, environment
 from dynaviz.results.sections import Runtime, Tiling
 from dynaviz.scan import Scan, Sequence
+from dynaviz.spatial.extent import CELL
 from dynaviz.tasks.local import InThisProcess, LocalExecutor
 from dynaviz.tasks.task import Task, error_of
-from dynaviz.tiling.grid import TileGrid, unpacked
+from dynaviz.tiling.grid import Tile, TileGrid, unpacked
 from dynaviz.tiling.index import SequenceIndex, indexed
-from dynaviz.tiling.tile import DYNAMIC, Answers, AnswersHead, TileTask
+from dynaviz.tiling.tile import DYNAMIC, NEAR, Answers, AnswersHead, TileFrames, TileTask
 
-OPEN = 16  # tiles whose answers are in memory while a run is put together; a frame sees a few
+SPARE = 2  # tiles whose answers are in memory, in addition to those of a frame
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
 
 
@@ -41,11 +42,13 @@ class TileOptions:
         size: edge of a tile, metres.
         workers: number of tiles that run at a time on this machine.
         scheduler: address of a Dask scheduler whose workers run the tiles instead.
+        budget: bytes of the recordings of all tiles together; None for any size.
     """
 
     size: float
     workers: int = 1
     scheduler: str | None = None
+    budget: int | None = None
 
     def __post_init__(self) -> None:
         if not 10 <= self.size <= 1000:
@@ -75,7 +78,7 @@ class TiledLabels:
     def __init__(self, folder: Path, method: Any, params: Any, index: SequenceIndex, halo: Halo) -> None:
         self.info, self.Params, self.params = method.info, method.Params, params
         self._folder, self._grid, self._index = folder, TileGrid(index.size), index
-        self._answers = lru_cache(maxsize=OPEN)(self._load)
+        self._answers = lru_cache(maxsize=index.most_tiles + SPARE)(self._load)
         runtimes = [AnswersHead.load(self._path(packed)).runtime for packed in np.unique(index.tile_of).tolist()]
         self.runtime = _total(runtimes, len(index.numbers))
         self.tiling = Tiling(index.size, halo.metres, len(runtimes), sum(each.frames or 0 for each in runtimes))
@@ -103,7 +106,7 @@ class TiledLabels:
         return Answers.load(self._path(packed))
 
     def _path(self, packed: int) -> Path:
-        return self._folder / "tiles" / "{}_{}".format(*unpacked(packed)) / TileTask.files[0]
+        return self._folder / "tiles" / "{}_{}".format(*unpacked(packed)) / TileTask.files[-1]
 
 
 def label_tiles(
@@ -115,6 +118,7 @@ def label_tiles(
     *,
     online: bool = False,
     seed: int = 0,
+    record: RecordMode | None = None,
     progress: Progress = silent,
 ) -> tuple[TiledLabels, SequenceIndex]:
     """Label a sequence tile by tile; tiles that an interrupted run finished are kept.
@@ -126,6 +130,7 @@ def label_tiles(
         sequence: of any length.
         options: size of the tiles, and who runs them.
         online, seed: as in ``RunSpec``.
+        record: mode of the recording of each tile, ``tiles/X_Y/run.rrd``; None writes none.
         progress: called with ``index`` and frames, then with ``tiles`` and tiles.
 
     Returns:
@@ -145,7 +150,15 @@ def label_tiles(
     total = len(sequence)
     index = indexed(folder / "index.npz", sequence, options.size, lambda done: progress("index", done, total))
     key = _key(index, method.info.name, params, online, seed)
-    tasks = [TileTask(sequence, index, tile, method.info.name, params, seed, online, halo, key) for tile in index.tiles]
+    shares = index.points_by_tile
+    tasks = [
+        TileTask(
+            tile_frames(sequence, index, tile, halo, record is not None),
+            *(options.size, tile, method.info.name, params, seed, online, halo, key, record),
+            options.budget and int(options.budget * shares[tile]),
+        )
+        for tile in index.tiles
+    ]
     todo = [task for task in tasks if not task.finished(folder / task.path)]
     progress("tiles", len(tasks) - len(todo), len(tasks))
     with _executor(folder, options) as executor, contextlib.closing(executor.run(todo)) as ended:
@@ -158,6 +171,12 @@ def label_tiles(
         problem = f"{len(failed)} of {len(tasks)} tiles failed ({names}): {error}"
         raise DataError(folder / failed[0].path, problem, hint="The same command continues with these")
     return TiledLabels(folder, method, params, index, halo), index
+
+
+def tile_frames(sequence: Sequence, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool) -> TileFrames:
+    """The frames of a sequence that see a tile or its halo."""
+    frames = index.frames_reaching(tile, halo.metres + 2 * CELL)
+    return TileFrames.of(sequence, index, frames, TileGrid(index.size).local_origin(tile, NEAR), truth)
 
 
 def tileable() -> list[str]:

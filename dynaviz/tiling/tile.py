@@ -13,16 +13,16 @@ import msgspec
 import numpy as np
 
 from dynaviz import registry
-from dynaviz.arrays import F64, I64, U8
+from dynaviz.arrays import F64, I64, U8, Intp
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.summary import summarize
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.npy import open_npy
 from dynaviz.method import Halo
-from dynaviz.metric import Figure, Labelled
+from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.progress import Progress
-from dynaviz.results.result import Result
+from dynaviz.results.result import RecordMode, Result
 from dynaviz.results.sections import Runtime
 from dynaviz.scan import Scan, Sequence, SequenceView
 from dynaviz.spatial.extent import CELL
@@ -30,9 +30,8 @@ from dynaviz.tiling.grid import Tile, TileGrid, packed
 from dynaviz.tiling.index import SequenceIndex
 
 NEAR = 2500.0  # metres: with a reach of 300 m around the tile, within 32768 voxels of 0.1 m
-CYCLE = (
-    60  # frames: gaps shrink by multiples of this, so that methods that use every second or fourth frame stay in step
-)
+# Frames: gaps shrink by multiples of this, so that methods that use every second or fourth frame stay in step.
+CYCLE = 60
 DYNAMIC = 128  # added to the reason code of dynamic points
 _HINT = "Delete it and run the same command again"
 
@@ -46,6 +45,7 @@ class TileFrames(SequenceView):
         rows: positions in the sequence, in order; -1 - position for an empty scan.
         numbers, places: of these frames: ``Scan.index`` and position of the sensor, (K, 3) float64, metres.
         origin: (3,) float64, metres: subtracted from all coordinates.
+        truth: whether scans have their ground truth, which only a recording needs.
     """
 
     whole: Sequence
@@ -53,9 +53,10 @@ class TileFrames(SequenceView):
     numbers: I64
     places: F64
     origin: F64
+    truth: bool = False
 
     @classmethod
-    def of(cls, sequence: Sequence, index: SequenceIndex, frames: I64, origin: F64) -> TileFrames:
+    def of(cls, sequence: Sequence, index: SequenceIndex, frames: I64, origin: F64, truth: bool = False) -> TileFrames:
         """The frames at these positions, and short gaps of empty scans between them."""
         rows: list[int] = []
         expected = 0
@@ -67,12 +68,12 @@ class TileFrames(SequenceView):
             expected = frame + 1
         chosen = np.array(rows, np.int64)
         at = np.where(chosen < 0, -1 - chosen, chosen)
-        return cls(sequence, chosen, index.numbers[at], index.positions[at], origin)
+        return cls(sequence, chosen, index.numbers[at], index.positions[at], origin, truth)
 
     @property
     def has_labels(self) -> bool:
-        """False: a tile is not scored on its own."""
-        return False
+        """Whether scans have ground truth."""
+        return self.truth and self.whole.has_labels
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -84,7 +85,7 @@ class TileFrames(SequenceView):
             pose[:3, 3] = self.places[position]
             scan = Scan(int(self.numbers[position]), np.empty((0, 3), np.float32), pose)
         else:
-            scan = self.whole[row].without_truth()
+            scan = self.whole[row] if self.truth else self.whole[row].without_truth()
         return scan.moved(-self.origin) if self.origin.any() else scan
 
 
@@ -93,16 +94,18 @@ class TileTask:
     """The run of one tile, as a ``dynaviz.tasks.task.Task``.
 
     Attributes:
-        sequence: the whole sequence.
-        index: where its frames are.
+        frames: those that see the tile.
+        size: edge of a tile, metres.
         tile: which tile.
         method, params, seed, online: as in ``RunSpec``.
         halo: what decides the labels in a tile.
         key: digest of all that decides the answers.
+        record: mode of the tile's recording; None writes none.
+        budget: of the recording, bytes; None for any size.
     """
 
-    sequence: Sequence
-    index: SequenceIndex
+    frames: TileFrames
+    size: float
     tile: Tile
     method: str
     params: Any
@@ -110,9 +113,11 @@ class TileTask:
     online: bool
     halo: Halo
     key: str
+    record: RecordMode | None = None
+    budget: int | None = None
     kind = "tile"
     smaller = "Use smaller tiles."
-    files = ("answers.npz",)
+    files = ("run.rrd", "answers.npz")
 
     @property
     def path(self) -> Path:
@@ -122,7 +127,7 @@ class TileTask:
     @property
     def facts(self) -> Mapping[str, str]:
         """What identifies the tile."""
-        return {"method": self.method, "sequence": self.sequence.name, "tile": self.path.name}
+        return {"method": self.method, "sequence": self.frames.name, "tile": self.path.name}
 
     def run(self, folder: Path, threads: int | None, progress: Progress) -> None:
         """Label the points of the tile in this process.
@@ -130,50 +135,110 @@ class TileTask:
         Raises:
             DynavizError: as ``dynaviz.run``.
         """
-        grid, margin = TileGrid(self.index.size), self.halo.metres + 2 * CELL
-        bounds, origin = grid.bounds(self.tile), grid.local_origin(self.tile, NEAR)
-        frames = TileFrames.of(self.sequence, self.index, self.index.frames_reaching(self.tile, margin), origin)
+        grid, frames, margin = TileGrid(self.size), self.frames, self.halo.metres + 2 * CELL
         summary = summarize(frames, lambda done: progress("survey", done, len(frames)))
         if not self.halo.along_rays:
-            low, high = bounds[0] - margin - origin[:2], bounds[1] + margin - origin[:2]
-            summary = dataclasses.replace(summary, extent=summary.extent.cropped(low, high))
+            bounds = grid.bounds(self.tile) - frames.origin[:2]
+            summary = dataclasses.replace(
+                summary, extent=summary.extent.cropped(bounds[0] - margin, bounds[1] + margin)
+            )
         kind = registry.load("methods", self.method)
         spec = RunSpec(
             kind(self.params), frames, self.params, (), self.online, self.seed, threads=threads, summary=summary
         )
-        answers = TileAnswers(folder / self.files[0], self.key, packed(self.tile), grid, frames)
-        execute(spec, [answers], progress=progress)
+        own = OwnPoints(grid, self.tile, frames)
+        answers = TileAnswers(folder / self.files[-1], self.key, self._recorded, own)
+        if self.record is None:
+            execute(spec, [answers], progress=progress)
+            return
+        from dynaviz.viz.recorder import Recorder
+
+        metrics = tuple(OwnMetric(each(kind.info), own) for each in registry.loadable("metrics").values())
+        with Recorder(folder / self.files[0], self.record, budget=self.budget) as recorder:
+            spec = dataclasses.replace(spec, metrics=metrics)
+            execute(spec, [OwnListener(recorder, own), answers], recorder, progress)
 
     def finished(self, folder: Path) -> bool:
-        """Whether its answers are complete and belong to this run."""
+        """Whether its answers are complete and belong to this run, with a recording if one is requested."""
         try:
-            return AnswersHead.load(folder / self.files[0]).key == self.key
+            head = AnswersHead.load(folder / self.files[-1])
         except DataError:
             return False
+        recorded = self.record is None or (head.recorded == self._recorded and (folder / self.files[0]).is_file())
+        return head.key == self.key and recorded
+
+    @property
+    def _recorded(self) -> str:
+        return "" if self.record is None else f"{self.record} {self.budget}"
+
+
+class OwnPoints:
+    """Reduces labelled scans of a tile's run to the tile's own points."""
+
+    def __init__(self, grid: TileGrid, tile: Tile, frames: TileFrames) -> None:
+        self.frames, self._grid, self._tile = frames, grid, packed(tile)
+        self._last: tuple[Labelled, Labelled] | None = None
+
+    def rows(self, scan: Scan) -> Intp:
+        """(K,) the points of a scan of the run that belong to the tile."""
+        origin = self.frames.origin
+        return np.flatnonzero(self._grid.owners(scan.moved(origin) if origin.any() else scan) == self._tile)
+
+    def of(self, labelled: Labelled) -> Labelled:
+        """A scan with its labels, reduced; computed once for the last scan."""
+        if self._last is None or self._last[0] is not labelled:
+            rows = self.rows(labelled.scan)
+            dynamic, reasons = labelled.dynamic[rows], labelled.reasons[rows]
+            self._last = labelled, Labelled.of(labelled.frame, labelled.scan.chosen(rows), dynamic, reasons)
+        return self._last[1]
+
+
+class OwnMetric:
+    """A metric that sees the points of a tile only."""
+
+    def __init__(self, metric: Metric, own: OwnPoints) -> None:
+        self._metric, self._own = metric, own
+        self.finish, self.figures = metric.finish, metric.figures
+
+    def update(self, labelled: Labelled) -> Mapping[str, float]:
+        """Add the tile's points of a scan."""
+        return self._metric.update(self._own.of(labelled))
+
+
+class OwnListener(Listener):
+    """Passes the points of a tile on to another listener."""
+
+    def __init__(self, listener: Listener, own: OwnPoints) -> None:
+        self._listener, self._own = listener, own
+        self.begin, self.finish = listener.begin, listener.finish  # type: ignore[method-assign]
+        self.observing, self.observed = listener.observing, listener.observed  # type: ignore[method-assign]
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Pass on the tile's points of a scan."""
+        self._listener.labelled(self._own.of(labelled), curves)
 
 
 class TileAnswers(Listener):
     """Writes ``answers.npz``: for each frame, the answers for the tile's points in the order of the frame.
 
     ``numbers``: (K,) int64 numbers of the frames; ``counts``: (K,) int64 points of each; ``codes``: uint8 codes of the
-    reasons, plus ``DYNAMIC`` for points that are removed; ``runtime``: cost of the method, JSON.
+    reasons, plus ``DYNAMIC`` for points that are removed; ``runtime``: cost of the method, JSON; ``recorded``: mode and
+    budget of the recording.
     """
 
-    def __init__(self, path: Path, key: str, tile: int, grid: TileGrid, frames: TileFrames):
-        self._path, self._key, self._tile, self._grid, self._frames = path, key, tile, grid, frames
+    def __init__(self, path: Path, key: str, recorded: str, own: OwnPoints):
+        self._path, self._key, self._recorded, self._own = path, key, recorded, own
         self._numbers: list[int] = []
         self._codes: list[U8] = []
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Keep the answers for the tile's points."""
-        if self._frames.rows[labelled.frame] < 0:
+        if self._own.frames.rows[labelled.frame] < 0:
             return
-        origin = self._frames.origin
-        scan = labelled.scan.moved(origin) if origin.any() else labelled.scan
-        own = self._grid.owners(scan) == self._tile
-        if own.any():
-            self._numbers.append(scan.index)
-            self._codes.append(labelled.reasons[own] + labelled.dynamic[own] * np.uint8(DYNAMIC))
+        rows = self._own.rows(labelled.scan)
+        if len(rows):
+            self._numbers.append(labelled.scan.index)
+            self._codes.append(labelled.reasons[rows] + labelled.dynamic[rows] * np.uint8(DYNAMIC))
 
     def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
         """Write the file."""
@@ -182,6 +247,7 @@ class TileAnswers(Listener):
         np.savez_compressed(
             buffer,
             key=self._key,
+            recorded=self._recorded,
             numbers=np.array(self._numbers, np.int64),
             counts=counts,
             codes=np.concatenate([np.empty(0, np.uint8), *self._codes]),
@@ -196,10 +262,12 @@ class AnswersHead:
 
     Attributes:
         key: digest of all that decides them.
+        recorded: mode and budget of the recording; empty if there is none.
         runtime: cost of the method.
     """
 
     key: str
+    recorded: str
     runtime: Runtime
 
     @classmethod
@@ -210,7 +278,7 @@ class AnswersHead:
             DataError: if the file is missing or damaged.
         """
         with open_npy(path, "file of answers", _HINT) as z:
-            return cls(str(z["key"]), msgspec.json.decode(str(z["runtime"]), type=Runtime))
+            return cls(str(z["key"]), str(z["recorded"]), msgspec.json.decode(str(z["runtime"]), type=Runtime))
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ FINE = 0.1  # metres: the same for dynamic points, which are few
 MOST = 10_000  # points of an outcome in a frame, about; more are downsampled, with larger voxels if need be
 MARGIN = 1.1  # factor on these, because surfaces are rough
 STRIDE = 4  # a map with more points than half of its cap gets only every fourth point of a frame
+CROWDED = 8  # times its cap: with more points, a map is downsampled during the run
 GROWTH = 1.25  # factor on the voxel's edge while a map has more points than its cap
 
 DYNAMIC = (Outcome.DYNAMIC_REMOVED, Outcome.FALSE_NEGATIVE)
@@ -30,10 +31,10 @@ DRAWN = {  # outcomes drawn by frame in ``errors`` mode, and the voxel's edge in
 
 
 class DownsampledMap:
-    """Points of a whole run, one per voxel; memory grows with the occupied volume, not with the number of points.
+    """Points of a whole run, one per voxel; memory is bounded.
 
     Args:
-        size: the voxel's edge, metres.
+        size: the voxel's edge, metres; larger at the end if the map has many points.
         cap: number of points at the end, at most.
         middle: (3,) float32, metres: voxels are counted from here.
     """
@@ -55,6 +56,18 @@ class DownsampledMap:
         first = self._seen.first_in(points, rows, self._middle, self.size)
         self._points.append(points[first])
         self._reasons.append(reasons[first])
+        if len(self._seen) > CROWDED * self.cap:
+            self._coarsen()
+
+    def _coarsen(self) -> None:
+        """Continue with larger voxels, so that memory is bounded on long drives."""
+        points, reasons = np.concatenate(self._points), np.concatenate(self._reasons)
+        while len(points) > CROWDED * self.cap // 2:
+            self.size *= GROWTH
+            self._seen.clear()
+            first = self._seen.first_in(points, np.arange(len(points)), self._middle, self.size)
+            points, reasons = points[first], reasons[first]
+        self._points, self._reasons = [points], [reasons]
 
     def thinned(self) -> tuple[F32, U8]:
         """(M, 3) float32 points and their (M,) reason codes, downsampled further if they exceed the cap.

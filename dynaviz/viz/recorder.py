@@ -30,6 +30,7 @@ from dynaviz.viz.budget import Budget
 from dynaviz.viz.case_timeline import CaseTimeline
 from dynaviz.viz.curves import Curves
 from dynaviz.viz.layout import Findings, layout
+from dynaviz.viz.quota import Quota
 from dynaviz.viz.report import OutcomeCounts, before, failure_list, removed, report
 from dynaviz.viz.scene import MapDrawing
 
@@ -49,13 +50,21 @@ class Recorder(Listener):
         mode: ``errors`` draws wrong and dynamic points, ``full`` every point, ``scores`` none. All modes store the
             label, ground truth and reason of every point.
         live: open a viewer that follows the run; it may be closed at any time.
+        budget: bytes of the file, about; states are left out first, then drawn points. Labels, ground truth and reasons
+            are always stored. None for any size.
 
     Raises:
         UsageError: for an unknown mode, or ``live`` without a screen.
         DataError: if the folder cannot be written.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mode: RecordMode = "errors", live: bool = False):
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mode: RecordMode = "errors",
+        live: bool = False,
+        budget: int | None = None,
+    ):
         if mode not in get_args(RecordMode):
             raise UsageError(f"--record {mode}: choose from {', '.join(get_args(RecordMode))}")
         self.path, self.mode = Path(path), mode
@@ -65,6 +74,7 @@ class Recorder(Listener):
         self._queue: list[tuple[State, Value]] = []
         self._heading, self._guided = keys.Heading(), set[str]()
         self._outcomes = OutcomeCounts()
+        self._budget, self._quota = budget, Quota(budget, 0, 0)
         # Without states, the runtime of the method is reported as honest, so nothing else may run next to it.
         self._background = Background(inline=mode == "scores")
 
@@ -97,6 +107,7 @@ class Recorder(Listener):
         info = run.labeller.info
         self._info, self._run, self._extent, drawn = info, run, summary.extent, self.mode != "scores"
         self._positions: list[F64] = []
+        self._quota = Quota(self._budget, summary.points, summary.frames, run.method is not None and not run.online)
         self._states = {state.name: state for state in info.emits} if drawn else {}
         solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
         self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
@@ -140,18 +151,20 @@ class Recorder(Listener):
 
     def _write_states(self, frame: int, scan: Scan, queue: list[tuple[State, Value]]) -> None:
         self._open.at(frame, scan.stamp_ns)
-        self._draw_states(queue, scan)
-        self._open.flush(STATES_PENDING)
+        if self._quota.states(self._open.size, frame):
+            self._draw_states(queue, scan)
+        self._open.flush(STATES_PENDING if self._budget is None else 0.0)
 
     def _write_frame(self, labelled: Labelled, curves: Mapping[str, float], queue: list[tuple[State, Value]]) -> None:
         """Write a frame: its states, its points by outcome, the labels of all points, and the curves."""
         scan = labelled.scan
         self._open.at(labelled.frame, scan.stamp_ns)
-        if queue:
+        if queue and self._quota.states(self._open.size, labelled.frame, labels=True):
             self._draw_states(queue, scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
         if self._scene is not None:
             self._scene.pose(scan)
-            self._scene.frame(labelled)
+            self._scene.frame(labelled, self._quota.drawing(self._open.size))
+        self._quota.answered(len(scan))
         packed = answers.Answers.of(labelled).packed()
         self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
         wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)

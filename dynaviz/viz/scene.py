@@ -77,14 +77,16 @@ class MapDrawing:
         T = scan.T_world_sensor
         self._sink.log(paths.SENSOR, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
 
-    def frame(self, labelled: Labelled) -> None:
-        """Draw a frame's points by outcome, and add them to the map."""
+    def frame(self, labelled: Labelled, drawn: bool = True) -> None:
+        """Draw a frame's points by outcome if ``drawn``, and add them to the map."""
         self._trajectory.append(labelled.scan.position)
         rows = by_outcome(labelled, self._middle)
         for outcome, downsampled in self._maps.items():
             if len(rows[outcome]):
                 downsampled.add(labelled.scan.points, labelled.reasons, rows[outcome])
-        if self._full:
+        if not drawn:
+            self._sink.log(paths.SCAN, rr.Clear(recursive=False))
+        elif self._full:
             self._draw(labelled, np.arange(len(labelled.scan)), None)
         else:
             self._draw(labelled, *to_draw(labelled, self._middle, rows))

@@ -66,6 +66,14 @@ class RecordingFile:
             stream.set_log_time_enabled(False)
             stream.send_recording_name(name)
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file so far, as of the last flush."""
+        try:
+            return part_of(self.path).stat().st_size
+        except OSError:
+            return 0
+
     def at(self, frame: int, stamp_ns: int | None) -> None:
         """Set the frame of everything logged from here on."""
         for stream in self._streams:

@@ -208,10 +208,13 @@ def test_outcomes_cross_truth_and_answer(little_room: InMemory) -> None:
     assert set(blind.outcome) == {Outcome.UNLABELLED_KEPT}
 
 
-@pytest.mark.parametrize("sizes", [[0], [3, 0, 5, 8], [1] * 20, [17, 31]])
-def test_packed_bits_have_no_gaps(sizes: list[int]) -> None:
-    random, bits, whole = np.random.default_rng(1), PackedBits(), []
+@pytest.mark.parametrize("held", [1 << 20, 3])
+@pytest.mark.parametrize("sizes", [[0], [3, 0, 5, 8], [1] * 20, [17, 31], [50, 3, 40]])
+def test_packed_bits_have_no_gaps(sizes: list[int], held: int) -> None:
+    random, bits, whole = np.random.default_rng(1), PackedBits(held), []
     for size in sizes:
         whole.append(random.random(size) < 0.5)
         bits.append(whole[-1])
-    np.testing.assert_array_equal(bits.packed(), np.packbits(np.concatenate(whole)))
+        expected = np.packbits(np.concatenate(whole))
+        np.testing.assert_array_equal(bits.packed(), expected)
+        assert bits.sha256() == hashlib.sha256(expected.tobytes()).hexdigest()
