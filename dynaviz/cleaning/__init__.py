@@ -26,6 +26,7 @@ from dynaviz.sensors import Sensor, load_sensor
 
 __all__ = ["BEST", "Cleaned", "clean"]
 
+AUTOWARE = "autoware"  # a layout of divided maps
 BEST = "seethrough"
 """The method with the best mean rank over all data sets (``docs/methods``)."""
 
@@ -37,7 +38,9 @@ def clean(
     method: str = BEST,
     region: str | None = None,
     voxel_size: float | None = None,
-    tiles: str | None = None,
+    tiles: str | float | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
     keep_dynamic: str | os.PathLike[str] | None = None,
     frames: str | None = None,
     stride: int = 1,
@@ -59,13 +62,17 @@ def clean(
 
     Args:
         sequence: an open sequence, a path, or a list of ``(points, pose)``.
-        out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; with ``tiles`` a folder. The other files of the run
-            are written to a folder next to it, ``clean_run`` for ``clean.laz``.
+        out: the map: PCD, PLY, LAS, LAZ or NPZ, by its suffix; a folder for Autoware's divided map. The other
+            files of the run are written to a folder next to it, ``clean_run`` for ``clean.laz``.
         method: its name.
         region: ``X0,Y0,X1,Y1`` or ``X0,Y0,Z0,X1,Y1,Z1`` in the coordinates of the map, or a file with the corners of
             a polygon: the map contains only the points inside. The method sees all points.
         voxel_size: metres: the map contains one point per voxel, the first one.
-        tiles: ``autoware`` writes Autoware's divided map, PCD files of 20 m x 20 m with metadata.
+        tiles: edge of the squares into which the map is divided, metres, for drives of any length (``dynaviz.run``).
+            If ``out`` has a suffix, a folder without it receives a file for each square, and ``tiles.json``; otherwise
+            ``out`` is Autoware's divided map, PCD files of 20 m x 20 m with metadata. ``autoware`` writes the latter
+            from a run without tiles.
+        workers, scheduler: who runs the tiles, as for ``dynaviz.run``.
         keep_dynamic: file for the removed points, in any of the formats.
         frames, stride, points_in, deskew, extrinsic, sensor: as for ``dynaviz.open``.
         poses: as for ``dynaviz.open``; None estimates poses with KISS-ICP if the sequence has none.
@@ -77,7 +84,9 @@ def clean(
     Raises:
         UsageError, DataError, MissingDependency: as ``open`` and ``run``.
     """
-    files = _files(Path(out), region, voxel_size, tiles, None if keep_dynamic is None else Path(keep_dynamic))
+    size = _tile_size(tiles)
+    removed = None if keep_dynamic is None else Path(keep_dynamic)
+    files = _files(Path(out), region, voxel_size, tiles is not None, size, removed)
     folder = run_folder(Path(out))
     estimated = None
     if isinstance(sequence, str | os.PathLike):
@@ -99,6 +108,9 @@ def clean(
         settings=settings,
         refine_poses=refine_poses,
         threads=threads,
+        tiles=size,
+        workers=workers,
+        scheduler=scheduler,
         command=command or shlex.join(["dynaviz.clean", sequence.name]),
         progress=progress,
         maps=False,
@@ -119,19 +131,34 @@ def run_folder(out: Path) -> Path:
     return out.with_name(f"{out.stem}_run")
 
 
+def _tile_size(tiles: str | float | None) -> float | None:
+    """The edge of the tiles of a run, metres; None for a run without tiles."""
+    if tiles is None or tiles == AUTOWARE:
+        return None
+    try:
+        return float(tiles)
+    except ValueError:
+        raise UsageError(f"--tiles {tiles}: give metres, or {AUTOWARE}") from None
+
+
 def _files(
-    out: Path, region: str | None, voxel_size: float | None, tiles: str | None, removed: Path | None
+    out: Path, region: str | None, voxel_size: float | None, divided: bool, size: float | None, removed: Path | None
 ) -> list[MapFile]:
     """The maps to write; all options are checked before anything is read."""
-    if tiles not in (None, "autoware"):
-        raise UsageError(f"--tiles {tiles}: give autoware")
-    if tiles is None:
+    by_tile = size is not None and bool(out.suffix)  # a file per tile of the run, otherwise Autoware's layout
+    if by_tile or not divided:
         check_map_path(out)
     elif out.suffix or out.is_file():
         raise UsageError(f"{out}: a divided map is a folder. Give a name without a suffix, such as -o {out.stem}")
+    if by_tile and out.with_suffix("").is_file():
+        raise UsageError(f"{out.with_suffix('')}: is a file, but the tiles need a folder of this name. Give another -o")
     check_voxel_size(voxel_size)
     parsed = None if region is None else Region.parse(region)
-    files = [MapFile(out, tiled=tiles is not None, region=parsed, voxel_size=voxel_size)]
+    if by_tile:
+        map_ = MapFile(out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size)
+    else:
+        map_ = MapFile(out, tiled=divided, region=parsed, voxel_size=voxel_size)
+    files = [map_]
     if removed is not None:
         check_map_path(removed)
         if removed.resolve() == out.resolve():

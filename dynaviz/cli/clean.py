@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -23,17 +22,13 @@ from dynaviz.cli.options import (
     Record,
     RecordModeOption,
     RefinePoses,
+    Scheduler,
     SensorName,
     Stride,
     Threads,
+    Workers,
     method_names,
 )
-
-
-class TilesOption(StrEnum):
-    """Divided maps."""
-
-    autoware = "autoware"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -62,7 +57,16 @@ def clean(
     voxel_size: Annotated[
         float | None, typer.Option(metavar="METRES", help="Write one point per voxel of this size.")
     ] = None,
-    tiles: Annotated[TilesOption | None, typer.Option(help="Write a divided map with tiles of 20 m x 20 m.")] = None,
+    tiles: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METRES|autoware",
+            help="Run on squares of this size, for drives of any length, and write a file for each into a folder, "
+            "or Autoware's divided map if MAP has no suffix; 'autoware' writes that without dividing the run.",
+        ),
+    ] = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     keep_dynamic: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the removed points to this file.")
     ] = None,
@@ -92,6 +96,7 @@ def clean(
     dynaviz clean drive.bag -o clean.laz
     dynaviz clean scans/ --poses trajectory.tum -o clean.pcd --voxel-size 0.1
     dynaviz clean drive.mcap -o map --tiles autoware --keep-dynamic removed.pcd
+    dynaviz clean city/ -o city.laz --tiles 200 --workers 4
     dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region 500100,5400200,500300,5400400
     """
     from dynaviz import cleaning
@@ -103,7 +108,9 @@ def clean(
             method=method,
             region=region,
             voxel_size=voxel_size,
-            tiles=tiles and tiles.value,
+            tiles=tiles,
+            workers=workers,
+            scheduler=scheduler,
             keep_dynamic=keep_dynamic,
             frames=frames,
             stride=stride,
@@ -122,6 +129,6 @@ def clean(
         )
     if print_json(cleaned.to_dict(), json):
         return
-    show(cleaned, f"Written to {out} and {cleaned.folder}.")
+    show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
     if record is not RecordModeOption.none:
         show(f"Check what was removed with: {program()} view {shlex.quote(str(cleaned.folder / 'run.rrd'))}")

@@ -16,6 +16,7 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.attributes import Attributes, attributes_of, origin_of
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
+from dynaviz.io.map_tiles import MapTiles
 from dynaviz.io.maps import MapWriter, TiledMap, open_map
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence as ScanSequence
@@ -30,6 +31,8 @@ class MapFile:
         path: the file, or the folder of a tiled map.
         removed: write the points that the run removed, instead of those that it kept.
         tiled: write Autoware's divided map.
+        tile_size: edge of the squares that get a file each in the folder, metres; None for one file.
+        suffix: of these files.
         region: write only the points inside.
         voxel_size: write one point per voxel of this edge, metres: the first one. None for all points.
     """
@@ -37,6 +40,8 @@ class MapFile:
     path: Path
     removed: bool = False
     tiled: bool = False
+    tile_size: float | None = None
+    suffix: str = ""
     region: Region | None = None
     voxel_size: float | None = None
 
@@ -85,6 +90,8 @@ def check_voxel_size(size: float | None) -> None:
 
 
 def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64) -> MapWriter:
+    if file.tile_size is not None:
+        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix)
     return TiledMap(file.path, fields, origin) if file.tiled else open_map(file.path, fields, origin)
 
 

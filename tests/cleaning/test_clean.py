@@ -181,6 +181,32 @@ def test_a_divided_map(tmp_path: Path) -> None:
     assert sum(len(read_fields(tile)["ring"]) for tile in tiles) == cleaned.maps[0].points
 
 
+def test_a_run_on_tiles_writes_a_file_for_each_and_an_index(tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans")
+    clean(scans, tmp_path / "whole.pcd")
+    cleaned = clean(scans, tmp_path / "city.pcd", tiles="10")
+    folder, whole = tmp_path / "city", read_fields(tmp_path / "whole.pcd")
+    assert cleaned.maps[0].path == folder
+    index = json.loads((folder / "tiles.json").read_text())
+    assert {tile["file"] for tile in index["tiles"]} == {path.name for path in folder.glob("*.pcd")}
+    rows = []
+    for tile in index["tiles"]:
+        fields = read_fields(folder / tile["file"])
+        xyz = coordinates(fields)
+        assert (np.floor(xyz[:, :2] / 10) == [tile["column"], tile["row"]]).all()
+        assert len(xyz) == tile["points"]
+        rows += zip(*xyz.T.tolist(), fields["ring"].tolist(), strict=True)
+    assert len(index["tiles"]) > 1
+    assert sorted(rows) == sorted(zip(*coordinates(whole).T.tolist(), whole["ring"].tolist(), strict=True))
+
+
+def test_tiles_without_a_suffix_are_the_divided_map_of_autoware(tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans")
+    cleaned = clean(scans, tmp_path / "map", tiles=10)
+    assert cleaned.result.sections.tiling
+    assert (tmp_path / "map" / TiledMap.METADATA).is_file()
+
+
 def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
     scans = [
         (geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points), scan.T_world_sensor) for scan in SCANS
@@ -201,6 +227,7 @@ def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
         ("-o map.pcd --voxel-size 0", "at least 0.001"),
         ("-o map.pcd --keep-dynamic map.pcd", "is the map itself"),
         ("-o map.pcd --tiles autoware", "a divided map is a folder"),
+        ("-o map --tiles 20m", "give metres, or autoware"),
     ],
 )
 def test_mistakes_are_found_before_anything_is_read(run_command: Command, typed: str, message: str) -> None:
