@@ -1,11 +1,11 @@
 """What tiles cost, on drives of a simulated street, and what they keep: labels, memory, and a run that loses a worker.
 
-    python benchmarks/tiles.py equal [SEQUENCE]    labels of every method on tiles of 60 m and as a whole
-    python benchmarks/tiles.py cost                processor time on tiles of 200 m and as a whole; two workers and one
-    python benchmarks/tiles.py memory              peak memory at 1, 4 and 16 times the length
-    python benchmarks/tiles.py city                20 km on a Dask cluster of two workers, one of which is killed
-
-``cost`` and ``city`` state elapsed time: run them with nothing else running.
+python benchmarks/tiles.py equal [SEQUENCE]    labels of every method on tiles of 60 m and as a whole
+python benchmarks/tiles.py cost                processor time on tiles of 200 m and as a whole
+python benchmarks/tiles.py workers             elapsed time of two workers against one; set NUMBA_NUM_THREADS=1
+                                               and run it with nothing else running
+python benchmarks/tiles.py memory              peak memory at 1, 4 and 16 times 1.25 km
+python benchmarks/tiles.py city                20 km on a Dask cluster of two workers, one of which is killed
 """
 
 from __future__ import annotations
@@ -15,26 +15,32 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scenes import Drive
 
 import dynaviz as dv
+from dynaviz import registry
 from dynaviz.engine.loop import peak_rss_mb
 from dynaviz.results.result import Result
-from dynaviz.tiling.run import tileable
+from dynaviz.tiling.run import TileOptions, label_tiles, tileable
 
-BLOCK = 18.0  # metres after which a drive repeats, with 24 frames
+BLOCK = 18.0  # metres after which a drive repeats
+FRAMES = 8  # in that distance: 80 km/h at 10 Hz
+SPARSE = 2000  # points per frame
 KILOMETRES = 20
 
 
 def drive(points: int, metres: float, folder: Path) -> Drive:
     """A drive of some length with about this many points per frame."""
-    return Drive.of(points, round(metres / BLOCK * 24), folder)
+    dense = Drive.of(points, 0, folder)
+    return replace(dense, block=dense.block[:: len(dense.block) // FRAMES], frames=round(metres / BLOCK * FRAMES))
 
 
 def equal(sequence: str | None, folder: Path) -> None:
@@ -51,7 +57,7 @@ def equal(sequence: str | None, folder: Path) -> None:
 
 
 def cost(folder: Path) -> None:
-    """Print processor time against a run without tiles, and elapsed time of two workers against one."""
+    """Print processor time against a run without tiles."""
     whole = drive(20_000, 1000.0, folder)
     for method in ("octomap", "seethrough"):
         spent = []
@@ -59,37 +65,49 @@ def cost(folder: Path) -> None:
             start = time.process_time()
             dv.run(method, whole, out=folder / f"{method}-{name}", record="none", tiles=tiles, threads=1)
             spent.append(time.process_time() - start)
-        print(
-            f"{method}: {spent[0]:.0f} s as a whole, {spent[1]:.0f} s on tiles: x {spent[1] / spent[0]:.2f}", flush=True
-        )
+        factor = spent[1] / spent[0]
+        print(f"{method}: {spent[0]:.0f} s as a whole, {spent[1]:.0f} s on tiles: x {factor:.2f}", flush=True)
+
+
+def workers(folder: Path) -> None:
+    """Print elapsed time of the tiles of a drive with one and with two workers, each with one thread."""
+    whole = drive(20_000, 2000.0, folder)
     elapsed = []
-    for workers in (1, 2):
-        start = time.perf_counter()
-        dv.run("octomap_g", whole, out=folder / f"workers{workers}", record="none", tiles=200.0, workers=workers)
-        elapsed.append(time.perf_counter() - start)
-    print(
-        f"octomap_g: {elapsed[0]:.0f} s with one worker, {elapsed[1]:.0f} s with two: x {elapsed[0] / elapsed[1]:.2f}"
-    )
+    for count in (1, 2):
+        ends: dict[str, float] = {}
+        progress = partial(_note, ends)
+        with TemporaryDirectory(dir=folder) as out:
+            options = TileOptions(200.0, count)
+            kind = registry.load("methods", "octomap_g")
+            folder_of_run, params = Path(out), kind.Params()
+            label_tiles(folder_of_run, kind, params, whole, options, progress=progress)
+        elapsed.append(ends["tiles"] - ends["index"])
+        print(f"octomap_g: {elapsed[-1]:.0f} s on tiles with {count} workers", flush=True)
+    print(f"x {elapsed[0] / elapsed[1]:.2f}")
+
+
+def _note(ends: dict[str, float], phase: str, done: int, total: int) -> None:
+    ends[phase] = time.perf_counter()
 
 
 def memory(folder: Path) -> None:
     """Print the peak memory of a process that runs drives of growing length."""
     for times in (1, 4, 16):
         code = (
-            "from pathlib import Path; import dynaviz as dv; from tiles import drive, peak_rss_mb\n"
-            f"folder = Path({str(folder)!r}); sequence = drive(2000, {400.0 * times}, folder)\n"
+            "from pathlib import Path; import dynaviz as dv; from tiles import SPARSE, drive, peak_rss_mb\n"
+            f"folder = Path({str(folder)!r}); sequence = drive(SPARSE, {1250.0 * times}, folder)\n"
             f"dv.run('octomap', sequence, out=folder / 'memory{times}', record='none', tiles=200.0, threads=1)\n"
             "print(peak_rss_mb())"
         )
         found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=_path())
-        print(f"{400 * times:6} m: {float(found.stdout):.0f} MB", flush=True)
+        print(f"{1250 * times:6} m: {float(found.stdout):.0f} MB", flush=True)
 
 
 def city(folder: Path) -> None:
     """Clean a drive of 20 km on a cluster; kill a worker in the middle."""
     from distributed import LocalCluster
 
-    whole, out = drive(2000, 1000.0 * KILOMETRES, folder), folder / "city"
+    whole, out = drive(SPARSE, 1000.0 * KILOMETRES, folder), folder / "city"
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         victim = next(iter(cluster.workers.values())).pid
 
@@ -123,15 +141,15 @@ def _path() -> dict[str, str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("equal", "cost", "memory", "city"))
+    parser.add_argument("what", choices=("equal", "cost", "workers", "memory", "city"))
     parser.add_argument("sequence", nargs="?")
     arguments = parser.parse_args()
     os.environ.update(_path())
-    with tempfile.TemporaryDirectory() as name:
+    with TemporaryDirectory() as name:
         if arguments.what == "equal":
             equal(arguments.sequence, Path(name))
         else:
-            {"cost": cost, "memory": memory, "city": city}[arguments.what](Path(name))
+            {"cost": cost, "workers": workers, "memory": memory, "city": city}[arguments.what](Path(name))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT
 from dynaviz_eval.per_scan import scan_squared_ranges
-from dynaviz_eval.sorted_runs import HELD, SortedRuns
+from dynaviz_eval.sorted_runs import SortedRuns
 
 WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes
 STILL = 0.5  # metres in a window: slower than anyone walks
@@ -27,6 +27,7 @@ FAR = 30.0  # metres: a car has a few dozen points there, and rays pass between 
 BRIEF = 5  # frames: too few hits to decide by
 TRACKS = 1000  # objects that are remembered
 CELL = 1.0  # metres: edge of a cell of a place
+PLACES = 100_000  # cells in memory; more are stored on disk
 _RECORD = np.dtype([("key", np.int64), ("visits", np.int32, 3)])
 SAMPLE = 15_000  # points of a scan that look for its cells: consecutive points are much closer than a cell
 
@@ -138,7 +139,7 @@ class Places:
         held: cells in memory.
     """
 
-    def __init__(self, held: int = HELD) -> None:
+    def __init__(self, held: int = PLACES) -> None:
         self._keys, self._visits, self._used = np.full(1 << 16, -1, np.int64), np.empty((1 << 16, 3), np.int32), 0
         self._frame, self._held = 0, held
         self._stored = SortedRuns(_RECORD)

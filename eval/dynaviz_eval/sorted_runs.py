@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dynaviz.arrays import I64
 from dynaviz.errors import DynavizError
 
-HELD = 500_000  # records that a metric keeps in memory before it stores them as a run
+HELD = 250_000  # records that a metric keeps in memory before it stores them as a run
 _STEP = 1024  # records between two keys of a run that stay in memory
 _EVERYTHING = (-(1 << 63), (1 << 63) - 1)
 

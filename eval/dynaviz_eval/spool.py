@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import weakref
+from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,15 +13,7 @@ from dynaviz.arrays import F32, F64, I64
 from dynaviz.errors import DynavizError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Span:
-    """The points of one frame: their position in the file, and their bounds in the world."""
-
-    frame: int
-    start: int
-    count: int
-    low: tuple[float, ...]
-    high: tuple[float, ...]
+FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
 
 
 class PointSpool:
@@ -36,7 +28,7 @@ class PointSpool:
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed with this object
         self.close = weakref.finalize(self, self._file.close)
-        self._extents: list[_Span] = []
+        self._spans = array("d")  # of each frame: number, start in the file, count, low and high corner
         self._end = 0
         self.points = 0
 
@@ -46,9 +38,9 @@ class PointSpool:
             points = points[np.isfinite(points).all(1)]
         if len(points) == 0:
             return
-        low, high = (tuple(float(f(points[:, axis])) for axis in range(3)) for f in (np.min, np.max))
+        low, high = ([float(f(points[:, axis])) for axis in range(3)] for f in (np.min, np.max))
         rest = memoryview(np.ascontiguousarray(points, np.float32).view(np.uint8).ravel())  # type: ignore[arg-type]
-        self._extents.append(_Span(frame, self._end, len(points), low, high))
+        self._spans.extend([frame, self._end, len(points), *low, *high])
         self._end += len(rest)
         self.points += len(points)
         try:
@@ -63,34 +55,41 @@ class PointSpool:
 
     def bounds(self) -> tuple[F64, F64]:
         """Low and high corner, (3,) float64 each. Needs at least one point."""
-        return np.min([e.low for e in self._extents], axis=0), np.max([e.high for e in self._extents], axis=0)
+        spans = self._table()
+        return spans[:, LOW].min(0), spans[:, HIGH].max(0)
 
     def sample(self, axis: int, step: int) -> F32:
         """One coordinate of every ``step``-th point of each frame, at least one per frame."""
         # Copy: a view would keep all points of its frame in memory.
-        return np.concatenate([self._read(extent)[::step, axis].copy() for extent in self._extents])
+        return np.concatenate([self._read(span)[::step, axis].copy() for span in self._table()])
 
     def blocks(self, axis: int, low: float, high: float, size: int) -> Iterator[tuple[F32, I64]]:
         """Points with low <= p[axis] < high and their frames, about ``size`` at a time.
 
         A block is valid until the next one, because they share a buffer.
         """
-        crossing = [e for e in self._extents if e.high[axis] >= low and e.low[axis] < high]
-        capacity = min(size + max((e.count for e in crossing), default=0), sum(e.count for e in crossing))
+        spans = self._table()
+        crossing = spans[(spans[:, HIGH][:, axis] >= low) & (spans[:, LOW][:, axis] < high)]
+        counts = crossing[:, COUNT].astype(np.int64)
+        capacity = min(size + int(counts.max(initial=0)), int(counts.sum()))
         points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int64), 0
-        for extent in crossing:
+        for span in crossing:
             if filled >= size:
                 yield points[:filled], frames[:filled]
                 filled = 0
-            chosen = self._read(extent)
+            chosen = self._read(span)
             along = chosen[:, axis]
             chosen = np.compress((along >= low) & (along < high), chosen, 0)
             points[filled : filled + len(chosen)] = chosen
-            frames[filled : filled + len(chosen)] = extent.frame
+            frames[filled : filled + len(chosen)] = int(span[FRAME])
             filled += len(chosen)
         if filled:
             yield points[:filled], frames[:filled]
 
-    def _read(self, extent: _Span) -> F32:
-        self._file.seek(extent.start)
-        return np.fromfile(self._file, np.float32, 3 * extent.count).reshape(-1, 3)
+    def _table(self) -> F64:
+        """(frames, 9) float64; numbers up to 2^53 are exact."""
+        return np.array(self._spans).reshape(-1, 9)
+
+    def _read(self, span: F64) -> F32:
+        self._file.seek(int(span[START]))
+        return np.fromfile(self._file, np.float32, 3 * int(span[COUNT])).reshape(-1, 3)
