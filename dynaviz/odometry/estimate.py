@@ -21,7 +21,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial import geometry
 
-FORMAT = 1  # of the cache; a change makes earlier caches invalid
+FORMAT = 2  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at
 
 

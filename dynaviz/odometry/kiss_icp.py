@@ -8,6 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.errors import MissingDependency
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import Trajectory, deskew
 
 LONGEST, SHORTEST = 100.0, 20.0  # metres; bounds of the range that is used
 
@@ -16,9 +18,13 @@ class KissIcp:
     """KISS-ICP of the package ``kiss-icp``, with its parameters for the given range.
 
     It runs in one thread: sums in several threads differ from run to run.
+
+    Sweeps are deskewed to their middle, not by KISS-ICP to their end: the speed is unknown in the first sweeps, and
+    what they place in the map is right for their middle on average. Deskewed to the end, all later sweeps would be
+    half a sweep's way apart from it.
     """
 
-    reference: ClassVar[float] = 1.0
+    reference: ClassVar[float] = 0.5
     package: ClassVar[str] = "kiss-icp"
 
     def __init__(self, reach: float) -> None:
@@ -32,13 +38,35 @@ class KissIcp:
             ) from None
         config: Any = KISSConfig()
         config.data.max_range = float(np.clip(2 * reach, SHORTEST, LONGEST))
-        config.data.deskew = True
+        config.data.deskew = False
         config.mapping.voxel_size = config.data.max_range / 100.0
         config.registration.max_num_threads = 1
         self._kiss: Any = KissICP(config)
 
     def register(self, points: F64, times: F64 | None) -> F64:
         """As ``Odometry``."""
-        self._kiss.register_frame(points, np.empty(0) if times is None else times)
+        if times is not None and len(times):
+            points = deskewed_to_middle(points, times, np.array(self._kiss.last_delta, np.float64))
+        self._kiss.register_frame(points, np.empty(0))
         pose: F64 = np.array(self._kiss.last_pose, np.float64)
         return pose
+
+
+def deskewed_to_middle(points: F64, times: F64, motion: F64) -> F64:
+    """Points as the sensor in the middle of the sweep sees them, at constant velocity.
+
+    Args:
+        points: (N, 3) float64, metres, sensor frame, each at its own time.
+        times: (N,) float64, seconds.
+        motion: (4, 4) float64, metres: pose of the sensor at the last time in its frame at the first.
+
+    Returns:
+        (N, 3) float64, metres.
+    """
+    moments = np.round((times - times.min()) * 1e9).astype(np.int64)
+    last = int(moments.max())
+    if not last:
+        return points
+    path = Trajectory.of([0, last], [np.eye(4), motion])
+    start, _ = deskew(points, moments, path)
+    return geometry.apply(geometry.inverse(path.at([last // 2])[0]), start.astype(np.float64))
