@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 CASES = 5  # listed
-NOISY = 0.02  # metres; pose noise from which refining poses is advised
+NOISY = 0.01  # metres; pose noise from which refining poses is advised
 _ADVICE = "; `--refine-poses` may reduce it, and keep more static points"
 
 
