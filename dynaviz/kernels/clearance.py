@@ -104,3 +104,22 @@ def count(blocks, crossed, hit, near, hits, passed, clear):
                         passed[block, i] += 1
                         if free >> bit & ONE:
                             clear[block, i] += 1
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def order(blocks, hit, clear, ever, between, after):
+    """Note the order in which voxels are hit and seen clear, one bit per voxel.
+
+    Args:
+        blocks: (B,) int32, numbers of the scan's blocks.
+        hit, clear: (B, 8) uint64, bits of the voxels that the scan hits and sees clear.
+        ever: (all blocks + 1, 8) uint64, voxels that were ever hit. Modified.
+        between: as ``ever``: voxels hit, then seen clear, then hit again. Modified.
+        after: as ``ever``: voxels hit, and seen clear since their last hit. Modified.
+    """
+    for r in prange(len(blocks)):
+        b = blocks[r]
+        for w in range(8):
+            between[b, w] |= hit[r, w] & after[b, w]
+            after[b, w] = (after[b, w] | clear[r, w] & ever[b, w]) & ~hit[r, w]
+            ever[b, w] |= hit[r, w]

@@ -9,6 +9,7 @@ from numba import njit, prange
 
 LEAST = 3  # minimum number of points in a layer
 SHARE = 0.03  # minimum share of a column's points in a layer; reflections below the ground are fewer
+FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
 RISE = 3  # the ground is searched in this many layers above the first
 
 
@@ -62,7 +63,11 @@ def floors(columns, starts, blocks, number, height, floor):
 
 @njit(cache=True, nogil=True, parallel=True)
 def pits(surface, deep):
-    """(X, Y) bool: cells more than ``deep`` below over three quarters of the 5 x 5 cells around them: reflections."""
+    """(X, Y) bool: cells that are reflections, not ground.
+
+    They are more than ``deep`` below over three quarters of the known cells among the 5 x 5 cells around them, or below
+    all but one of them: stray returns far below the ground have few known cells around.
+    """
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
     for x in prange(rows):
@@ -73,7 +78,7 @@ def pits(surface, deep):
                     if surface[i, j] < np.inf:
                         around += 1
                         level += surface[i, j] <= surface[x, y] + deep
-            found[x, y] = 4 * level < around
+            found[x, y] = 4 * level < around or level < FELLOWS
     return found
 
 

@@ -199,3 +199,38 @@ def in_or_next_to(points, chosen, cell):
             if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
                 found[i] = picture[x, y]
     return found
+
+
+@njit(cache=True, nogil=True)
+def local_level(points, chosen, height, cell, few):
+    """(N,) float32, metres: mean height of the chosen points in each point's square cell, seen from above.
+
+    0 in cells with fewer than ``few`` chosen points, and for points that are not finite.
+
+    Args:
+        points: (N, 3) float32, metres.
+        chosen: (N,) bool; chosen points must be finite.
+        height: (N,) float32, metres.
+        cell: edge of a cell, metres.
+        few: minimum number of points.
+    """
+    n, length = len(points), 1024
+    while length < 2 * chosen.sum():
+        length *= 2
+    slots, number, total = np.full(length, np.int64(-1)), np.zeros(length, np.int64), np.zeros(length, np.int64)
+    level = np.zeros(n, np.float32)
+    for adds in (True, False):  # add the chosen points, then look up all points
+        for i in range(n):
+            if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])) or (adds and not chosen[i]):
+                continue
+            x, y = math.floor(points[i, 0] / cell), math.floor(points[i, 1] / cell)
+            if not max(abs(x), abs(y)) < REACH:
+                continue
+            s = _slot(slots, (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH)
+            if adds:
+                slots[s] = (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH
+                number[s] += 1
+                total[s] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
+            elif slots[s] >= 0 and number[s] >= few:
+                level[i] = total[s] / (1e6 * number[s])
+    return level

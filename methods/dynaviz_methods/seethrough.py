@@ -43,18 +43,22 @@ from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_aroun
 from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, voxels_of
+from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods.ground_height import GroundHeight, RollingGroundHeight
+from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
 from dynaviz_methods.lookups import known
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
 LATELY = 3  # number of scans for which the position of a dynamic object is remembered
+STAYS = 0.35  # share of the points seen clear: an object with more that was hit before and after does not follow
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
-STANDS_OUT = 0.05  # metres above the ground
-PASSED = 5  # a foot's voxel was passed this many times as often as hit, or
-SELDOM = 2  # was hit at most this often and seen clear as often
+LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
+STANDS_OUT = 0.04  # metres above the ground of this scan
+LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
+LEAST = 3  # minimum number of low points there
+EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
+HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 FEW = 3  # minimum number of voting points of a dynamic object
 OBJECT = 30.0  # metres
 
@@ -95,7 +99,7 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED = range(9)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED, HIGH = range(10)
 REASONS = (
     Reason("never_clear", "kept: no scan saw its voxel clear", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its object was seen clear", Cause.STANDING),
@@ -110,6 +114,7 @@ REASONS = (
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
     Reason("alone", "removed: its voxel was seen clear, but its object was not", Cause.SPARSE_RINGS),
     Reason("waited", "removed: its object waited here before it moved away", Cause.SHARED_CELL),
+    Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
 )
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED))  # (R,) bool, by code
 STATES = (
@@ -123,7 +128,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0], np.uint8)  # reason code to class of the legend
 
 
 class ClearGrid(BlockGrid):
@@ -174,9 +179,11 @@ class _Judged:
         index: number of the scan.
         height: (N,) float32, metres above the ground, of each point; infinite if unknown.
         objects: (N,) int32, the object of each point, -1 for none.
-        weighed: (7, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
-            moved lately, scans in which that one moved, points where the last object moved.
+        weighed: (9, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
+            moved lately, scans in which that one moved, points where the last object moved, points seen clear between
+            two hits, points seen clear after the last hit.
         under: (N,) bool, low and in or next to a dynamic object.
+        level: (N,) float32, metres: height of this scan's low points around each point.
     """
 
     index: int
@@ -184,6 +191,7 @@ class _Judged:
     objects: I32
     weighed: F64
     under: Bool
+    level: F32
 
 
 class SeeThrough:
@@ -205,6 +213,8 @@ class SeeThrough:
         self._hits, self._passed, self._clear = (
             self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3)
         )
+        # One bit per voxel: ever hit; seen clear between two hits; seen clear after the last hit.
+        self._order = tuple(self._grid.per_block(np.zeros((rows, 8), np.uint64)) for _ in range(3))
         # For each quarter column: the last scan with a dynamic object, and the number of scans in which that object
         # was dynamic, for ``label`` and for ``observe``. Then the last scans with any points and with dynamic points.
         places = 4 * len(self._ground) + 4
@@ -222,6 +232,7 @@ class SeeThrough:
         near = self._grid.near(marks, hit, round(self.params.guard / self.params.resolution))
         counts = (self._hits, self._passed, self._clear)
         kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
+        kernels.clearance.order(marks.blocks, hit, crossed & ~hit & ~near, *self._order)
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
         self._observed += 1
@@ -272,20 +283,23 @@ class SeeThrough:
         params, now = self.params, self._number[scan.index]
         height = self._ground.height(points, voxels, scan.position)
         within, low = voxels >= 0, height <= params.ground_height
-        objects, n = kernels.objects.connect(points, within & ~low, params.gap, TALL * params.gap)
+        high = (height > HIGHEST) & (height < np.inf)
+        objects, n = kernels.objects.connect(points, within & ~low & ~high, params.gap, TALL * params.gap)
         verdict = self._movement(objects, n, voxels, places, now, movers)
         moves = verdict > 0
 
         counts = (self._hits, self._passed, self._clear)
         hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
         reasons = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
+        reasons[high] = HIGH
         reasons[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
         reasons[moves] = verdict[moves]
         reasons[low] = LOW
         under = low & kernels.objects.in_or_next_to(points, moves, 4 * params.resolution)
-        self._judged = _Judged(scan.index, height, objects, self._weighed, under)
-        empty = (passed > PASSED * hits) | ((clear >= hits) & (hits <= SELDOM))
-        reasons[under & ((height > STANDS_OUT) | empty)] = FOOT
+        level = kernels.objects.local_level(points, within & low & ~under & (height > -PIT), height, LEVEL, LEAST)
+        self._judged = _Judged(scan.index, height, objects, self._weighed, under, level)
+        empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
+        reasons[under & ((height - level > STANDS_OUT) | empty)] = FOOT
         reasons[~within] = OUT_OF_REACH
         return reasons
 
@@ -296,11 +310,14 @@ class SeeThrough:
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
         last = self._dynamic[places]
         left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
-        self._weighed = np.array([size, having, votes, touched, lately, proof, left])
+        between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
+        self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after])
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
         reasons = verdict[:n]
-        reasons[(2 * left > size) & (touched > WAITED_FOR * size)] = WAITED
-        reasons[(2 * lately > size) & (touched > 0) & (proof >= PROOF)] = FOLLOWED_ON
+        gone = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
+        reasons[(2 * left > size) & gone] = WAITED
+        came = (touched > 0) & (between <= STAYS * touched)
+        reasons[(2 * lately > size) & (proof >= PROOF) & came] = FOLLOWED_ON
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
         reasons[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
@@ -328,8 +345,8 @@ class SeeThrough:
     def _object_rules(self, asked: Asked, judged: _Judged) -> tuple[Rule, ...]:
         """The rules that remove objects; points without an object have NaN."""
         of = judged.objects[asked.rows]
-        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((7, 1)), 1)[:, of])
-        size, having, votes, touched, lately, proof, left = weighed
+        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((9, 1)), 1)[:, of])
+        size, having, votes, touched, lately, proof, left, between, after = weighed
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = votes / (1000 * self.params.votes * having)
             shares = {name: part / size for name, part in (("now", lately), ("later", left))}
@@ -345,6 +362,7 @@ class SeeThrough:
                     Term(f"{moved}lately", shares["now"], ">", 0.5),
                     Term("scans in which that moved", proof, ">=", PROOF),
                     Term("points of its object seen clear", touched, ">", 0),
+                    Term("of these, hit before and after", between, "<=", STAYS * touched),
                 ),
             ),
             Rule(
@@ -352,23 +370,26 @@ class SeeThrough:
                 (
                     Term(f"{moved}last", shares["later"], ">", 0.5),
                     Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
+                    Term(
+                        "points seen clear after the last hit, less those hit again", after - between, ">", LEFT * size
+                    ),
                 ),
             ),
         )
 
     def _point_rules(self, asked: Asked, judged: _Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
         """The rules that remove single points: above the ground, and low under a dynamic object."""
-        height, under = judged.height[asked.rows], judged.under[asked.rows]
+        height, under, level = (of[asked.rows] for of in (judged.height, judged.under, judged.level))
         limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
         above = Term("height above the ground", height, ">", limits[0], "m")
         scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
         low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under), ">=", 1)
-        often, few = Term("passes", passed, ">", PASSED * hits), Term("hits", hits, "<=", SELDOM)
+        sees = "scans that saw it clear"
+        empty = (Term(sees, clear, ">=", EMPTY), Term(sees, clear, ">", hits), Term(sees, clear, ">", passed / 2))
         return (
-            Rule("alone", (above, scans, Term("scans that saw it clear", clear, ">", most))),
-            Rule("foot", (low, Term("height above the ground", height, ">", limits[1], "m"))),
-            Rule("foot passed often", (low, often)),
-            Rule("foot rarely hit", (low, few, Term("scans that saw it clear", clear, ">=", hits))),
+            Rule("alone", (above, scans, Term(sees, clear, ">", most))),
+            Rule("foot", (low, Term("height above the ground of this scan", height - level, ">", limits[1], "m"))),
+            Rule("empty foot", (low, *empty)),
         )
 
     def _show(self, reasons: U8, blocks: I32, through: U64, near: U64) -> None:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from fractions import Fraction
 from itertools import product
 
 import numpy as np
 
+from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods.ground_height import PIT, SLOPE
 from dynaviz_methods.seethrough import (
+    EMPTY,
     FEW,
+    HIGHEST,
     LATELY,
-    PASSED,
+    LEAST,
+    LEFT,
+    LEVEL,
     PROOF,
-    SELDOM,
     STANDS_OUT,
+    STAYS,
     TALL,
     WAITED_FOR,
     SeeThroughParams,
@@ -31,6 +37,9 @@ class Reference:
         self.hits: Counter[Key] = Counter()
         self.passed: Counter[Key] = Counter()
         self.clear: Counter[Key] = Counter()
+        # Voxels seen clear between two hits, and since their last hit.
+        self.between: set[Key] = set()
+        self.after: set[Key] = set()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
         # By quarter column: the last scan with a dynamic object, and the number of scans in which it was dynamic, for
         # ``label`` and for ``observe``. Then the last scans with points that are not low, and with dynamic points.
@@ -47,11 +56,13 @@ class Reference:
         for goal in goals:
             centre = ((np.array(goal, np.int32) + 0.5) * size).astype(np.float32)
             crossed.update(walk(scan.origins[0], centre, size))
-        for k in goals:
-            self.hits[k] += 1
         near = {near for k in goals for near in product(*(range(c - reach, c + reach + 1) for c in k))}
         self.passed.update(crossed - goals)
         self.clear.update(crossed - near)
+        self.between |= self.after & goals
+        self.after = (self.after | {k for k in crossed - near if self.hits[k]}) - goals
+        for k in goals:
+            self.hits[k] += 1
         for p in scan.points:
             if np.isfinite(p).all():
                 x, y, z = key(p, size)
@@ -81,7 +92,8 @@ class Reference:
         for x, y in cells:
             window = [floor.get((x + i, y + j), math.inf) for i in range(-2, 3) for j in range(-2, 3)]
             known = [f for f in window if f < math.inf]
-            pit = 4 * sum(f <= floor[x, y] + PIT for f in known) < len(known)
+            level = sum(f <= floor[x, y] + PIT for f in known)
+            pit = 4 * level < len(known) or level < FELLOWS
             steady[x, y] = math.inf if pit else floor[x, y]
         # The minimum over all cells of their floor plus the maximum rise to them, in straight and diagonal steps.
         step, pressed = SLOPE * 8 * self.params.resolution, {}
@@ -113,7 +125,8 @@ class Reference:
         whole: set[int] = set()
         moving: set[tuple[int, int]] = set()
         left: dict[tuple[int, int], tuple[int, int]] = {}
-        for members in self.objects(points, up):
+        reachable = [i for i in up if not HIGHEST < height[i] < math.inf]
+        for members in self.objects(points, reachable):
             votes = sum(self.votes(voxel[i]) for i in members)
             having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
             trail = [movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
@@ -121,9 +134,12 @@ class Reference:
             proof = max(recent, default=0)
             touched = sum(self.clear[voxel[i]] > 0 for i in members)
             moves = votes > 1000 * params.share * params.votes * having and having >= FEW
-            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0
+            between = sum(voxel[i] in self.between for i in members)
+            after = sum(voxel[i] in self.after for i in members)
+            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0 and between <= STAYS * touched
+            gone = touched > WAITED_FOR * len(members) and after - between > LEFT * len(members)
             waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
-            if moves or follows or (waited and touched > WAITED_FOR * len(members)):
+            if moves or follows or (waited and gone):
                 whole.update(members)
             if moves:
                 moving.update(self.quarter(voxel[i]) for i in members)
@@ -134,18 +150,41 @@ class Reference:
         for i in whole:
             dynamic[i] = True
         cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
+        under = {
+            i
+            for i in inside
+            if i not in up
+            and any(
+                (math.floor(float(points[i, 0]) / (4 * size)) + a, math.floor(float(points[i, 1]) / (4 * size)) + b)
+                in cells
+                for a in (-1, 0, 1)
+                for b in (-1, 0, 1)
+            )
+        }
+        level = self.level(points, height, [i for i in inside if i not in up and i not in under and height[i] > -PIT])
         for i in inside:
             k = voxel[i]
             near = self.passed[k] - self.clear[k]
             if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k] + near:
                 dynamic[i] = True
-            x, y = (math.floor(float(c) / (4 * size)) for c in points[i, :2])
-            under = any((x + a, y + b) in cells for a in (-1, 0, 1) for b in (-1, 0, 1))
-            empty = self.passed[k] > PASSED * self.hits[k] or self.clear[k] >= self.hits[k] <= SELDOM
-            if i not in up and under and (height[i] > STANDS_OUT or empty):
+            empty = EMPTY <= self.clear[k] > max(self.hits[k], self.passed[k] / 2)
+            if i in under and (height[i] - level(points[i]) > STANDS_OUT or empty):
                 dynamic[i] = True
         movers |= left
         return dynamic, {self.quarter(voxel[i]) for i in up}, moving
+
+    @staticmethod
+    def level(points: np.ndarray, height: dict[int, float], chosen: list[int]) -> Callable[[np.ndarray], float]:
+        """The mean height of the chosen points in the cell of a point."""
+        cells: dict[tuple[int, ...], list[float]] = {}
+        for i in chosen:
+            cells.setdefault(tuple(math.floor(float(c) / LEVEL) for c in points[i, :2]), []).append(height[i])
+
+        def at(point: np.ndarray) -> float:
+            heights = cells.get(tuple(math.floor(float(c) / LEVEL) for c in point[:2]), [])
+            return sum(heights) / len(heights) if len(heights) >= LEAST else 0.0
+
+        return at
 
     def left(self, place: tuple[int, int], now: int) -> bool:
         """Whether the last object seen in a place is dynamic, in this scan or later."""
