@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dynaviz.cli.console import show
-from dynaviz.cli.options import RecordModeOption
+from dynaviz.cli.console import is_quiet, show
+from dynaviz.cli.options import Quiet, RecordModeOption
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -85,6 +85,7 @@ def bench(
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Run methods on sequences and show a leaderboard.
 
@@ -113,8 +114,13 @@ def bench(
         holdout=holdout,
     )
     table |= _grid_and_search(table, grid, search, trials, ranges, seed)
-    with _callbacks() as callbacks:
-        board = run(table, out, scheduler=scheduler, fresh=not resume, callbacks=callbacks)
+    try:
+        with _callbacks() as callbacks:
+            board = run(table, out, scheduler=scheduler, fresh=not resume, callbacks=callbacks)
+    except KeyboardInterrupt as error:
+        again = "without --fresh " if not resume else ""
+        error.add_note(f"Finished runs are kept in {out}. The same command {again}continues with the others")
+        raise
     show(board, *map(escape, _summary(board, out)))
     if board.failed:
         raise typer.Exit(1)
@@ -179,9 +185,13 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _callbacks() -> Iterator[BenchCallbacks]:
-    """A live table on a terminal, lines in a log."""
+    """A live table on a terminal, lines in a log; nothing with ``--quiet``."""
+    from dynaviz.benchmarking.runner import BenchCallbacks
     from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
 
+    if is_quiet():
+        yield BenchCallbacks()
+        return
     if not sys.stderr.isatty():
         yield ProgressLines(time.monotonic())
         return

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import print_json, program, progress, show
-from dynaviz.cli.options import Json, recording_in
+from dynaviz.cli.options import Json, Quiet, recording_in
 
 
 def add_to(app: typer.Typer) -> None:
@@ -36,6 +36,7 @@ def compare(
             metavar="DELTA", help="Exit with code 1 if the AA of any other run minus the AA of A is below DELTA."
         ),
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Compare runs on the same sequence.
 

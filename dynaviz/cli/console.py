@@ -55,6 +55,11 @@ def set_quiet(quiet: bool) -> None:
     _quiet = quiet
 
 
+def is_quiet() -> bool:
+    """Whether ``--quiet`` was given."""
+    return _quiet
+
+
 def program() -> str:
     """How to call this program: its name if the shell finds it, else as it was called."""
     if shutil.which("dynaviz"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +19,13 @@ from dynaviz.diagnosis.views import ScanView, around, pairs
 from dynaviz.errors import DataError
 from dynaviz.pose_noise import PoseNoiseMeter
 from dynaviz.progress import Progress, silent
-from dynaviz.scan import Scan, Sequence, SequenceSlice
+from dynaviz.scan import Scan, Sequence, SequenceSlice, SequenceView
 
 __all__ = ["Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
 MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive frames in each stretch
 QUICK_PAIRS, QUICK_GAP = 3, 5  # pairs of frames of a quick check, and frames from one to the other
+QUICK_POINTS = 30_000  # of each of these frames, at most
 PAIRS = 6  # pairs of scans that are compared
 MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
@@ -86,14 +88,32 @@ def quick_check(sequence: Sequence) -> tuple[Finding, ...]:
         return ()
     gap = min(QUICK_GAP, len(sequence) - 1)
     starts = np.linspace(0, len(sequence) - 1 - gap, QUICK_PAIRS).astype(int)
-    checker = ScanChecker(sequence)
+    few = _FewPoints(sequence, {})
+    checker = ScanChecker(few)
     try:
         for position in sorted({int(start) + k for start in starts for k in (0, gap)}):
-            checker.check(position, sequence[position])
+            checker.check(position, few[position])
         found = list(_check_alignment(checker, silent, quick=True))
     except DataError:
         return ()
     return tuple(finding for finding in found if finding.confidence <= Confidence.LIKELY)
+
+
+@dataclass(frozen=True)
+class _FewPoints(SequenceView):
+    """A sequence of which each frame is read once, with at most ``QUICK_POINTS`` points."""
+
+    whole: Sequence
+    kept: dict[int, Scan]
+
+    def __getitem__(self, position: int) -> Scan:
+        if position not in self.kept:
+            scan = self.whole[position].without_truth()
+            step = -(-len(scan) // QUICK_POINTS) or 1
+            origins = scan.origins if len(scan.origins) == 1 else scan.origins[::step]
+            times = None if scan.times is None else scan.times[::step]
+            self.kept[position] = replace(scan, points=scan.points[::step], origins=origins, times=times)
+        return self.kept[position]
 
 
 def _positions_to_read(frames: int) -> list[int]:

@@ -66,20 +66,35 @@ def open_window(*recordings: Path) -> int:
 
     Raises:
         UsageError: if there is no screen.
+        DynavizError: if the viewer ends before it is ready.
     """
     if not has_screen():
         raise UsageError(
             "there is no screen to open a viewer on. Use dynaviz view --web for a browser, or dynaviz shot for pictures"
         )
     port = free_port()
-    process = subprocess.Popen(
-        [program(), *map(str, recordings), f"--bind={HOME}", f"--port={port}", "--hide-welcome-screen"],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    end = time.monotonic() + SECONDS_TO_START
-    while process.poll() is None and not listens(port) and time.monotonic() < end:
-        time.sleep(0.05)
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(
+            [program(), *map(str, recordings), f"--bind={HOME}", f"--port={port}", "--hide-welcome-screen"],
+            stdout=output, stderr=output, stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        wait_until_ready(process, port, output)
     return port
+
+
+def wait_until_ready(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> None:
+    """Wait until a viewer listens, or the time to start is over.
+
+    Raises:
+        DynavizError: if it ends before; with what it wrote to ``output``.
+    """
+    end = time.monotonic() + SECONDS_TO_START
+    while not listens(port) and time.monotonic() < end:
+        if process.poll() is not None:
+            output.seek(0)
+            text = output.read().decode(errors="replace").strip()
+            raise DynavizError(f"the viewer did not start: {text[-500:] or 'it printed nothing'}")
+        time.sleep(0.05)
 
 
 @contextlib.contextmanager

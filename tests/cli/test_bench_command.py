@@ -127,3 +127,30 @@ def test_failed_trials_are_counted(
     result = SearchResult(ParameterSet("octomap", variant, {}), tmp_path / "best.toml", 90.0, 80.0, 7, 2)
     monkeypatch.setattr(bench_module, "bench", lambda *given, **options: Leaderboard([], searches=[result]))
     assert "of 7 trials (2 failed)" in run_command("bench", "-s", "simulate:demo", "-o", tmp_path)[1]
+
+
+def test_an_interrupted_bench_states_how_to_continue(
+    run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def bench(*table: object, **options: object) -> Leaderboard:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench_module, "bench", bench)
+    code, _, err = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
+    assert code == 130
+    assert err == (
+        f"dynaviz: interrupted. Finished runs are kept in {tmp_path}. The same command continues with the others.\n"
+    )
+    assert "The same command without --fresh continues" in run_command("bench", "-o", tmp_path, "--fresh")[2]
+
+
+def test_quiet_shows_no_progress(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def bench(*table: object, callbacks: Any, **options: object) -> Leaderboard:
+        callbacks.planned(2)
+        callbacks.running(failed(tmp_path, "").cell, "observe", 1, 1)
+        callbacks.ended(failed(tmp_path, "broken"))
+        return Leaderboard([])
+
+    monkeypatch.setattr(bench_module, "bench", bench)
+    assert run_command("bench", "-o", tmp_path)[2] != ""
+    assert run_command("bench", "-o", tmp_path, "--quiet")[2] == ""

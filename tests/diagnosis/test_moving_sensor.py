@@ -115,3 +115,13 @@ def test_jitter_of_a_slow_sensor_does_not_look_like_points_in_another_frame() ->
 
 def test_quick_check_of_a_correct_sequence() -> None:
     assert quick_check(InMemory(SCANS, "moving", SENSOR)) == ()
+
+
+def test_a_run_without_ground_truth_warns_of_wrong_poses(drive: list[Scan]) -> None:
+    T = [geometry.inverse(scan.T_world_sensor) for scan in drive]
+    wrong = [placed(s, geometry.apply(T[k], local(s)), T[k]).without_truth() for k, s in enumerate(drive)]
+    with pytest.warns(UserWarning, match=r"^moving: poses inverted: .*'dynaviz doctor' examines all frames$"):
+        found = dv.run("octomap", InMemory(wrong, "moving", SENSOR), settings={"resolution": 0.5}, threads=1)
+    labelled = [dataclasses.replace(scan, labels=np.zeros(len(scan), np.uint8)) for scan in wrong]
+    again = dv.run("octomap", InMemory(labelled, "moving", SENSOR), settings={"resolution": 0.5}, threads=1)
+    assert found.labels_sha256 == again.labels_sha256

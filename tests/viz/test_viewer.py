@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ from dynaviz.errors import DynavizError, UsageError
 from dynaviz.viz import viewer
 from dynaviz.viz.reader import RunRecording
 from dynaviz.viz.recorder import Recorder
-from dynaviz.viz.view import view
+from dynaviz.viz.view import tunnel, view
 
 
 def test_a_viewer_may_be_closed_during_the_run(
@@ -81,3 +82,29 @@ def test_a_busy_viewer_is_asked_again() -> None:
     assert viewer.patient(request) == 7
     with pytest.raises(DynavizError, match="the viewer does not answer in time"):
         viewer.patient(never)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the viewer is replaced by a shell script")
+def test_a_viewer_that_ends_at_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = tmp_path / "rerun"
+    broken.write_text("#!/bin/sh\necho no graphics >&2\nexit 3\n")
+    broken.chmod(0o755)
+    run = record(room(2, 200), tmp_path / "run.rrd")
+    monkeypatch.setattr(viewer, "program", lambda: str(broken))
+    monkeypatch.setattr(viewer, "has_screen", lambda: True)
+    for web in (False, True):
+        with pytest.raises(DynavizError, match=r"^the viewer did not start: no graphics$"):
+            view([run], web=web)
+
+
+def test_the_port_of_the_page(tmp_path: Path) -> None:
+    run = record(room(2, 200), tmp_path / "run.rrd")
+    with pytest.raises(UsageError, match=r"--port 9090: is the port of a page\. Add --web"):
+        view([run], port=9090)
+    with socket.socket() as taken:
+        taken.bind((viewer.HOME, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageError, match=rf"--port {port}: port {port} cannot be used .* Give another one"):
+            view([run], web=True, port=port)
+    assert tunnel(9090, 9091).startswith("ssh -L 9090:127.0.0.1:9090 -L 9091:127.0.0.1:9091 ")
