@@ -20,7 +20,7 @@ from dynaviz.params import resolve, to_toml
 from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.scan import Label, Scan
 from dynaviz.spatial.extent import Extent
-from dynaviz.spatial.window import Window
+from dynaviz.testing.live import check_live
 from dynaviz.testing.world import SENSOR, InMemory, crossing, moved, turn
 
 MOVES = (  # transforms of the world, and the percentage points by which SA and DA may change
@@ -28,7 +28,6 @@ MOVES = (  # transforms of the world, and the percentage points by which SA and 
     (turn(30.0, 13.37, -7.1, 0.45), 4.0),  # points fall into other voxels, and DA depends on few objects
 )
 
-LIVE = 8  # scans: more than the burn-in of methods that wait before they judge
 SAMPLE = 97  # the evidence on every N-th point is compared with its label
 
 
@@ -303,31 +302,9 @@ def answers_live(method: type[Method], params: Any) -> None:
 
     In a window that forgets, while the sensor drives away and returns, it still answers for every point.
     """
-    if not issubclass(method, Live):
-        return
-    scans = _bare()[:LIVE]
-    far = turn(0.0, 400.0, 0.0, 0.0)
-    away = [moved(scan, far).without_truth() for scan in scans[:2]]
-    online, wide = (_answers_live(method, params, scans, window) for window in (None, Window(100.0)))
-    assert online == wide, "labels live differ from those of online mode, though the window reaches all points"
-    tour = [dataclasses.replace(scan, index=n) for n, scan in enumerate([*scans, *away, *scans])]
-    _check_shapes(method, _answers_live(method, params, tour, Window(15.0)), tour)
-
-
-def _answers_live(method: type[Method], params: Any, scans: Sequence[Scan], window: Window | None) -> RunLabels:
-    """Label each scan right after it was observed, and forget it two scans later."""
-    running, answers = method(params), RunLabels([], [])
-    _begin(running, scans, extent=window)
-    for position, scan in enumerate(scans):
-        if window is not None:
-            window.follow(scan)
-        running.observe(scan)
-        labels = _answers(running, [scan])
-        answers.dynamic.extend(labels.dynamic)
-        answers.reasons.extend(labels.reasons)
-        if isinstance(running, Live) and window is not None and position >= 2:
-            running.forget(scans[position - 2].index)
-    return answers
+    if issubclass(method, Live):
+        tour, answers = check_live(method, params, _bare())
+        _check_shapes(method, RunLabels(*answers), tour)
 
 
 def survives_few_points(method: type[Method], params: Any) -> None:

@@ -77,7 +77,7 @@ class LiveRecording:
 
     def wants(self, name: str) -> bool:
         """True for every state of the method, while anything is drawn."""
-        return name in self._states and bool(self._streams)
+        return name in self._states and self._draws
 
     def emit(self, name: str, value: Value) -> None:
         """Keep a state of the scan that is being labelled; it is drawn with the scan."""
@@ -86,7 +86,9 @@ class LiveRecording:
 
     def wants_map(self) -> bool:
         """Whether it is time for a picture of the static map."""
-        return bool(self._streams) and time.monotonic() - self._mapped >= MAP_EVERY
+        now = time.monotonic()
+        rolls = self._folder is not None and now >= self._segment_ends  # each file has a map
+        return self._draws and (rolls or now - self._mapped >= MAP_EVERY)
 
     def show(self, played: Played, dropped: int, static_map: F32 | None) -> None:
         """Draw a labelled scan, its states, and the static map if there is a new one."""
@@ -115,6 +117,11 @@ class LiveRecording:
         for stream in self._streams:
             stream.flush(timeout_sec=5.0)
             stream.disconnect()
+
+    @property
+    def _draws(self) -> bool:
+        """Whether anything is drawn: also before the first file, when the method begins."""
+        return self._folder is not None or self._viewer is not None
 
     @property
     def _streams(self) -> list[rr.RecordingStream]:
@@ -151,7 +158,7 @@ class LiveRecording:
             self._file.disconnect()
         path = self._folder / f"live-{self._number:06d}{SUFFIX}"
         self._number += 1
-        self._file, self._segment_ends, self._mapped = self._started(path), now + SEGMENT, -np.inf
+        self._file, self._segment_ends = self._started(path), now + SEGMENT
         self._segments.append(path)
         while len(self._segments) > self._room():
             with contextlib.suppress(OSError):

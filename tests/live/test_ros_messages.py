@@ -85,6 +85,7 @@ class Anything:
     """Stands for a class of ROS."""
 
     KEEP_LAST = BEST_EFFORT = value = None
+    from_msg = staticmethod(lambda stamp: stamp)
 
     def __init__(self, *values: object, **named: object) -> None:
         self.published: list[object] = []
