@@ -1,6 +1,9 @@
-"""The contribution of each part and parameter of SeeThrough, on scenes of ``benchmarks/many.py``.
+"""The contribution of each part and parameter of SeeThrough.
 
-python benchmarks/ablation.py OUT [SCENE ...]      run after many.py OUT; writes OUT/ablation.md
+python benchmarks/ablation.py OUT [SCENE ...]      writes OUT/ablation.md
+
+A scene is a name in OUT/scenes, as written by ``benchmarks/many.py``, or any sequence, such as
+``simulate:street_vlp16_real?frames=60`` or ``implant:path/to/sequence?seed=1``.
 """
 
 from __future__ import annotations
@@ -27,9 +30,14 @@ CHOSEN = (
 PARTS = {  # constants to change, and reasons whose points are kept
     "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
+    "feet above the map's ground, not the scan's": ({"seethrough.LEAST": 1 << 30}, ()),
     "no lone voxels": ({}, (ALONE,)),
     "no waiting rule": ({}, (WAITED,)),
-    "no following": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
+    "waiting objects may be hit again": ({"seethrough.LEFT": -1e9}, ()),
+    "no following": ({"seethrough.PROOF": 1 << 30}, ()),
+    "followed objects may be hit again": ({"seethrough.STAYS": 1.0}, ()),
+    "neither following nor waiting": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
+    "no limit of height": ({"seethrough.HIGHEST": 1e9}, ()),
     "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, (WAITED,)),
     "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
@@ -75,7 +83,8 @@ def main(out: Path, names: list[str]) -> None:
     """Write the table."""
     by_scene = {}
     for name in names or CHOSEN:
-        sequence = api.open(out / "scenes" / name)
+        written = out / "scenes" / name
+        sequence = api.open(written if written.exists() else name)
         by_scene[name] = rows([sequence[k] for k in range(len(sequence))])
         print(name, flush=True)
     lines = ["| variant | AA mean | " + " | ".join(by_scene) + " |", "|---|" + "---|" * (len(by_scene) + 1)]

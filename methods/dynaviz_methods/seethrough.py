@@ -4,21 +4,26 @@
         hit:      mark the voxels of its points
         clear:    mark the voxels that its rays cross without a hit of the same scan within ``guard``; mark the other
                   crossed voxels as passed: grazed surfaces and small pose errors have hits nearby
+        order:    of voxels seen clear after a hit, note whether they are hit again (between) or not (after)
         judge:    label the scan by the scans so far, as below; store where dynamic objects and where other points that
                   are not low were seen last
-    ground:       in each column, 8 voxels wide, take the densest of its lowest layers; limit the slope to 0.2
-    call a point low if it is at most ground_height above the ground
+    ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore cells far below those
+                  around them, and cells without such neighbours; limit the slope to 0.2
+    call a point low if it is at most ground_height above the ground, and high if it is more than 4.5 m above it
     for each scan again, in order
-        objects:  join the points that are not low across gaps of up to about ``gap``
+        objects:  join the points that are neither low nor high across gaps of up to about ``gap``
         dynamic:  let each voxel vote min(clear / votes, 1) * min(clear / (near + hit / 3), 1), where near is the number
                   of scans that passed it; call an object dynamic if the mean vote of its points exceeds ``share``;
                   ignore points in voxels with one hit that no other scan crossed
         followed: also call an object dynamic if most of it is where a dynamic object was in the last scans that was
-                  judged dynamic at least twice, and any of its points was ever seen clear: a car that arrives and parks
+                  judged dynamic at least twice, any of its points was ever seen clear, and at most 35 in 100 of these
+                  between two hits: a car that arrives and parks, but not the wall that it passed
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
-                  this scan or later, and 1 in 10 of its points was seen clear: a parked car that drives off
-        feet:     remove low points under or next to a dynamic object that stick out of the ground, were passed five
-                  times as often as hit, or were hit at most twice and seen clear as often
+                  this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
+                  exceed those between two hits by 7 in 100: a parked car that drives off
+        feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
+                  of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
+                  clear, twice and more often than they were hit
         alone:    remove other points in voxels that at least ``votes`` scans saw clear, more than hit or passed them
     label the points of dynamic objects, their feet and points alone as dynamic
 

@@ -21,8 +21,10 @@ from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
+    ALONE,
     FOLLOWED_ON,
     FOOT,
+    HIGH,
     LOW,
     OUT_OF_REACH,
     REASONS,
@@ -125,6 +127,43 @@ def test_a_parked_car_that_drives_off_has_waited() -> None:
         assert (codes[n : n + b][high] == WAITED).all(), "its voxels were seen clear too rarely for a majority"
         assert not REMOVED[codes[n + b :]].any()
         assert not alone.label(scan).dynamic.any(), "it has not moved in these scans"
+
+
+def test_a_pillar_beside_a_waiting_walker_is_not_followed() -> None:
+    """Both share quarter columns while the walker passes; the pillar is hit before and after it was seen clear."""
+    places = [*np.linspace(-4.0, 0.0, 12), *[0.0] * 30]
+    pillar = block(7.6, 0.9, high=2.0, wide=0.5)
+    hidden = {4, 5, 20, 21}  # scans whose rays miss the pillar, as noise and bad poses do
+    scans = [seen(k, GROUND, wall(), block(7.0, y), *([] if k in hidden else [pillar])) for k, y in enumerate(places)]
+    method, n = running(scans), len(GROUND) + len(wall()) + len(block(7.0, 0))
+    for k in set(range(len(scans))) - hidden:
+        codes = method.label(scans[k]).reasons[n:]
+        assert not np.isin(codes, (FOLLOWED_ON, WAITED)).any()
+
+
+def test_stray_returns_far_below_the_ground_do_not_lower_it_either() -> None:
+    stray = [[4.0, 4.0, -20.0], [4.02, 4.02, -20.0], [4.04, 4.04, -20.0]]
+    points = np.concatenate([GROUND[(GROUND[:, :2] > 6).all(1)], stray]).astype(np.float32)
+    grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 1.8))), 0.1)
+    ground, voxels = GroundHeight(grid.blocks, 0.1), grid.locate(points)
+    ground.add(points, voxels)
+    assert np.abs(ground.height(points, voxels, np.zeros(3))[:-3]).max() < 0.13
+
+
+def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
+    """An error of a pose lifts the ground of a scan above that of the map, but not its feet above its ground."""
+    places = np.linspace(-4, 4, 12)
+    lifted = GROUND + np.array([0, 0, 0.07])
+    scans = [seen(k, lifted if k == 6 else GROUND, wall(), block(7.0, y)) for k, y in enumerate(places)]
+    removed = running(scans).label(scans[6]).dynamic[: len(GROUND)]
+    assert removed.mean() < 0.005
+
+
+def test_points_too_high_for_movers_are_kept() -> None:
+    places = np.linspace(-4, 4, 12)
+    scans = [seen(k, GROUND, wall(), block(7.0, y), block(7.0, y, low=4.8, high=5.6)) for k, y in enumerate(places)]
+    codes = running(scans).label(scans[6]).reasons[len(GROUND) + len(wall()) + len(block(7.0, 0)) :]
+    assert np.isin(codes, (HIGH, ALONE)).all()
 
 
 def test_reflections_below_the_ground_do_not_lower_it() -> None:
