@@ -68,12 +68,14 @@ class Overview(Listener):
         self._middle: F32 = np.round((summary.extent.low + summary.extent.high) / 2).astype(np.float32)
         self._maps = {kind: DownsampledMap(VOXEL, most, self._middle) for kind, most in POINTS.items()}
         self._way: list[F64] = []
+        self._frames: list[int] = []
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Add a scan to the map."""
         position = labelled.scan.position
         if not self._way or np.linalg.norm(position - self._way[-1]) >= STEP:
             self._way.append(position.copy())
+            self._frames.append(labelled.frame)
         rows = by_outcome(labelled, self._middle)
         for outcome, downsampled in self._maps.items():
             if len(rows[outcome]):
@@ -91,6 +93,8 @@ class Overview(Listener):
         title = f"{info.title} on {name}: {len(ranked)} tiles"
         layout = _layout(np.array(self._way), result.has_truth)
         sink = RecordingFile(self._path, f"dynaviz overview {info.name} {name}", title, layout)
+        facts = {"schema": paths.SCHEMA, "title": title, "sequence": name, "frames": result.sequence.frames}
+        sink.properties(paths.OVERVIEW, **facts)
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for outcome, downsampled in self._maps.items():
             points, _ = downsampled.thinned()
@@ -98,6 +102,10 @@ class Overview(Listener):
             cloud = rr.Points3D(points, colors=colours.BRIGHT[outcome], radii=radius)
             sink.log(f"{paths.MAP}/{outcome.name.lower()}", cloud, static=True)
         sink.log(paths.TRAJECTORY, rr.LineStrips3D([self._way], colors=[240, 240, 240]), static=True)
+        here = rr.Points3D.columns(
+            positions=self._way, colors=[colours.LABEL] * len(self._way), radii=[-4.0] * len(self._way)
+        )
+        sink.columns(paths.SENSOR, self._frames, [None], here)
         self._draw_tiles(sink, ranked, kinds)
         text = self._text(result, ranked, kinds)
         sink.log(RANKING, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
@@ -157,7 +165,7 @@ def _sum(count: I64, kinds: Iterable[Outcome]) -> int:
 
 def _layout(way: F64, truth: bool) -> rrb.Blueprint:
     title = "tiles: bright = many wrong points" if truth else "tiles: bright = many removed points"
-    tiles = solid(title, [TILES, WORST, paths.TRAJECTORY], above(way))
-    points = solid("map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY], above(way))
+    tiles = solid(title, [TILES, WORST, paths.TRAJECTORY, paths.SENSOR], above(way))
+    points = solid("map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY, paths.SENSOR], above(way))
     words = rrb.TextDocumentView(name="worst tiles", origin=RANKING)
     return blueprint(rrb.Horizontal(rrb.Vertical(tiles, points), words, column_shares=[5, 3]))

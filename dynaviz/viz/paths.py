@@ -48,6 +48,7 @@ FAILURE_LIST = "report/failures"
 LOG = "log"
 
 PROPERTIES = "run"  # recording property: method, sequence, settings, and the complete result
+OVERVIEW = "overview"  # the same of the overview of a run on tiles: title, sequence, frames
 
 SOLID = (Points, PointClasses, Mask, Voxels, Plane)  # kinds of state drawn in the world
 FLAT = (RangeImage, PolarGrid)  # kinds of state drawn as images

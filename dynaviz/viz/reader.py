@@ -56,13 +56,13 @@ class DrawnPoints:
 
 
 class AnyRecording:
-    """A complete recording of dynaviz: of a run or of a comparison.
+    """A complete recording of dynaviz: of a run, of a comparison, or the overview of a run on tiles.
 
     Args:
         path: the file.
 
     Attributes:
-        kind: ``run`` or ``comparison``; also the name of its properties.
+        kind: ``run``, ``comparison`` or ``overview``; also the name of its properties.
 
     Raises:
         DataError: if the file is not a recording of dynaviz, is incomplete, or was written by a newer dynaviz.
@@ -93,6 +93,9 @@ class AnyRecording:
     def facts(self) -> dict[str, str]:
         """A summary for display: names and values."""
         p = self.properties
+        if self.kind == paths.OVERVIEW:
+            size = f"{self.path.stat().st_size / 1e6:.1f} MB"
+            return {"overview": p["title"], "sequence": p["sequence"], "frames": f"{self.frames:,}", "size": size}
         with self.decoding():
             letters = {
                 run["letter"]: f"{run['name']}, {run['path']}" for run in json.loads(p["comparison_json"])["runs"]
@@ -142,7 +145,7 @@ class AnyRecording:
                 yield frame, merged
 
     def _read_properties(self) -> tuple[str, dict[str, Any]]:
-        for kind in (paths.PROPERTIES, COMPARISON):
+        for kind in (paths.PROPERTIES, COMPARISON, paths.OVERVIEW):
             properties = {name: value[0] for name, value in self.static(f"__properties/{kind}").items()}
             if "schema" in properties:
                 break
@@ -173,7 +176,8 @@ class RunRecording(AnyRecording):
     def __init__(self, path: str | os.PathLike[str]):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
-            raise DataError(self.path, "contains a comparison, not a run", hint="Give the run.rrd of a run")
+            kind = "a comparison" if self.kind == COMPARISON else "the overview of a run on tiles"
+            raise DataError(self.path, f"contains {kind}, not a run", hint="Give the run.rrd of a run")
         self._unscored: frozenset[int] = frozenset()
 
     def leave_out(self, frames: Iterable[int]) -> None:

@@ -106,11 +106,11 @@ class RecordingFile:
         for stream in self._streams:
             stream.send_columns(path, indexes=[rr.TimeColumn(paths.CASE, sequence=numbers)], columns=columns)
 
-    def properties(self, **values: Any) -> None:
-        """Set properties of the recording, skipping empty strings; later values replace earlier ones."""
+    def properties(self, kind: str = paths.PROPERTIES, **values: Any) -> None:
+        """Set properties of a recording of some kind, skipping empty strings; later values replace earlier ones."""
         kept = {name: value for name, value in values.items() if value != ""}
         for stream in self._streams:
-            stream.send_property(paths.PROPERTIES, rr.AnyValues(**kept))
+            stream.send_property(kind, rr.AnyValues(**kept))
 
     def chunks(self, chunks: Iterable[Chunk]) -> None:
         """Write chunks, which contain their own times."""
