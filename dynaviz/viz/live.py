@@ -37,6 +37,7 @@ SEGMENT = 20.0  # seconds of a file of the rolling recording
 TRAIL = 5.0  # seconds: dynamic points and states of this time remain visible
 FLUSH = 0.5  # seconds between writes to the file
 STATE_POINTS = 8_000  # of each state and scan
+STATES_EVERY = 1.0  # seconds between pictures of states, which some methods need long to prepare
 KEPT_POINTS = 30_000  # static points drawn of each scan
 MAP_EVERY = 2.0  # seconds between pictures of the static map
 REMOVED, LATENCY, DROPPED = "world/removed_now", "live/latency_ms", "live/dropped_scans"
@@ -65,7 +66,8 @@ class LiveRecording:
         self._minutes = minutes
         self._viewer = self._started(None) if port is not None else None
         self._file: rr.RecordingStream | None = None
-        self._segment_ends, self._flushed, self._mapped, self._number = 0.0, 0.0, -np.inf, 0
+        self._segment_ends, self._flushed, self._mapped, self._stated = 0.0, 0.0, -np.inf, -np.inf
+        self._number, self._states_due = 0, True
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -76,8 +78,8 @@ class LiveRecording:
                 raise DataError(str(folder), f"cannot be written ({error})", hint="Choose another folder") from None
 
     def wants(self, name: str) -> bool:
-        """True for every state of the method, while anything is drawn."""
-        return name in self._states and self._draws
+        """True for every state of the method about once per second, from the first scan on."""
+        return name in self._states and self._draws and self._states_due
 
     def emit(self, name: str, value: Value) -> None:
         """Keep a state of the scan that is being labelled; it is drawn with the scan."""
@@ -105,6 +107,10 @@ class LiveRecording:
         for state, value in self._queue:
             if (drawn := drawing.draw(value, state, scan, budget)) is not None:
                 self._log(paths.state(self._info.name, state), drawn)
+        now = time.monotonic()
+        if self._queue:
+            self._stated = now
+        self._states_due = now - self._stated >= STATES_EVERY
         self._queue.clear()
         if static_map is not None:
             self._mapped = time.monotonic()

@@ -98,6 +98,7 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
     from dynaviz.viz import live as recording
 
     monkeypatch.setattr(recording, "SEGMENT", 0.0)  # a file per scan
+    monkeypatch.setattr(recording, "STATES_EVERY", 0.0)
     monkeypatch.setattr(recording.LiveRecording, "_room", lambda self: 3)
     sequence = InMemory(crossing(5))
     report = play_live(sequence, "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=0.01)
