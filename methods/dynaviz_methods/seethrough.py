@@ -16,7 +16,7 @@
                   of scans that passed it; call an object dynamic if the mean vote of its points exceeds ``share``;
                   ignore points in voxels with one hit that no other scan crossed
         followed: also call an object dynamic if most of it is where a dynamic object was in the last scans that was
-                  judged dynamic at least twice, any of its points was ever seen clear, and at most 35 in 100 of these
+                  judged dynamic at least twice, any of its points was ever seen clear, and at most 1 in 4 of these
                   between two hits: a car that arrives and parks, but not the wall that it passed
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
                   this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
@@ -56,7 +56,7 @@ from dynaviz_methods.lookups import known
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
 LATELY = 3  # number of scans for which the position of a dynamic object is remembered
-STAYS = 0.35  # share of the points seen clear: an object with more that was hit before and after does not follow
+STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
 LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
 STANDS_OUT = 0.04  # metres above the ground of this scan
@@ -155,8 +155,8 @@ class ClearGrid(BlockGrid):
         if len(origins) == 1:
             goals = kernels.voids.distinct(voxels, voxels >= 0, self._once)
         else:
-            places, which = np.unique(origins, axis=0, return_inverse=True)
-            rays = np.unique((voxels * len(places) + which.ravel())[voxels >= 0])
+            places, which = _distinct(origins)
+            rays = np.unique((voxels * len(places) + which)[voxels >= 0])
             goals, origins = rays // len(places), places[rays % len(places)]
         centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
         every = kernels.as_readonly(np.ones(len(goals), np.bool_), np.bool_)
@@ -174,6 +174,14 @@ class ClearGrid(BlockGrid):
         padded[:-1] = hit
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
+
+
+def _distinct(origins: F64) -> tuple[F64, I64]:
+    """Distinct rows (P, 3) of origins (N, 3), sorted, and the row of each (N,); fast for runs of equal rows."""
+    starts = np.ones(len(origins), np.bool_)
+    starts[1:] = (origins[1:] != origins[:-1]).any(1)
+    places, which = np.unique(origins[starts], axis=0, return_inverse=True)
+    return places, which.ravel()[np.cumsum(starts) - 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
