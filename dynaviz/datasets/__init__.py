@@ -8,10 +8,12 @@ import os
 import re
 from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self
 
 from dynaviz import registry
+from dynaviz.datasets.lidars import Lidars, names_in
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.scan import Sequence, select_frames
 from dynaviz.sensors import load_sensor
@@ -49,7 +51,7 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     """Open a sequence.
 
     Args:
-        text: a path whose format is detected, or ``format:PATH``.
+        text: a path whose format is detected, or ``format:PATH``; with ``#A,B`` several lidars.
         sensor: name of the sensor, if the data do not define it.
         options: keywords of the format's ``open``; None means the default.
 
@@ -58,6 +60,8 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
         UsageError: for an unknown format or sensor, or an option that the format does not accept.
     """
     options = {name: value for name, value in options.items() if value is not None}
+    if names_in(text):
+        return Lidars.open(text, partial(open_sequence, sensor=sensor), **options)
     try:
         dataset, path = _parse(text)
         if dataset is None:

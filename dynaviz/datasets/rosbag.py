@@ -149,6 +149,11 @@ class RosBagSequence:
     def __len__(self) -> int:
         return len(self.positions)
 
+    @property
+    def stamps(self) -> I64:
+        """(frames,) int64, nanoseconds: time of each frame."""
+        return self.clouds.stamps[self.positions]
+
     def __getitem__(self, position: int) -> Scan:
         k = int(self.positions[position])
         stamp, T_world_sensor = int(self.clouds.stamps[k]), self.poses[position]

@@ -125,6 +125,11 @@ class ScanFolderSequence:
         """(3,) float64, metres: what was subtracted from all positions."""
         return self.matched.origin
 
+    @property
+    def stamps(self) -> I64 | None:
+        """(frames,) int64, nanoseconds: time of each frame; None for numbered scans."""
+        return self.matched.stamps
+
     def __len__(self) -> int:
         return len(self.scans)
 
