@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dynaviz.datasets import open_sequence
+from dynaviz.datasets.in_memory import ArraySequence
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
@@ -48,9 +50,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         DataError: if the path is not a recognised sequence, or no frame can be read.
     """
     if not isinstance(sequence, Sequence):
-        from dynaviz import api
-
-        sequence = api.open(sequence)
+        path = isinstance(sequence, str | os.PathLike)
+        sequence = open_sequence(os.fspath(sequence)) if path else ArraySequence.of(sequence)
     checker, findings, errors = ScanChecker(sequence), list[Finding](), list[DataError]()
     if not len(sequence):
         raise DataError(sequence.name, "contains no frame", hint="Give the folder of a sequence")

@@ -29,7 +29,7 @@ from dynaviz.odometry.pose_table import without_points, write_pose_table
 from dynaviz.odometry.reposed import ReposedSequence
 from dynaviz.pose_noise import PoseNoiseMeter, pose_noise
 from dynaviz.progress import Progress, silent
-from dynaviz.results.sections import PoseRefinement
+from dynaviz.results.refinement import PoseRefinement
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial import geometry
 
@@ -115,7 +115,7 @@ class Registration:
     def __init__(self, edge: float) -> None:
         try:
             import open3d
-            from threadpoolctl import threadpool_limits
+            from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
         except ModuleNotFoundError:
             raise MissingDependency(
                 "--refine-poses needs open3d. Install it with: pip install open3d, or leave out --refine-poses"
@@ -198,8 +198,14 @@ def _size(T: F64) -> tuple[F64, F64]:
 
 def _moved(given: F64, refined: F64, registered: int, meter: PoseNoiseMeter) -> PoseRefinement:
     shift, turn = _size(geometry.compose(np.array([geometry.inverse(T) for T in given]), refined))
-    figures = (np.median(shift), shift.max(), np.median(turn), turn.max())
-    return PoseRefinement(*(round(float(x), 5) for x in figures), registered, meter.result())
+    return PoseRefinement(
+        median_m=round(float(np.median(shift)), 5),
+        max_m=round(float(shift.max()), 5),
+        median_deg=round(float(np.median(turn)), 5),
+        max_deg=round(float(turn.max()), 5),
+        frames=registered,
+        before=meter.result(),
+    )
 
 
 def _saved(folder: Path, poses: F64, origin: F64, frames: list[Scan]) -> F64:

@@ -24,13 +24,13 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
 from dynaviz.results.answers import Answers, SavedAnswers
 from dynaviz.results.labels import RunLabels
+from dynaviz.results.refinement import PoseRefinement
 from dynaviz.results.sections import (
     CaseTotals,
     Environment,
     FailureCase,
     Machine,
     PoseNoise,
-    PoseRefinement,
     Removals,
     RemovedCluster,
     Runtime,
