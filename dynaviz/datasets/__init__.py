@@ -51,7 +51,8 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
     """Open a sequence.
 
     Args:
-        text: a path whose format is detected, or ``format:PATH``; with ``#A,B`` several lidars.
+        text: a path whose format is detected, or ``format:PATH``; with ``#A,B`` several lidars. Or
+            the URL of a folder in the layout of the public benchmark.
         sensor: name of the sensor, if the data do not define it.
         options: keywords of the format's ``open``; None means the default.
 
@@ -60,6 +61,12 @@ def open_sequence(text: str, sensor: str | None = None, **options: Any) -> Seque
         UsageError: for an unknown format or sensor, or an option that the format does not accept.
     """
     options = {name: value for name, value in options.items() if value is not None}
+    if "://" in text and not Path(text).exists():
+        if options:
+            raise UsageError(f"{', '.join(options)}: not supported for URLs. Leave it out, or copy the data")
+        from dynaviz.datasets.remote import RemoteSequence
+
+        return select_frames(RemoteSequence(text), sensor=load_sensor(sensor) if sensor else None)
     if names_in(text):
         return Lidars.open(text, partial(open_sequence, sensor=sensor), **options)
     try:
