@@ -19,6 +19,7 @@ from dynaviz.testing import InMemory
 from dynaviz.tiling.grid import TileGrid, packed, unpacked
 from dynaviz.tiling.index import SequenceIndex
 from dynaviz.tiling.tile import CYCLE, NEAR, TileFrames, TileTask
+from dynaviz.viz.reader import AnyRecording, RunRecording
 
 SIZE = 12.0  # metres: the room lies in four tiles
 
@@ -42,6 +43,7 @@ def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMem
     assert tiled.counts == whole.counts
     assert tiled.counts["dynamic_removed"] > 0
     assert tiled.sequence == whole.sequence
+    assert tiled.pose_noise == whole.pose_noise
     assert tiled.sections.tiling
     assert tiled.sections.tiling.tiles == 4
     assert (tmp_path / "tiled/config.toml").read_text() == (tmp_path / "whole/config.toml").read_text()
@@ -238,7 +240,15 @@ def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., 
     code, out, err = run_command("run", "dufomap", room_folder, "-o", run, "--tiles", "12")
     assert code == 0, err
     assert "dufomap" in out
-    assert dv.Result.load(run / "result.json").sections.tiling
+    result = dv.Result.load(run / "result.json")
+    assert result.sections.tiling
+    recorded = {path.parent.name: RunRecording(path).result for path in run.glob("tiles/*/run.rrd")}
+    assert AnyRecording(run / "overview.rrd").kind == "overview"
+    assert len(recorded) == result.sections.tiling.tiles == 4
+    for name in ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept"):
+        rows = {f"{row.column}_{row.row}": getattr(row, name) for row in result.sections.tiling.tile}
+        assert {tile: each.counts[name] for tile, each in recorded.items() if each} == rows
+        assert sum(rows.values()) == result.counts[name]
     code, out, err = run_command("failures", run / "result.json")
     assert code == 0, err
     whole = dv.run("dufomap", room_folder, out=tmp_path / "whole")
