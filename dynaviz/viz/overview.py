@@ -91,7 +91,7 @@ class Overview(Listener):
         kinds = ERRORS if result.has_truth else REMOVED
         ranked = ranking(self._counts.outcomes, kinds)
         title = f"{info.title} on {name}: {len(ranked)} tiles"
-        layout = _layout(np.array(self._way), result.has_truth)
+        layout = _layout(self._corners(), result.has_truth)
         sink = RecordingFile(self._path, f"dynaviz overview {info.name} {name}", title, layout)
         facts = {"schema": paths.SCHEMA, "title": title, "sequence": name, "frames": result.sequence.frames}
         sink.properties(paths.OVERVIEW, **facts)
@@ -110,6 +110,12 @@ class Overview(Listener):
         text = self._text(result, ranked, kinds)
         sink.log(RANKING, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
         sink.finish()
+
+    def _corners(self) -> F64:
+        """(N, 3) float64, metres: the tiles' corners, at the height of the sensor."""
+        low = np.array(sorted(self._counts.outcomes), np.float64).reshape(-1, 2) * self._counts.size
+        corners = np.concatenate([low, low + self._counts.size])
+        return np.column_stack([corners, np.full(len(corners), np.median([place[2] for place in self._way]))])
 
     def _draw_tiles(self, sink: RecordingFile, ranked: list[tuple[int, int]], kinds: Iterable[Outcome]) -> None:
         """A square per tile in the colour of its errors, and the ranks of the worst ones."""
@@ -163,9 +169,9 @@ def _sum(count: I64, kinds: Iterable[Outcome]) -> int:
     return int(sum(count[kind] for kind in kinds))
 
 
-def _layout(way: F64, truth: bool) -> rrb.Blueprint:
+def _layout(corners: F64, truth: bool) -> rrb.Blueprint:
     title = "tiles: bright = many wrong points" if truth else "tiles: bright = many removed points"
-    tiles = solid(title, [TILES, WORST, paths.TRAJECTORY, paths.SENSOR], above(way))
-    points = solid("map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY, paths.SENSOR], above(way))
+    tiles = solid(title, [TILES, WORST, paths.TRAJECTORY, paths.SENSOR], above(corners))
+    points = solid("map", [f"{paths.MAP}/**", WORST, paths.TRAJECTORY, paths.SENSOR], above(corners))
     words = rrb.TextDocumentView(name="worst tiles", origin=RANKING)
     return blueprint(rrb.Horizontal(rrb.Vertical(tiles, points), words, column_shares=[5, 3]))

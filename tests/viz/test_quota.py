@@ -1,0 +1,55 @@
+"""Budgets of recordings: states are spread over the run and left out first; labels are always stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.errors import UsageError
+from dynaviz.viz.quota import ANSWER, DRAWN, FIXED, Quota, parse_bytes
+from dynaviz.viz.reader import RunRecording
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("2GB", 2 * 10**9), ("1.5 tb", 15 * 10**11), ("500k", 500_000), ("7", 7), ("3MB", 3 * 10**6)]
+)
+def test_sizes(text: str, size: int) -> None:
+    assert parse_bytes(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "2 giga", "-1MB", "1e9"])
+def test_other_texts_are_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="such as 500MB or 2GB"):
+        parse_bytes(text)
+
+
+@pytest.mark.parametrize("two_passes", [True, False])
+def test_states_are_spread_over_the_run_within_the_budget(two_passes: bool) -> None:
+    frames, points, state = 100, 1000, 50_000
+    budget = round(FIXED + (ANSWER + DRAWN) * frames * points + 40 * state)
+    quota, size, drawn = Quota(budget, frames * points, frames, two_passes), 0, []
+    for frame in range(frames):
+        if quota.states(size, frame, labels=not two_passes):
+            size += state
+            drawn.append(frame)
+    for _ in range(frames):
+        size += round(points * (ANSWER + DRAWN))
+        quota.answered(points)
+    assert len(drawn) == (20 if two_passes else 40)
+    assert min(drawn) < 5
+    assert max(drawn) > 90
+    assert size + FIXED <= budget + state
+
+
+def test_a_small_budget_leaves_out_states_and_points_but_no_label(tmp_path: Path) -> None:
+    sequence = room(frames=4, rays=1500)
+    sizes = {}
+    for budget in (None, "1kB"):
+        dv.run("octomap", sequence, out=tmp_path, record_budget=budget, maps=False)
+        recording = RunRecording(tmp_path / "run.rrd")
+        sizes[budget] = sum(1 for path in ("world/octomap/log_odds", "world/scan") for _ in recording.rows(path))
+        assert [len(each) for each in recording.answers()] == [len(scan) for scan in sequence.scans]
+    assert sizes["1kB"] < sizes[None]
