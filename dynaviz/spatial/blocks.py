@@ -68,13 +68,13 @@ class BlockGrid:
             self._rolling = RollingDirectory(extent, self._per_metre, _covering)
             self._blocks, self._place = self._rolling.blocks, self._rolling.place
         else:
-            self._blocks, self._place = self._known(extent)
+            self._blocks, self._place = self._cover(extent)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are filled in order, so rows that no scan needs never occupy physical memory.
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
         self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
 
-    def _known(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
+    def _cover(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
         """The blocks of an extent that is known, and their directory."""
         reach = kernels.blocks.REACH // 128  # super-blocks
         exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)

@@ -32,8 +32,8 @@ def check_live(method: type[Method], params: Any, scans: Sequence[Scan]) -> tupl
     """
     scans = scans[:SCANS]
     online, live = (_answers(method, params, scans, window) for window in (None, Window(WIDE)))
-    for name, expected, found in zip(("labels", "reasons"), online, live, strict=True):
-        same = all(map(np.array_equal, expected, found))
+    for k, name in enumerate(("labels", "reasons")):
+        same = all(np.array_equal(*pair) for pair in zip(online[k], live[k], strict=True))
         assert same, f"{name} live differ from those of online mode, though the window reaches all points"
     away = [moved(scan, turn(0.0, AWAY, 0.0, 0.0)).without_truth() for scan in scans[:2]]
     tour = [dataclasses.replace(scan, index=n) for n, scan in enumerate([*scans, *away, *scans])]

@@ -21,7 +21,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dynaviz import colours
-from dynaviz.arrays import F32
+from dynaviz.arrays import F32, F64
 from dynaviz.errors import DataError
 from dynaviz.method import MethodInfo
 from dynaviz.online.player import Played
@@ -92,7 +92,7 @@ class LiveRecording:
         rolls = self._folder is not None and now >= self._segment_ends  # each file has a map
         return self._draws and (rolls or now - self._mapped >= MAP_EVERY)
 
-    def show(self, played: Played, dropped: int, static_map: F32 | None) -> None:
+    def show(self, played: Played, dropped: int, static_map: F32 | F64 | None) -> None:
         """Draw a labelled scan, its states, and the static map if there is a new one."""
         if self._folder is not None:
             self._roll()

@@ -199,12 +199,13 @@ class FreeSpace:
         pose = self._position, self._axes, view, self._tiles, p.truncation
         if self.grid.rolls:
             blocks = np.flatnonzero(self.grid.existing()).astype(np.int32)
-            return blocks[kernels.signed_distance.in_view(self._blocks[blocks], edge, *pose)]
+            in_view: Bool = kernels.signed_distance.in_view(self._blocks[blocks], edge, *pose)
+            return blocks[in_view]
         reach = float(self._tiles.max()) + p.truncation + edge
         ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
         first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
-        seen = kernels.signed_distance.in_view(self._blocks[first:last], edge, *pose)
-        return (first + np.flatnonzero(seen)).astype(np.int32)
+        seen: Bool = kernels.signed_distance.in_view(self._blocks[first:last], edge, *pose)
+        return (int(first) + np.flatnonzero(seen)).astype(np.int32)
 
     def _union(self, *blocks: I32) -> I32:
         """The union of several lists of blocks, sorted; -1 is ignored."""
