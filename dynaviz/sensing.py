@@ -22,6 +22,8 @@ RINGS = ("ring", "channel", "laser_number")  # attributes with the row of a poin
 BIN = 0.01  # degrees; of the histogram of elevations
 FEW = 0.02  # share of the median row: fewer points are not a row
 MOST_ROWS = 300
+BEYOND = 20.0  # metres; range at which lasers 0.2 m apart differ by 0.6 degrees
+PARALLAX = 4.0  # degrees; by which lasers 0.2 m apart differ at 3 m
 NEAR, AROUND, FARTHEST = 1.5, 12.0, 40.0  # metres; horizontal distances within which the ground is fitted
 LAYER = 0.1  # metres; thickness of layers in which the ground is looked for
 
@@ -69,8 +71,8 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
     rows = _rows(sequence, positions, rays)
     heights = [height for each in rays if (height := _height(each)) is not None]
     every = np.concatenate([each.elevations for each in rays])
-    low, high = np.percentile(every, [0.05, 99.95]) if rows is None else _ends(every)
     ranges = np.concatenate([each.ranges for each in rays])
+    low, high = _ends(every, ranges, 0.05 if rows is None else 0.02)
     return Sensor(
         title="estimated from the scans",
         rings=rows,
@@ -171,9 +173,17 @@ def _peaks(elevations: F64) -> int | None:
     return len(strong) if inside > 0.9 * len(elevations) else None
 
 
-def _ends(elevations: F64) -> tuple[float, float]:
-    """Lowest and highest elevation at which more than stray points lie."""
-    low, high = np.percentile(elevations, [0.02, 99.98])
+def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
+    """Lowest and highest elevation at which more than stray points lie; their share at each end is in percent.
+
+    Where rows overlap, lasers are mounted at different heights, as in a HDL-64E: near points are then seen at higher
+    elevations than the beam has. The highest beam shows at far points.
+    """
+    low, high = np.percentile(elevations, [stray, 100 - stray])
+    far = elevations[ranges > BEYOND]
+    if len(far) > 1000 and _peaks(elevations) is None:
+        beam = np.percentile(far, 100 - stray)
+        high = beam if high - beam < PARALLAX else high  # a sensor that sees the sky has no far points there
     return float(low), float(high)
 
 

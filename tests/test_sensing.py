@@ -43,6 +43,19 @@ def test_rows_are_counted_in_the_order_of_the_points_where_elevations_overlap() 
     assert estimate_sensor(dv.open([(shuffled, np.eye(4))])).rings is None
 
 
+def test_near_points_of_lasers_mounted_higher_do_not_widen_the_field_of_view() -> None:
+    """Lasers 0.2 m above the middle of the sensor, as in a HDL-64E: at 3 m, they see 4 degrees higher."""
+    random, azimuth = np.random.default_rng(0), np.tile(np.linspace(0, 2 * np.pi, 400, endpoint=False), 30)
+    elevation = np.radians(np.repeat(np.linspace(-9.6, 2.0, 30), 400))
+    ranges = random.uniform(3.0, 40.0, len(azimuth))
+    flat = ranges * np.cos(elevation)
+    points = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation) + 0.2])
+    found = estimate_sensor(dv.open([(points, np.eye(4))]))
+    assert found.rings == 30
+    assert found.elevation is not None
+    assert found.elevation[1] == pytest.approx(2.0, abs=1.0)
+
+
 def test_a_method_gets_the_estimates_that_it_needs() -> None:
     with pytest.warns(UserWarning, match=r"sensor is unknown; estimated from the scans: 0\.\d+ m above the ground, 16"):
         estimated = dv.run("erasor", unknown("simulate:demo?frames=3"), threads=1)
