@@ -48,8 +48,8 @@ from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_aroun
 from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
-from dynaviz.spatial.extent import Extent
+from dynaviz.spatial.blocks import VOXELS, read, voxels_of
+from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
 from dynaviz_methods.lookups import known
 
@@ -134,54 +134,6 @@ STATES = (
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
 CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0], np.uint8)  # reason code to class of the legend
-
-
-class ClearGrid(BlockGrid):
-    """A block grid that marks the voxels near the hits of a scan."""
-
-    def __init__(self, extent: Extent, resolution: float) -> None:
-        super().__init__(extent, resolution)
-        # Scratch memory, all zero between scans.
-        self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
-
-    def mark_once(self, scan: Scan, voxels: I64) -> Marks:
-        """Cast one ray per origin to the centre of each voxel with points; mark the crossed and hit voxels.
-
-        Args:
-            scan: gives the origins of the rays.
-            voxels: (N,) int64, the voxel of each point, -1 for none.
-        """
-        origins = scan.origins
-        if len(origins) == 1:
-            goals = kernels.voids.distinct(voxels, voxels >= 0, self._once)
-        else:
-            places, which = _distinct(origins)
-            rays = np.unique((voxels * len(places) + which)[voxels >= 0])
-            goals, origins = rays // len(places), places[rays % len(places)]
-        centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
-        every = kernels.as_readonly(np.ones(len(goals), np.bool_), np.bool_)
-        ends = (kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64), every, every)
-        kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch))
-        return Marks(*kernels.raycast.collect(*self._scratch))
-
-    def near(self, marks: Marks, hit: U64, times: int) -> U64:
-        """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.
-
-        The cubes extend into adjacent blocks only if these are marked, too.
-        """
-        sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
-        padded = np.zeros((len(hit) + 1, 8), np.uint64)
-        padded[:-1] = hit
-        grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
-        return grown
-
-
-def _distinct(origins: F64) -> tuple[F64, I64]:
-    """Distinct rows (P, 3) of origins (N, 3), sorted, and the row of each (N,); fast for runs of equal rows."""
-    starts = np.ones(len(origins), np.bool_)
-    starts[1:] = (origins[1:] != origins[:-1]).any(1)
-    places, which = np.unique(origins[starts], axis=0, return_inverse=True)
-    return places, which.ravel()[np.cumsum(starts) - 1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

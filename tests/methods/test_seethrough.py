@@ -19,6 +19,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.blocks import Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
+from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
     ALONE,
@@ -31,7 +32,6 @@ from dynaviz_methods.seethrough import (
     REMOVED,
     SEEN_THROUGH,
     WAITED,
-    ClearGrid,
     SeeThrough,
     SeeThroughParams,
 )
@@ -225,6 +225,17 @@ def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
     found = near[voxels >> 9, voxels >> 6 & 7] >> (voxels & 63).astype(np.uint64) & np.uint64(1)
     expected = ndimage.maximum_filter(world, 2 * times + 1, mode="constant").ravel()
     np.testing.assert_array_equal(found.astype(bool), expected)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("order", ["mixed", "runs", "empty"])
+def test_distinct_origins_in_any_order(order: str) -> None:
+    random = np.random.default_rng(0)
+    which = {"mixed": random.integers(0, 3, 50), "runs": np.repeat([2, 0, 1, 0], 9), "empty": np.zeros(0, int)}[order]
+    origins = random.normal(size=(3, 3))[which]
+    places, rows = _distinct(origins)
+    np.testing.assert_array_equal(places, np.unique(origins, axis=0))
+    np.testing.assert_array_equal(places[rows], origins)
 
 
 @pytest.mark.plain
