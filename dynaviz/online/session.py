@@ -112,15 +112,16 @@ class LiveSession:
         T[:3, 3] -= self._origin
         xyz = xyz[:, :3]
         world = single(xyz - self._origin) if points_in == "world" else geometry.transform(T, xyz)
-        return self.add(Scan(self._count, world, T, stamp))
+        return self._take(Scan(self._count, world, T, stamp))
 
     def add(self, scan: Scan) -> Labels:
-        """As ``update``, with a scan in the world frame; its index must be the number of scans so far.
-
-        ``update`` also subtracts far coordinates; scans of sequences have small ones.
-        """
+        """As ``update``, with a scan in the world frame; its index must be the number of scans so far."""
         if self._origin is None:
             self._origin = np.zeros(3)
+        return self._take(scan.moved(-self._origin) if self._origin.any() else scan)
+
+    def _take(self, scan: Scan) -> Labels:
+        """Learn from a scan in the session's own world frame, and label it."""
         if np.abs(scan.position).max() > self._window.farthest:
             scan = self._restart(scan)
         labels = self._learn(scan)

@@ -157,6 +157,9 @@ def test_the_world_begins_anew_far_from_its_origin() -> None:
         assert (labels.reasons != 3).all(), f"frame {frame}: points are out of reach"
     assert live.restarts == 1
     assert abs(np.median(live.map()[:, 0]) - 3271) < 8
+    for scan in drive(2, 1.0, start=3274.0):
+        assert (live.add(scan).reasons != 3).all()
+    assert live.restarts == 1, "scans in the frame of the source are moved, too"
 
 
 def test_a_crowded_window_drops_the_farthest() -> None:
