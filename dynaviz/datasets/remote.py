@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
-from typing import Any
 
 from dynaviz.arrays import F64
 from dynaviz.attributes import Attributes
@@ -37,7 +36,7 @@ class RemoteSequence(SequenceView):
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
         try:
-            import fsspec
+            import fsspec  # type: ignore[import-untyped]
 
             self._files, self._root = fsspec.url_to_fs(self.url)
         except ImportError as error:
@@ -62,8 +61,9 @@ class RemoteSequence(SequenceView):
         self._scans: dict[int, Path] = dict(sorted(scans.items()))
         self.whole: Sequence = opened
         if _TRUTH not in others:
-            facts: tuple[Any, ...] = (opened.name, opened.sensor, opened.rate)
-            self.whole = BenchmarkSequence(*facts, self._scans, None, opened.class_names)
+            self.whole = BenchmarkSequence(
+                opened.name, opened.sensor, opened.rate, self._scans, None, opened.class_names
+            )
 
     def __reduce__(self) -> tuple[type[RemoteSequence], tuple[str]]:
         return RemoteSequence, (self.url,)
