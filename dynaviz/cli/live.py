@@ -79,7 +79,7 @@ def live(
     dynaviz live drive.bag -m dufomap --serve --port 9090
     dynaviz live simulate:demo --rate 0 -o recordings/live --minutes 2
     """
-    from dynaviz.online.run import play_live
+    from dynaviz.playback import play_live
 
     sequence = open_sequence(
         source,

@@ -49,9 +49,10 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     Raises:
         DataError: if the path is not a recognised sequence, or no frame can be read.
     """
-    if not isinstance(sequence, Sequence):
-        path = isinstance(sequence, str | os.PathLike)
-        sequence = open_sequence(os.fspath(sequence)) if path else ArraySequence.of(sequence)
+    if isinstance(sequence, str | os.PathLike):
+        sequence = open_sequence(os.fspath(sequence))
+    elif not isinstance(sequence, Sequence):
+        sequence = ArraySequence.of(sequence)
     checker, findings, errors = ScanChecker(sequence), list[Finding](), list[DataError]()
     if not len(sequence):
         raise DataError(sequence.name, "contains no frame", hint="Give the folder of a sequence")

@@ -136,7 +136,7 @@ class SequenceIndex:
         with open_npy(path, "index of a run with tiles", "Delete it; the run writes it again") as z:
             facts = float(z["size"]), str(z["fingerprint"]), str(z["digest"])
             noise = msgspec.json.decode(str(z["pose_noise"]), type=PoseNoise | None)
-            return cls(*facts, *(z[name] for name in _ARRAYS), pose_noise=noise)
+            return cls(*facts, **{name: z[name] for name in _ARRAYS}, pose_noise=noise)
 
 
 def indexed(path: Path, sequence: Sequence, size: float, progress: Callable[[int], None]) -> SequenceIndex:

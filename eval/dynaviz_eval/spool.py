@@ -12,7 +12,6 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64
 from dynaviz.errors import DynavizError
 
-
 FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
 
 

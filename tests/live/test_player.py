@@ -14,7 +14,7 @@ import dynaviz as dv
 from dynaviz.errors import UsageError
 from dynaviz.method import Labels
 from dynaviz.online.player import PlayReport, play
-from dynaviz.online.run import play_live
+from dynaviz.playback import play_live
 from dynaviz.scan import Scan
 from dynaviz.testing.world import InMemory, crossing
 
