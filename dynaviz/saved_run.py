@@ -10,12 +10,14 @@ from typing import Any
 
 from dynaviz import api
 from dynaviz.errors import DataError
+from dynaviz.odometry.refine import refine
 from dynaviz.results.result import Result
 from dynaviz.scan import Sequence
 
 # Options of commands that open a sequence.
-_OPENING = ("frames", "stride", "sensor", "poses", "points_in", "deskew", "extrinsic")
-_FLAGS = ("online", "offline", "view", "map", "no-map", "deskew", "no-deskew", "quiet")  # options without a value
+_OPENING = ("frames", "stride", "sensor", "poses", "points_in", "deskew", "extrinsic", "refine_poses")
+# Options without a value.
+_FLAGS = ("online", "offline", "view", "map", "no-map", "deskew", "no-deskew", "quiet", "refine-poses")
 
 
 def run_file(path: Path, name: str) -> Path:
@@ -74,12 +76,13 @@ def open_sequence_of(result: Result, folder: Path, given: str | os.PathLike[str]
     """
     words = shlex.split(result.command)[1:]
     options = sequence_options(words)
-    source = options.pop("sequence", None)
+    source, refined = options.pop("sequence", None), options.pop("refine_poses", False)
     if words == ["demo"]:
         source = os.fspath(folder.parent / "street")
     if given is None and source is None:
         return None
-    return api.open(source if given is None else os.fspath(given), **options)
+    sequence = api.open(source if given is None else os.fspath(given), **options)
+    return refine(sequence, folder) if refined else sequence
 
 
 def sequence_options(words: Several[str]) -> dict[str, Any]:

@@ -174,6 +174,7 @@ def test_labels_of_another_version_are_an_error() -> None:
     [
         ("run --online octomap path --frames -5: --no-deskew", {"sequence": "path", "frames": "-5:", "deskew": False}),
         ("run m p --set a=1 --set b=2 -o out --stride 2 --sensor s", {"sequence": "p", "stride": 2, "sensor": "s"}),
+        ("run m p --refine-poses --frames :3 -o out", {"sequence": "p", "frames": ":3", "refine_poses": True}),
         ("score map.pcd p --radius 0.1 --points-in world", {"sequence": "p", "points_in": "world"}),
     ],
 )

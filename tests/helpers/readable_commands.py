@@ -245,6 +245,9 @@ COMMANDS = {
         ("run", "octomap", "@demo", "-o", ">out", "--record", "none", "--config", "@config.toml"),
     ),
     "dynaviz clean": subject(tiny_benchmark, "**/*", ("clean", "@demo", "-m", "octomap", "-o", ">map.pcd")),
+    "dynaviz live": subject(
+        tiny_benchmark, "**/*", ("live", "@demo", "-m", "octomap", "--rate", "0", "--reach", "10", "-o", ">live")
+    ),
     "dynaviz score": subject(map_of_demo, "**/*", ("score", "@map.npy", "@demo", "-o", ">out", "--record", "none")),
     "dynaviz export-labels": subject(
         labels_of_demo, "**/*", ("export-labels", "@out/labels.npz", "@demo", "-o", ">labels")
