@@ -60,15 +60,25 @@ class Card:
 def cards(run: ExploredRun) -> list[Card]:
     """The cases of a run: failures, costliest first, or without ground truth clusters, most suspicious first."""
     cases: Sequence[FailureCase | RemovedCluster] = run.result.failures or run.result.clusters
-    return [_card(run, number, case) for number, case in enumerate(cases, 1)]
+    by_x = np.argsort(run.wrong.xyz[:, 0], kind="stable")
+    x = run.wrong.xyz[by_x, 0].astype(np.float64)
+    return [_card(run, number, case, by_x, x) for number, case in enumerate(cases, 1)]
 
 
-def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster) -> Card:
+def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_x: I64, x: F64) -> Card:
+    """A card; ``x`` are the sorted coordinates of the run's wrong points, and ``by_x`` their rows."""
     outcome = OUTCOMES[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
     wrong = run.wrong
     low, high = np.array(case.low), np.array(case.high)
-    inside = (wrong.xyz >= low - MARGIN).all(1) & (wrong.xyz <= high + MARGIN).all(1) & (wrong.outcome == outcome)
-    rows = np.flatnonzero(inside & (wrong.frame >= case.first_frame) & (wrong.frame <= case.last_frame))
+    rows = np.sort(by_x[np.searchsorted(x, low[0] - MARGIN) : np.searchsorted(x, high[0] + MARGIN, "right")])
+    for values, first, last in (
+        (wrong.outcome, outcome, outcome),
+        (wrong.frame, case.first_frame, case.last_frame),
+        (wrong.xyz[:, 1], low[1] - MARGIN, high[1] + MARGIN),
+        (wrong.xyz[:, 2], low[2] - MARGIN, high[2] + MARGIN),
+    ):
+        of = values[rows]
+        rows = rows[(of >= first) & (of <= last)]
     worst = rows[wrong.frame[rows] == case.worst_frame]
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)
