@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -93,7 +94,7 @@ class Listener:
 class Clock:
     """Seconds of the method, frame by frame."""
 
-    frames: list[float] = field(default_factory=list)
+    frames: array[float] = field(default_factory=lambda: array("d"))
     prepared: float = 0.0
 
     def prepare(self, call: Callable[[], None]) -> None:
@@ -144,7 +145,7 @@ def execute(
         DataError: for data that cannot be read.
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
-    counts: list[int] = []
+    counts = array("q")
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
     summary = run.summary or summarize(
         run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
@@ -207,9 +208,9 @@ def _check(method: str, labels: Any, points: int) -> None:
     """Reject labels of another type: integers would select points by number where files are written."""
     if not isinstance(labels, Labels):
         raise PluginError(f"{method}: label() returned {type(labels).__name__}, not dynaviz.method.Labels. {_KIT}")
-    for name, array, dtype in (("dynamic", labels.dynamic, np.bool_), ("reasons", labels.reasons, np.uint8)):
-        if not isinstance(array, np.ndarray) or array.dtype != dtype or array.shape != (points,):
-            found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+    for name, values, dtype in (("dynamic", labels.dynamic, np.bool_), ("reasons", labels.reasons, np.uint8)):
+        if not isinstance(values, np.ndarray) or values.dtype != dtype or values.shape != (points,):
+            found = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
             expected = f"{np.dtype(dtype)} ({points},)"
             raise PluginError(f"{method}: label() returned {name} as {found}, not {expected}. {_KIT}")
 

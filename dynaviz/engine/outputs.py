@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import zipfile
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -34,8 +35,7 @@ class LabelsFile(Listener):
 
     def __init__(self, folder: Path):
         self._path, self._stack = folder / "labels.npz", contextlib.ExitStack()
-        self._points: list[int] = []
-        self._frames: list[int] = []
+        self._points, self._frames = array("q"), array("q")
 
     def __enter__(self) -> LabelsFile:
         with contextlib.ExitStack() as stack:

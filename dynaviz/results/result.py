@@ -20,7 +20,7 @@ import msgspec
 
 from dynaviz.arrays import F64
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import write_atomic
+from dynaviz.io.atomic import atomic_file
 from dynaviz.io.plain_json import read_json
 from dynaviz.results.answers import Answers, SavedAnswers
 from dynaviz.results.labels import RunLabels
@@ -162,7 +162,8 @@ class Result:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``result.json``, whole or not at all."""
-        write_atomic(path, json.dumps(self.to_dict(), indent=1, allow_nan=False).encode())
+        with atomic_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+            json.dump(self.to_dict(), file, indent=1, allow_nan=False)  # piece by piece: frames may be many
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:

@@ -89,5 +89,6 @@ def _in_morton_order(points: F32, low: F64, high: F64) -> tuple[F32, Intp]:
     inverse = (1 << axis_bits) / max(float((high - low).max()), 1e-6)
     keys = kernels.nearest.morton(kernels.as_readonly(points, np.float32), low, inverse, axis_bits, index_bits)
     keys.sort()
-    order = (keys & np.uint64((1 << index_bits) - 1)).astype(np.intp)
+    keys &= np.uint64((1 << index_bits) - 1)  # in place: of a million points, each copy has 8 MB
+    order = keys.view(np.int64).astype(np.intp, copy=False)
     return kernels.as_readonly(np.take(points, order, 0), np.float32), order

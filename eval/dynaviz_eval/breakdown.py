@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -30,7 +31,7 @@ class Breakdown:
     def __init__(self, info: MethodInfo) -> None:
         self._range = np.zeros((len(RANGES) - 1, len(Outcome)), np.int64)
         self._height = np.zeros((len(HEIGHTS) - 1, len(Outcome)), np.int64)
-        self._frames: list[dict[str, Any]] = []
+        self._frames = array("q")  # of each: position, number, and points by outcome
         self._objects = _Objects([reason.name for reason in info.reasons])
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
@@ -38,7 +39,7 @@ class Breakdown:
         scan, outcome = labelled.scan, labelled.outcome
         self._range += _count_by_bin(np.sqrt(scan_squared_ranges(scan)), RANGES, outcome)
         self._height += _count_by_bin(scan_heights(scan), HEIGHTS, outcome)
-        self._frames.append({"frame": labelled.frame, "index": scan.index, **Counts.of(outcome).row()})
+        self._frames.extend([labelled.frame, scan.index, *np.bincount(outcome, minlength=len(Outcome)).tolist()])
         self._objects.add(labelled)
         return {}
 
@@ -48,7 +49,10 @@ class Breakdown:
             "breakdown": {
                 "range": _rows(RANGES, self._range),
                 "height": _rows(HEIGHTS, self._height),
-                "frame": self._frames,
+                "frame": [
+                    {"frame": frame, "index": index, **Counts.of_histogram(counts).row()}
+                    for frame, index, *counts in np.array(self._frames).reshape(-1, 2 + len(Outcome)).tolist()
+                ],
                 "object": self._objects.rows(),
             }
         }

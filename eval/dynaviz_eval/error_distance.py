@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F32, I64, Bool
+from dynaviz.arrays import I64
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.scan import Outcome
@@ -19,7 +19,8 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 1_000_000  # wrong and correct points each in memory at once
+_BLOCK = 250_000  # wrong and correct points each in memory at once
+_BLOCKS = 4  # in a slab: each slab reads all frames that cross it
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -72,8 +73,8 @@ class ErrorDistance:
 def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
     """Exact distances from each wrong point to the nearest correct one, as histograms.
 
-    The world is divided into slabs along its longest side. Correct points are read from a slab widened by the limit,
-    about ``block`` at a time, and each wrong point keeps its smallest distance.
+    The world is divided into slabs along its longest side. Correct points are read from a box around the wrong points
+    of a slab, about ``block`` at a time, and each wrong point keeps its smallest distance.
 
     Returns:
         fine: counts in bins of 0.1 mm up to the limit, and one last bin for larger distances; all zero if there are no
@@ -85,12 +86,14 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
         return fine, by_frame
     low, high = wrong.bounds()
     axis = int(np.argmax(high - low))
-    for left, end in _slabs(wrong, correct, axis, block):
-        for queries, of_frame in wrong.blocks(axis, left, end, block):
+    for left, end in _slabs(wrong, correct, axis, _BLOCKS * block):
+        low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        low[axis], high[axis] = left, end
+        for queries, of_frame in wrong.blocks(low, high, block):
             distance = np.full(len(queries), np.inf, np.float32)
-            for reference, _ in correct.blocks(axis, left - _HALO, end + _HALO, block):
-                near = _within(reference, queries.min(0) - _HALO, queries.max(0) + _HALO)
-                np.minimum(distance, nearest_distance(queries, reference[near], LIMIT), out=distance)
+            around = [column.astype(np.float64) for column in (queries.min(0), queries.max(0))]
+            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, block):
+                np.minimum(distance, nearest_distance(queries, reference, LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
             fine += np.bincount(bins, minlength=len(fine))
             first, last = int(of_frame[0]), int(of_frame[-1]) + 1  # frames are in order
@@ -100,21 +103,14 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
     return fine, by_frame
 
 
-def _slabs(wrong: PointSpool, correct: PointSpool, axis: int, block: int) -> list[tuple[float, float]]:
-    """Intervals that cover a whole axis and contain about equally many points each."""
-    step = max(64, (wrong.points + correct.points) // block)
+def _slabs(wrong: PointSpool, correct: PointSpool, axis: int, size: int) -> list[tuple[float, float]]:
+    """Intervals that cover a whole axis and contain about ``size`` points each."""
+    step = max(64, (wrong.points + correct.points) // size)
     sample = np.concatenate([wrong.sample(axis, step), correct.sample(axis, step)])
-    count = -(-(wrong.points + correct.points) // block)
+    count = -(-(wrong.points + correct.points) // size)
     cuts = np.unique(np.quantile(sample.astype(np.float64), np.arange(1, count) / count))
     edges = [-np.inf, *cuts.tolist(), np.inf]
     return list(itertools.pairwise(edges))
-
-
-def _within(points: F32, low: F32, high: F32) -> Bool:
-    inside = np.ones(len(points), np.bool_)
-    for axis in range(3):
-        inside &= (points[:, axis] >= low[axis]) & (points[:, axis] <= high[axis])
-    return inside
 
 
 def summary(fine: I64) -> dict[str, Any]:

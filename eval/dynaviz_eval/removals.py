@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,6 +23,7 @@ from dynaviz_eval.ground import on_ground
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
 
+_FRAME = ("frame", "index", "points", "removed")
 SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with ground truth
 
 
@@ -36,7 +38,7 @@ class Removals:
         self._names = [*(reason.name for reason in info.reasons), "unknown code"]
         self._reasons = np.zeros(len(self._names), np.int64)
         self._range = np.zeros((2, len(RANGE_EDGES) + 1), np.int64)
-        self._frames: list[dict[str, int]] = []
+        self._frames = array("q")  # of each: the columns of ``_FRAME``
         self._clusters: _Clusters | None = _Clusters(self._names)
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
@@ -46,8 +48,7 @@ class Removals:
         self._reasons += np.bincount(codes, minlength=len(self._names))
         squared = scan_squared_ranges(scan)
         self._range += _by_range(squared), _by_range(squared[removed])
-        counts = {"points": len(scan), "removed": len(removed)}
-        self._frames.append({"frame": labelled.frame, "index": scan.index, **counts})
+        self._frames.extend([labelled.frame, scan.index, len(scan), len(removed)])
         if self._clusters and scan.labels is not None and (scan.labels != Label.UNLABELLED).any():
             self._clusters = None
         if self._clusters:
@@ -58,15 +59,16 @@ class Removals:
         """The section."""
         ends = [0.0, *RANGE_EDGES, None]
         order = np.argsort(-self._reasons, kind="stable")
+        frames = np.array(self._frames).reshape(-1, len(_FRAME))
         section = {
-            "points": sum(row["points"] for row in self._frames),
-            "removed": sum(row["removed"] for row in self._frames),
+            "points": int(frames[:, 2].sum()),
+            "removed": int(frames[:, 3].sum()),
             "reasons": {self._names[code]: int(self._reasons[code]) for code in order if self._reasons[code]},
             "range": [
                 {"from": low, "to": high, "points": points, "removed": removed}
                 for low, high, points, removed in zip(ends[:-1], ends[1:], *self._range.tolist(), strict=True)
             ],
-            "frame": self._frames,
+            "frame": [dict(zip(_FRAME, row, strict=True)) for row in frames.tolist()],
         }
         return {"removals": section | (self._clusters.finish() if self._clusters else {})}
 

@@ -62,13 +62,18 @@ class PointSpool:
         # Copy: a view would keep all points of its frame in memory.
         return np.concatenate([self._read(span)[::step, axis].copy() for span in self._table()])
 
-    def blocks(self, axis: int, low: float, high: float, size: int) -> Iterator[tuple[F32, I64]]:
-        """Points with low <= p[axis] < high and their frames, about ``size`` at a time.
+    def blocks(self, low: F64, high: F64, size: int) -> Iterator[tuple[F32, I64]]:
+        """Points in a box and their frames, about ``size`` at a time.
 
         A block is valid until the next one, because they share a buffer.
+
+        Args:
+            low, high: (3,) float64, metres: low <= p < high on each axis.
+            size: points, plus at most those of a frame.
         """
         spans = self._table()
-        crossing = spans[(spans[:, HIGH][:, axis] >= low) & (spans[:, LOW][:, axis] < high)]
+        crossing = spans[(spans[:, HIGH] >= low).all(1) & (spans[:, LOW] < high).all(1)]
+        axes = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         counts = crossing[:, COUNT].astype(np.int64)
         capacity = min(size + int(counts.max(initial=0)), int(counts.sum()))
         points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int64), 0
@@ -77,8 +82,10 @@ class PointSpool:
                 yield points[:filled], frames[:filled]
                 filled = 0
             chosen = self._read(span)
-            along = chosen[:, axis]
-            chosen = np.compress((along >= low) & (along < high), chosen, 0)
+            inside = np.ones(len(chosen), np.bool_)
+            for axis in axes:
+                inside &= (chosen[:, axis] >= float(low[axis])) & (chosen[:, axis] < float(high[axis]))
+            chosen = np.compress(inside, chosen, 0)
             points[filled : filled + len(chosen)] = chosen
             frames[filled : filled + len(chosen)] = int(span[FRAME])
             filled += len(chosen)

@@ -91,7 +91,8 @@ def test_memory_depends_on_the_block_not_on_the_run():
     tracemalloc.start()
     try:
         spool.sample(0, 64)
-        assert sum(len(points) for points, _ in spool.blocks(0, -10, 10, 20_000)) > 40 * 9000
+        low, high = np.array([[-10, -np.inf, -np.inf], [10, np.inf, np.inf]])
+        assert sum(len(points) for points, _ in spool.blocks(low, high, 20_000)) > 40 * 9000
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

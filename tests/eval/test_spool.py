@@ -19,10 +19,11 @@ def along(*frames) -> PointSpool:
     return spool
 
 
-def blocks(spool: PointSpool, *arguments) -> list[list[tuple[float, int]]]:
-    return [
-        list(zip(points[:, 0].tolist(), frames.tolist(), strict=True)) for points, frames in spool.blocks(*arguments)
-    ]
+def blocks(spool: PointSpool, axis: int, low: float, high: float, size: int) -> list[list[tuple[float, int]]]:
+    corners = np.array([np.full(3, -np.inf), np.full(3, np.inf)])
+    corners[:, axis] = low, high
+    found = spool.blocks(*corners, size)
+    return [list(zip(points[:, 0].tolist(), frames.tolist(), strict=True)) for points, frames in found]
 
 
 def test_an_interval_includes_its_lower_end_only():
@@ -32,6 +33,14 @@ def test_an_interval_includes_its_lower_end_only():
     assert blocks(spool, 1, 12, 13, 100) == [[(2, 0), (2, 4)]]
     assert blocks(spool, 0, 6, 9, 100) == []
     assert spool.points == 7
+
+
+def test_a_box_limits_all_axes():
+    spool = along([1, 2, 3], [2, 7])
+    (found,) = spool.blocks(np.array([2.0, 12, -2.5]), np.array([4.0, 18, 0]), 100)
+    assert found[0].tolist() == [[2, 12, -2]] * 2
+    assert found[1].tolist() == [0, 1]
+    assert list(spool.blocks(np.array([2.0, 0, -1.5]), np.array([4.0, 18, 0]), 100)) == []
 
 
 def test_blocks_end_with_the_frame_that_fills_them():
@@ -64,7 +73,7 @@ def test_partial_writes_are_continued():
     spool.append(0, points[:2])
     spool.append(1, points[2:])
     spool._file = whole
-    ((found, frames),) = spool.blocks(0, -np.inf, np.inf, 100)
+    ((found, frames),) = spool.blocks(np.full(3, -np.inf), np.full(3, np.inf), 100)
     np.testing.assert_array_equal(found, points)
     assert frames.tolist() == [0, 0, 1, 1, 1]
 
