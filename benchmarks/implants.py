@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from agreement import AVERAGES, Scores, agreement, compared
+from agreement import AVERAGES, Scores, agreement, compared, rank_correlation
 
 from dynaviz import api, params, registry
 from dynaviz.engine.loop import Listener, RunSpec, execute
@@ -238,6 +238,17 @@ def report(name: str, entries: list[Entry], results: list[list[dict[str, Any]]])
     return facts
 
 
+def together(facts: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """Rank correlation of the AA averaged over several sequences: do implants choose what is best on all of them?"""
+    found: dict[str, dict[str, float]] = {kind: {} for kind in KINDS[1:]}
+    for average in AVERAGES:
+        rows = [one["rows"][average] for one in facts]
+        aa = {kind: [np.mean([row[name][kind][2] for row in rows]) for name in rows[0]] for kind in KINDS}
+        for kind in KINDS[1:]:
+            found[kind][average] = rank_correlation(aa["true"], aa[kind])
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", nargs="*", default=list(DEFAULT), metavar="SEQUENCE")
@@ -251,6 +262,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     names = arguments.methods.split(",") if arguments.methods else [known.name for known in registry.handles("methods")]
     seeds = [int(seed) for seed in arguments.seeds.split(",")]
+    all_facts: list[dict[str, Any]] = []
     for text in arguments.sequences:
         base = opened(text, arguments.frames, arguments.stride, arguments.out)
         entries = grid() if arguments.grid else [(name, {}) for name in names]
@@ -259,8 +271,11 @@ def main() -> None:
         for group_name in groups:
             rows = [k for k, (method, _) in enumerate(entries) if group_name in (None, method)]
             facts = report(base.name, [entries[k] for k in rows], [results[k] for k in rows])
+            all_facts.append(facts)
             file = "-".join(filter(None, [base.name, group_name, "seeds", arguments.seeds])) + ".json"
             (arguments.out / file).write_text(json.dumps(facts, indent=1))
+    if len(arguments.sequences) > 1 and not arguments.grid:
+        print(f"mean AA of all sequences: {json.dumps(together(all_facts))}")
 
 
 if __name__ == "__main__":
