@@ -157,14 +157,74 @@ def count(objects, n, chosen):
 
 
 @njit(cache=True, nogil=True)
-def leave(objects, moving, proven, places, now, last, proof):
-    """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several."""
+def leave(objects, moving, proven, places, now, last, proof, first):
+    """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several.
+
+    ``first`` keeps the first scan with such an object in each place.
+    """
     for i in range(len(objects)):
         k = objects[i]
         if k >= 0 and moving[k]:
             place = places[i]
             proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
             last[place] = now
+            first[place] = min(first[place], now)
+
+
+@njit(cache=True, nogil=True)
+def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes):
+    """The evidence around each chosen point: in its cell and in the 26 cells around it.
+
+    Args:
+        points: (N, 3) float32, metres.
+        chosen: (N,) bool; chosen points must be finite. Others are ignored.
+        size, tall: edge of a cell in x and y, and in z, metres.
+        voxels, hits, passed, clear, votes: as in ``evidence``.
+
+    Returns:
+        Two arrays (N,) float64: mean vote of the points that vote, from 0 to 1, and mean evidence against votes of all
+        points, scans. Zero for points that are not chosen.
+    """
+    n, length = chosen.sum(), 16
+    while length < 2 * n:
+        length *= 2
+    slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
+    cells, sums, count = np.empty(n, np.int64), np.zeros((n, 4), np.int64), 0
+    mine = np.full(len(points), np.int32(-1))
+    for i in range(len(points)):
+        if not chosen[i]:
+            continue
+        x = np.int64(math.floor(points[i, 0] / size)) + REACH
+        y = np.int64(math.floor(points[i, 1] / size)) + REACH
+        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
+        s = _slot(slots, x << X_SHIFT | y << Y_SHIFT | z)
+        if slots[s] < 0:
+            slots[s] = cells[count] = x << X_SHIFT | y << Y_SHIFT | z
+            ranks[s] = count
+            count += 1
+        mine[i] = ranks[s]
+        block, place = voxels[i] >> 9, voxels[i] & 511
+        seen, hit, crossed = np.int64(clear[block, place]), np.int64(hits[block, place]), np.int64(passed[block, place])
+        against = hit + 3 * (crossed - seen)
+        own = sums[ranks[s]]
+        own[0] += 1
+        own[1] += hit > 1 or crossed > 0
+        own[2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
+        own[3] += against
+    mean_vote, mean_against = np.zeros(len(points)), np.zeros(len(points))
+    around = np.zeros((count, 2))
+    for c in range(count):
+        total = np.zeros(4, np.int64)
+        for j in range(27):
+            s = _slot(slots, cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1))
+            if slots[s] >= 0:
+                total += sums[ranks[s]]
+        around[c, 0] = total[2] / (1000 * votes * max(total[1], 1))
+        around[c, 1] = total[3] / (3 * total[0])
+    for i in range(len(points)):
+        if mine[i] >= 0:
+            mean_vote[i], mean_against[i] = around[mine[i]]
+    return mean_vote, mean_against
 
 
 @njit(cache=True, nogil=True)

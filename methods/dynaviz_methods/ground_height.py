@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from dynaviz import kernels
@@ -112,7 +114,12 @@ class RollingGroundHeight(GroundHeight):
         self._number = grid.per_block(np.zeros((rows, 8), np.int32))
         self._height = grid.per_block(np.zeros((rows, 8), np.int64))
         self._floor, self._stale = np.full(n, np.inf), np.zeros(n + 1, np.bool_)
+        self._watchers: list[Callable[[I64], None]] = []
         grid.watch(self._came)
+
+    def watch(self, moved: Callable[[I64], None]) -> None:
+        """Call ``moved`` with the numbers (M,) of columns whenever they come to lie elsewhere."""
+        self._watchers.append(moved)
 
     def _came(self, numbers: I32) -> None:
         """Number the columns of new blocks; a column that was elsewhere before has no floor."""
@@ -122,6 +129,8 @@ class RollingGroundHeight(GroundHeight):
         moved = (self._columns[columns] != keys).any(1)
         self._floor[columns[moved]] = np.inf
         self._columns[columns] = keys
+        for watcher in self._watchers:
+            watcher(columns[moved])
 
     def _refresh(self) -> None:
         blocks = np.flatnonzero(self._stale[self._column[:-1]] & self._grid.existing())

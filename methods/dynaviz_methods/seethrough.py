@@ -16,12 +16,15 @@
                   of scans that passed it; call an object dynamic if the mean vote of its points exceeds ``share``;
                   ignore points in voxels with one hit that no other scan crossed
         followed: also call an object dynamic if most of it is where a dynamic object was in the last scans that was
-                  judged dynamic at least twice, any of its points was ever seen clear, and at most 1 in 4 of these
-                  between two hits: a car that arrives and parks, but not the wall that it passed
+                  judged dynamic at least twice, any of its points was ever seen clear, at most 1 in 4 of these
+                  between two hits: a car that arrives and parks, but not the wall that it passed; nor, with a mean vote
+                  of at most 0.1, what is mostly where something was seen more than 10 scans before any dynamic object
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
                   this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
                   exceed those between two hits by 7 in 100: a parked car that drives off
-        feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
+        settled:  keep the parts of dynamic objects that rays stop at while they pass through the rest: a wall that a
+                  walker touches
+        feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
         alone:    remove other points in voxels that at least ``votes`` scans saw clear, more than hit or passed them
@@ -59,11 +62,17 @@ LATELY = 3  # number of scans for which the position of a dynamic object is reme
 STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
 LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
-STANDS_OUT = 0.04  # metres above the ground of this scan
+BEFORE = 10  # number of scans before the first dynamic object: what was already in its place then stays there
+RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
+UNSEEN = 0.05  # maximum mean vote around a point of a settled part
+FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
+UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
+STANDS_OUT = 0.03  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
+NEVER = 1 << 30  # later than any scan
 FEW = 3  # minimum number of voting points of a dynamic object
 OBJECT = 30.0  # metres
 
@@ -104,7 +113,7 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED, HIGH = range(10)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED, HIGH, SETTLED = range(11)
 REASONS = (
     Reason("never_clear", "kept: no scan saw its voxel clear", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its object was seen clear", Cause.STANDING),
@@ -120,6 +129,7 @@ REASONS = (
     Reason("alone", "removed: its voxel was seen clear, but its object was not", Cause.SPARSE_RINGS),
     Reason("waited", "removed: its object waited here before it moved away", Cause.SHARED_CELL),
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
+    Reason("settled", "kept: rays stop at this part of a dynamic object", Cause.OCCUPIED),
 )
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED))  # (R,) bool, by code
 STATES = (
@@ -133,7 +143,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0, 0], np.uint8)  # reason code to class of the legend
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,9 +154,10 @@ class _Judged:
         index: number of the scan.
         height: (N,) float32, metres above the ground, of each point; infinite if unknown.
         objects: (N,) int32, the object of each point, -1 for none.
-        weighed: (9, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
+        weighed: (10, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
             moved lately, scans in which that one moved, points where the last object moved, points seen clear between
-            two hits, points seen clear after the last hit.
+            two hits, points seen clear after the last hit, points where something was before any object moved.
+        settled: (N,) bool, in a settled part of a dynamic object.
         under: (N,) bool, low and in or next to a dynamic object.
         level: (N,) float32, metres: height of this scan's low points around each point.
     """
@@ -155,6 +166,7 @@ class _Judged:
     height: F32
     objects: I32
     weighed: F64
+    settled: Bool
     under: Bool
     level: F32
 
@@ -180,11 +192,15 @@ class SeeThrough:
         )
         # One bit per voxel: ever hit; seen clear between two hits; seen clear after the last hit.
         self._order = tuple(self._grid.per_block(np.zeros((rows, 8), np.uint64)) for _ in range(3))
-        # For each quarter column: the last scan with a dynamic object, and the number of scans in which that object
-        # was dynamic, for ``label`` and for ``observe``. Then the last scans with any points and with dynamic points.
+        # For each quarter column: the last scan with a dynamic object, the number of scans in which that object was
+        # dynamic, and the first scan with one, for ``label`` and for ``observe``. Then the last scans with any points
+        # and with dynamic points, and the first with any.
         places = 4 * len(self._ground) + 4
-        self._movers, self._so_far = (np.full((2, places), -LATELY - 1, np.int32) for _ in range(2))
+        self._movers, self._so_far = _no_movers(places), _no_movers(places)
         self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
+        self._first = np.full(places, NEVER, np.int32)
+        if isinstance(self._ground, RollingGroundHeight):
+            self._ground.watch(self._forget_columns)
         self._observed = 0
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
@@ -202,7 +218,8 @@ class SeeThrough:
         now = self._number[scan.index] = self._observed
         self._observed += 1
         reasons = self._judge(scan, points, voxels, places, self._so_far)
-        self._seen[places[(reasons != LOW) & (reasons != FOOT)]] = now
+        up = places[(reasons != LOW) & (reasons != FOOT)]
+        self._seen[up], self._first[up] = now, np.minimum(self._first[up], now)
         self._dynamic[places[reasons == SEEN_THROUGH]] = now
         self._show(reasons, marks.blocks, crossed & ~hit, near)
 
@@ -220,6 +237,11 @@ class SeeThrough:
         reasons = np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
         return Labels(REMOVED[reasons], reasons)
 
+    def _forget_columns(self, columns: I64) -> None:
+        """Forget when points and dynamic objects were first seen in columns that are now elsewhere."""
+        for first in (self._first, self._movers[2], self._so_far[2]):
+            first[:-4].reshape(-1, 4)[columns] = NEVER
+
     def forget(self, index: int) -> None:
         """Drop the labels of a scan."""
         self._number.pop(index, None)
@@ -228,7 +250,7 @@ class SeeThrough:
     def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
         """Label scans again, in order, as if none had been labelled; the stored labels stay."""
         stored = self._reasons, self._movers
-        self._reasons, self._movers = {}, np.full_like(self._movers, -LATELY - 1)
+        self._reasons, self._movers = {}, _no_movers(self._movers.shape[1])
         try:
             return [self.label(scan) for scan in scans]
         finally:
@@ -250,44 +272,73 @@ class SeeThrough:
         within, low = voxels >= 0, height <= params.ground_height
         high = (height > HIGHEST) & (height < np.inf)
         objects, n = kernels.objects.connect(points, within & ~low & ~high, params.gap, TALL * params.gap)
-        verdict = self._movement(objects, n, voxels, places, now, movers)
-        moves = verdict > 0
+        verdict = self._movement(points, objects, n, voxels, places, now, movers)
+        moves = REMOVED[verdict]
 
         counts = (self._hits, self._passed, self._clear)
         hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
         reasons = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
         reasons[high] = HIGH
+        reasons[verdict == SETTLED] = SETTLED
         reasons[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
         reasons[moves] = verdict[moves]
         reasons[low] = LOW
-        under = low & kernels.objects.in_or_next_to(points, moves, 4 * params.resolution)
+        under = low & kernels.objects.in_or_next_to(points, moves, UNDER * params.resolution)
         level = kernels.objects.local_level(points, within & low & ~under & (height > -PIT), height, LEVEL, LEAST)
-        self._judged = _Judged(scan.index, height, objects, self._weighed, under, level)
+        self._judged = _Judged(scan.index, height, objects, self._weighed, verdict == SETTLED, under, level)
         empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
         reasons[under & ((height - level > STANDS_OUT) | empty)] = FOOT
         reasons[~within] = OUT_OF_REACH
         return reasons
 
-    def _movement(self, objects: I32, n: int, voxels: I64, places: I64, now: int, movers: I32) -> U8:
-        """(N,) uint8: why each point's object is dynamic, or 0; adds positions of dynamic objects to ``movers``."""
+    def _movement(self, points: F32, objects: I32, n: int, voxels: I64, places: I64, now: int, movers: I32) -> U8:
+        """(N,) uint8: why each point's object is dynamic, ``SETTLED`` for its settled parts, or 0.
+
+        Adds positions of dynamic objects to ``movers``.
+        """
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
-        lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers)
+        lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers[:2])
         last = self._dynamic[places]
         left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
         between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
-        self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after])
+        old = kernels.objects.count(objects, n, self._first[places] < movers[2][places] - BEFORE)
+        self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
         reasons = verdict[:n]
         gone = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
         reasons[(2 * left > size) & gone] = WAITED
-        came = (touched > 0) & (between <= STAYS * touched)
+        rarely = votes <= 1000 * RARELY * self.params.votes * having
+        came = (touched > 0) & (between <= STAYS * touched) & ~((2 * old > size) & rarely)
         reasons[(2 * lately > size) & (proof >= PROOF) & came] = FOLLOWED_ON
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
         reasons[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
-        kernels.objects.leave(objects, (reasons > 0) & (reasons != WAITED), proven, places, now, *movers)
-        return verdict[objects]
+        follows, by_point = (reasons > 0) & (reasons != WAITED), verdict[objects]
+        settled = np.zeros(len(objects), np.bool_)
+        if movers is self._movers:  # labels; a mark of a mover in the scans so far may be too large
+            vote = np.append(votes / (1000 * self.params.votes * np.maximum(having, 1)), 0.0)
+            settled = self._settled(points, by_point == SEEN_THROUGH, voxels, vote[objects])
+        kernels.objects.leave(np.where(settled, np.int32(-1), objects), follows, proven, places, now, *movers)
+        by_point[settled] = SETTLED
+        return by_point
+
+    def _settled(self, points: F32, seen: Bool, voxels: I64, vote: F64) -> Bool:
+        """(N,) bool: points in settled parts of objects seen through.
+
+        The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
+        of an object was seen through, the fewer hits and near hits it takes.
+
+        Args:
+            points: (N, 3) float32, metres.
+            seen: (N,) bool, points of objects seen through.
+            voxels: (N,) int64.
+            vote: (N,) float64, mean vote of each point's object, from 0 to 1.
+        """
+        params, evidence = self.params, (voxels, self._hits, self._passed, self._clear, self.params.votes)
+        votes, against = kernels.objects.surroundings(points, seen, params.gap, TALL * params.gap, *evidence)
+        settled: Bool = seen & (votes <= UNSEEN) & (against * vote >= FIRM)
+        return settled
 
     def halo(self) -> Halo:
         """The size of an object, and the distance from which low ground lowers the ground."""
@@ -310,16 +361,22 @@ class SeeThrough:
     def _object_rules(self, asked: Asked, judged: _Judged) -> tuple[Rule, ...]:
         """The rules that remove objects; points without an object have NaN."""
         of = judged.objects[asked.rows]
-        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((9, 1)), 1)[:, of])
-        size, having, votes, touched, lately, proof, left, between, after = weighed
+        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
+        size, having, votes, touched, lately, proof, left, between, after, old = weighed
+        stays = Term("in a settled part of its object", judged.settled[asked.rows], "<", 1)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = votes / (1000 * self.params.votes * having)
+            earlier = np.where(mean > RARELY, 0.0, old)
             shares = {name: part / size for name, part in (("now", lately), ("later", left))}
         moved = "share of its object where one moved "
         return (
             Rule(
                 "seen through",
-                (Term("mean vote of its object", mean, ">", self.params.share), Term("votes", having, ">=", FEW)),
+                (
+                    Term("mean vote of its object", mean, ">", self.params.share),
+                    Term("votes", having, ">=", FEW),
+                    stays,
+                ),
             ),
             Rule(
                 "followed",
@@ -328,6 +385,8 @@ class SeeThrough:
                     Term("scans in which that moved", proof, ">=", PROOF),
                     Term("points of its object seen clear", touched, ">", 0),
                     Term("of these, hit before and after", between, "<=", STAYS * touched),
+                    Term("points of its object where something was before any moved", earlier, "<=", size / 2),
+                    stays,
                 ),
             ),
             Rule(
@@ -338,6 +397,7 @@ class SeeThrough:
                     Term(
                         "points seen clear after the last hit, less those hit again", after - between, ">", LEFT * size
                     ),
+                    stays,
                 ),
             ),
         )
@@ -369,3 +429,9 @@ class SeeThrough:
             emit("objects", PointClasses(CLASS[reasons]))
         if wants("low"):
             emit("low", Mask((reasons == LOW) | (reasons == FOOT)))
+
+
+def _no_movers(places: int) -> I32:
+    """(3, places) int32: last scan with a dynamic object, scans in which it was dynamic, and first scan with one."""
+    never = np.array([[-LATELY - 1], [0], [NEVER]], np.int32)
+    return np.tile(never, places)

@@ -19,6 +19,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.blocks import Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
+from dynaviz_methods import seethrough
 from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
@@ -31,6 +32,7 @@ from dynaviz_methods.seethrough import (
     REASONS,
     REMOVED,
     SEEN_THROUGH,
+    SETTLED,
     WAITED,
     SeeThrough,
     SeeThroughParams,
@@ -139,6 +141,36 @@ def test_a_pillar_beside_a_waiting_walker_is_not_followed() -> None:
     for k in set(range(len(scans))) - hidden:
         codes = method.label(scans[k]).reasons[n:]
         assert not np.isin(codes, (FOLLOWED_ON, WAITED)).any()
+
+
+def test_what_was_there_before_a_walker_came_is_not_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pillar that is seen clear only after its last hit, next to a walker who touches it and steps back."""
+    places = [*[-4.0] * 12, *np.linspace(-4.0, 0.8, 12), 0.2, *[0.0] * 5]
+    pillar = block(7.6, 1.3, high=2.0, wide=0.3)
+    pillar = pillar[pillar[:, 0] == 7.6]
+    last = len(places) - 1
+    scans = [seen(k, GROUND, wall(), block(7.0, y), *([pillar] if k < last else [])) for k, y in enumerate(places)]
+    n = len(GROUND) + len(wall()) + len(block(7.0, 0))
+    followed = {}
+    for before in (seethrough.BEFORE, seethrough.NEVER):
+        monkeypatch.setattr(seethrough, "BEFORE", before)
+        method = running(scans)
+        codes = np.concatenate([method.label(scan).reasons[n:] for scan in scans[:last]])
+        followed[before] = (codes == FOLLOWED_ON).sum()
+    assert followed[seethrough.NEVER] > 0, "without the rule it is followed"
+    assert followed[10] == 0
+
+
+def test_parts_of_a_dynamic_object_that_rays_stop_at_are_kept() -> None:
+    places = np.linspace(-4.0, 4.0, 40)
+    post = block(7.0, 5.1, high=0.9, wide=1.0)
+    scans = [seen(k, GROUND, wall(), block(7.0, y), post) for k, y in enumerate(places)]
+    method, n = running(scans), len(GROUND) + len(wall())
+    codes = [method.label(scan).reasons[n:] for scan in scans]
+    moving, static = codes[-1][: -len(post)], codes[-1][-len(post) :]
+    away = (post[:, 2] > 0.25) & (post[:, 1] > 5.1)
+    assert (static[away] == SETTLED).all(), "the post touches the mover in the last scan"
+    assert REMOVED[moving].mean() > 0.9
 
 
 def test_stray_returns_far_below_the_ground_do_not_lower_it_either() -> None:

@@ -14,17 +14,22 @@ from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods.ground_height import PIT, SLOPE
 from dynaviz_methods.seethrough import (
+    BEFORE,
     EMPTY,
     FEW,
+    FIRM,
     HIGHEST,
     LATELY,
     LEAST,
     LEFT,
     LEVEL,
     PROOF,
+    RARELY,
     STANDS_OUT,
     STAYS,
     TALL,
+    UNDER,
+    UNSEEN,
     WAITED_FOR,
     SeeThroughParams,
 )
@@ -41,11 +46,13 @@ class Reference:
         self.between: set[Key] = set()
         self.after: set[Key] = set()
         self.layers: dict[tuple[int, int], dict[int, list[float]]] = {}
-        # By quarter column: the last scan with a dynamic object, and the number of scans in which it was dynamic, for
-        # ``label`` and for ``observe``. Then the last scans with points that are not low, and with dynamic points.
-        self.movers: dict[tuple[int, int], tuple[int, int]] = {}
-        self.so_far: dict[tuple[int, int], tuple[int, int]] = {}
+        # By quarter column: the last scan with a dynamic object, the number of scans in which it was dynamic, and the
+        # first scan with one, for ``label`` and for ``observe``. Then the last and first scans with points that are not
+        # low, and the last with dynamic points.
+        self.movers: dict[tuple[int, int], tuple[int, int, int]] = {}
+        self.so_far: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.seen: dict[tuple[int, int], int] = {}
+        self.first: dict[tuple[int, int], int] = {}
         self.dynamic: dict[tuple[int, int], int] = {}
         self.observed = self.labelled = 0
 
@@ -69,6 +76,7 @@ class Reference:
                 self.layers.setdefault((x >> 3, y >> 3), {}).setdefault(z, []).append(round(float(p[2]) * 1000))
         _, places, dynamic = self.judge(scan, self.observed, self.so_far)
         self.seen |= dict.fromkeys(places, self.observed)
+        self.first = dict.fromkeys(places, self.observed) | self.first
         self.dynamic |= dict.fromkeys(dynamic, self.observed)
         self.observed += 1
 
@@ -124,21 +132,31 @@ class Reference:
         dynamic = np.zeros(len(points), bool)
         whole: set[int] = set()
         moving: set[tuple[int, int]] = set()
-        left: dict[tuple[int, int], tuple[int, int]] = {}
+        left: dict[tuple[int, int], tuple[int, int, int]] = {}
         reachable = [i for i in up if not HIGHEST < height[i] < math.inf]
         for members in self.objects(points, reachable):
             votes = sum(self.votes(voxel[i]) for i in members)
             having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
-            trail = [movers.get(self.quarter(voxel[i]), (-99, 0)) for i in members]
-            recent = [proof for last, proof in trail if last >= now - LATELY]
+            trail = [movers.get(self.quarter(voxel[i]), (-99, 0, math.inf)) for i in members]
+            recent = [proof for last, proof, _ in trail if last >= now - LATELY]
+            places = [self.quarter(voxel[i]) for i in members]
+            old = sum(
+                self.first.get(place, math.inf) < first - BEFORE
+                for place, (_, _, first) in zip(places, trail, strict=True)
+            )
             proof = max(recent, default=0)
             touched = sum(self.clear[voxel[i]] > 0 for i in members)
             moves = votes > 1000 * params.share * params.votes * having and having >= FEW
             between = sum(voxel[i] in self.between for i in members)
             after = sum(voxel[i] in self.after for i in members)
             follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0 and between <= STAYS * touched
+            rarely = votes <= 1000 * RARELY * params.votes * having
+            follows = follows and not (rarely and 2 * old > len(members))
             gone = touched > WAITED_FOR * len(members) and after - between > LEFT * len(members)
             waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
+            if moves and movers is self.movers:
+                vote = votes / (1000 * params.votes * max(having, 1))
+                members = sorted(set(members) - self.settled(points, voxel, members, vote))
             if moves or follows or (waited and gone):
                 whole.update(members)
             if moves:
@@ -146,16 +164,20 @@ class Reference:
             if moves or follows:
                 for i in members:
                     place = self.quarter(voxel[i])
-                    left[place] = (now, max(left.get(place, (now, 0))[1], proof + moves))
+                    proven = max(left.get(place, (now, 0, now))[1], proof + moves)
+                    left[place] = (now, proven, min(now, movers.get(place, (0, 0, now))[2]))
         for i in whole:
             dynamic[i] = True
-        cells = {tuple(math.floor(float(c) / (4 * size)) for c in points[i, :2]) for i in whole}
+        cells = {tuple(math.floor(float(c) / (UNDER * size)) for c in points[i, :2]) for i in whole}
         under = {
             i
             for i in inside
             if i not in up
             and any(
-                (math.floor(float(points[i, 0]) / (4 * size)) + a, math.floor(float(points[i, 1]) / (4 * size)) + b)
+                (
+                    math.floor(float(points[i, 0]) / (UNDER * size)) + a,
+                    math.floor(float(points[i, 1]) / (UNDER * size)) + b,
+                )
                 in cells
                 for a in (-1, 0, 1)
                 for b in (-1, 0, 1)
@@ -191,6 +213,19 @@ class Reference:
         last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
 
+    def settled(self, points: np.ndarray, voxel: dict[int, Key], members: list[int], vote: float) -> set[int]:
+        """The points of an object that rays stop at; ``vote`` is its mean vote, from 0 to 1."""
+        by_cell = self.cells(points, members)
+        found: set[int] = set()
+        for place, inside in by_cell.items():
+            near = [voxel[j] for d in product((-1, 0, 1), repeat=3) for j in by_cell.get(tuple(np.add(place, d)), [])]
+            having = sum(self.hits[k] > 1 or self.passed[k] > 0 for k in near)
+            mean = sum(self.votes(k) for k in near) / (1000 * self.params.votes * max(having, 1))
+            against = sum(self.hits[k] + 3 * (self.passed[k] - self.clear[k]) for k in near) / (3 * len(near))
+            if mean <= UNSEEN and against * vote >= FIRM:
+                found.update(inside)
+        return found
+
     def votes(self, k: Key) -> int:
         """The vote of a voxel, thousandths of a scan."""
         against = Fraction(self.hits[k], 3) + self.passed[k] - self.clear[k]
@@ -200,12 +235,17 @@ class Reference:
     def quarter(k: Key) -> tuple[int, int]:
         return k[0] >> 2, k[1] >> 2
 
-    def objects(self, points: np.ndarray, chosen: list[int]) -> list[list[int]]:
+    def cells(self, points: np.ndarray, chosen: list[int]) -> dict[Key, list[int]]:
+        """Points by the cells that join them to objects."""
         edges = (self.params.gap, self.params.gap, TALL * self.params.gap)
         cells: dict[Key, list[int]] = {}
         for i in chosen:
             cell = tuple(math.floor(float(c) / e) for c, e in zip(points[i], edges, strict=True))
             cells.setdefault(cell, []).append(i)
+        return cells
+
+    def objects(self, points: np.ndarray, chosen: list[int]) -> list[list[int]]:
+        cells = self.cells(points, chosen)
         found, left = [], set(cells)
         while left:
             stack, members = [left.pop()], []
