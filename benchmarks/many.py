@@ -1,6 +1,7 @@
 """All methods on many simulated scenes, with seeds that were not used to develop SeeThrough.
 
     python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished runs are kept
+    python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes with the effects of real scans
 
 Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
 OUT/many.md: the AA of each method on every scene, its distribution, and on how many scenes the method is first.
@@ -23,6 +24,7 @@ from dynaviz.sensors import load_sensor
 from dynaviz.simulate.classes import CLASS_NAMES
 from dynaviz.simulate.presets import PRESETS
 from dynaviz.simulate.recording import build, record_sweeps
+from dynaviz.simulate.write import simulate
 from dynaviz.spatial import geometry
 
 FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # pose errors, metres and degrees
@@ -68,10 +70,26 @@ SCENES = (
     _of("vlp32c_square", "square_vlp32c", 30, 110),
     _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
 )
+_FRAMES = {
+    "hall_mid360_real": (50, 4),
+    "hall_vlp16_real": (50, 4),
+    "square_mid360_real": (50, 4),
+    "square_vlp32c_real": (15, 3),
+    "street_hdl64_real": (20, 3),
+    "street_vlp16_real": (40, 4),
+}  # number of frames, and of scenes
+REAL = tuple(
+    _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
+    for preset, (frames, scenes) in _FRAMES.items()
+    for seed in range(100, 100 + scenes)
+)
 
 
 def write(variation: Variation, out: Path) -> None:
     """Simulate a scene in the public benchmark's layout, tilted by its slope."""
+    if variation in REAL:
+        simulate(variation.preset, out, variation.frames, variation.seed)
+        return
     preset = replace(PRESETS[variation.preset], **dict(variation.changed))
     tilt = np.eye(4)
     angle = np.arctan(variation.slope / 100)
@@ -94,12 +112,13 @@ def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
     methods.sort(key=lambda m: -np.mean([by[m]["AA"] for by in results.values() if m in by]))
     first = {m: sum(max(by, key=lambda k: by[k]["AA"]) == m for by in results.values()) for m in methods}
     lines = [
-        "| method | AA mean | worst | quartile | median | quartile | best | least SA | first on |",
-        "|---|" + "---|" * 8,
+        "| method | AA mean | worst | quartile | median | quartile | best | SA mean | DA mean | least SA | first on |",
+        "|---|" + "---|" * 10,
     ]
     for m in methods:
         aa = np.array([by[m]["AA"] for by in results.values()])
-        spread = (aa.mean(), *np.percentile(aa, (0, 25, 50, 75, 100)), min(by[m]["SA"] for by in results.values()))
+        sa, da = (np.array([by[m][score] for by in results.values()]) for score in ("SA", "DA"))
+        spread = (aa.mean(), *np.percentile(aa, (0, 25, 50, 75, 100)), sa.mean(), da.mean(), sa.min())
         lines.append(f"| `{m}` | " + " | ".join(f"{x:.1f}" for x in spread) + f" | {first[m]} of {len(results)} |")
     lines += ["", "| scene | " + " | ".join(f"`{m}`" for m in methods) + " |", "|---|" + "---|" * len(methods)]
     for scene, by in results.items():
@@ -107,16 +126,16 @@ def table(results: dict[str, dict[str, dict[str, float]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(out: Path, methods: list[str]) -> None:
+def main(out: Path, methods: list[str], scenes: tuple[Variation, ...]) -> None:
     """Write missing scenes, run missing methods, and write the tables."""
-    for scene in SCENES:
+    for scene in scenes:
         if not (out / "scenes" / scene.name).exists():
             (out / "scenes").mkdir(parents=True, exist_ok=True)
             write(scene, out / "scenes" / scene.name)
             print("written:", scene.name, flush=True)
     plan = {
         "methods": methods or [handle.name for handle in registry.handles("methods")],
-        "sequences": [str(out / "scenes" / scene.name) for scene in SCENES],
+        "sequences": [str(out / "scenes" / scene.name) for scene in scenes],
         "record": "none",
     }
     results: dict[str, dict[str, dict[str, float]]] = {}
@@ -134,4 +153,5 @@ def main(out: Path, methods: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    given = [argument for argument in sys.argv[1:] if argument != "--real"]
+    main(Path(given[0]), given[1:], REAL if "--real" in sys.argv else SCENES)
