@@ -60,8 +60,8 @@ def open(
         stride: use every N-th frame.
         sensor: name of the sensor, if the data do not name it or are wrong (``dynaviz list sensors``), or a TOML file.
         poses: for folders of scans and for bags: a file with the sensor's poses (KITTI, TUM, CSV); for bags also a
-            topic, or the TF frame to use as the world frame. For every format: ``kiss-icp`` or another odometry, which
-            estimates them once and keeps them in ``recordings/SEQUENCE``.
+            topic, or the TF frame to use as the world frame. For every format: ``small-gicp`` or another odometry,
+            which estimates them once and keeps them in ``recordings/SEQUENCE``.
         points_in: for folders and bags: ``sensor`` or ``world``, the frame of the stored points.
         deskew: for bags: False disables motion compensation of sweeps whose points have times.
         extrinsic: for folders and bags whose poses are those of a vehicle: the pose of the lidar on it,
@@ -337,7 +337,7 @@ def _run_tiles(
     drawn = recording is not None and mode != "scores"
     share = options.budget and options.budget // 2  # of the recordings of tiles, and of that of the whole run
     with locked(folder, spec.command):
-        labeller, index = label_tiles(
+        labeller = label_tiles(
             folder,
             type(spec.labeller),
             spec.params,
@@ -348,7 +348,7 @@ def _run_tiles(
             record=mode if drawn else None,
             progress=progress,
         )
-        whole, counts = replace(spec, labeller=labeller, summary=index.summary), TileCounts(index.size)
+        whole, counts = replace(spec, labeller=labeller, summary=labeller.summary), TileCounts(options.size)
         others: list[Listener] = [counts]
         if drawn:
             from dynaviz.viz.overview import Overview

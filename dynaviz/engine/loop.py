@@ -219,9 +219,10 @@ _KIT = "Check the method with dynaviz.testing.check_method"
 
 
 def _sections(metrics: Iterable[Metric], source: Callable[[], Source] | None) -> Sections:
-    plain = {key: value for metric in metrics for key, value in metric.finish().items()}
+    sections = Sections()
     try:
-        sections = Sections.of(plain)
+        for metric in metrics:  # one by one, because plain values of many frames need much more memory
+            sections = sections.joined(metric.finish())
     except msgspec.ValidationError as error:
         raise PluginError(f"a metric returned an invalid section: {error}") from None
     return msgspec.structs.replace(sections, source=source() if source else None)

@@ -396,9 +396,18 @@ class Sections(Struct, frozen=True, omit_defaults=True):
         Raises:
             msgspec.ValidationError: for a value of the wrong type; the message names its place.
         """
-        known = {key: value for key, value in plain.items() if key in cls.__struct_fields__ and key != "other"}
-        sections = msgspec.convert(known, cls)
-        return msgspec.structs.replace(sections, other={k: v for k, v in plain.items() if k not in known})
+        return cls().joined(plain)
+
+    def joined(self, plain: Mapping[str, Any]) -> Sections:
+        """These sections and others, which replace those of the same name.
+
+        Raises:
+            msgspec.ValidationError: as ``of``.
+        """
+        known = {key: value for key, value in plain.items() if key in self.__struct_fields__ and key != "other"}
+        sections = msgspec.convert(known, Sections)
+        other = {**self.other, **{key: value for key, value in plain.items() if key not in known}}
+        return msgspec.structs.replace(self, **{key: getattr(sections, key) for key in known}, other=other)
 
     def plain(self) -> dict[str, Any]:
         """Plain JSON values, the inverse of ``of``."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.arrays import F32, F64, I32, I64, Bool
 from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.extent import CELL, Extent
@@ -20,6 +20,7 @@ from dynaviz.spatial.rolling import RollingDirectory
 from dynaviz.spatial.window import Window
 
 VOXELS = 8**3  # in a block
+MARGIN = 10.0  # metres: bounds of points this far beyond the blocks are those of a tile of a map
 State = TypeVar("State", bound=NDArray[Any])
 
 
@@ -64,11 +65,13 @@ class BlockGrid:
         self.resolution = resolution
         self._per_metre = 1.0 / resolution
         self._rolling: RollingDirectory | None = None
+        self._rectangle: F64 | None = None  # (2, 2): around all blocks in x and y, if points lie far beyond
         if isinstance(extent, Window):
             self._rolling = RollingDirectory(extent, self._per_metre, _covering)
             self._blocks, self._place = self._rolling.blocks, self._rolling.place
         else:
             self._blocks, self._place = self._cover(extent)
+            self._rectangle = self._cropped(extent)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are filled in order, so rows that no scan needs never occupy physical memory.
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
@@ -82,6 +85,28 @@ class BlockGrid:
         base, shape = bounds[0], bounds[1] - bounds[0] + 1
         blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
         return blocks, (base, shape, *kernels.blocks.directory(blocks, base, shape))
+
+    def _cropped(self, extent: Extent) -> F64 | None:
+        """Corners (2, 2), metres, of the rectangle of all blocks, a voxel wider; None if the bounds are as large."""
+        if not len(self._blocks):
+            return None
+        corners = np.array([self._blocks[:, :2].min(0), self._blocks[:, :2].max(0) + 1]) * 8 * self.resolution
+        beyond = np.maximum(corners[0] - extent.low[:2], extent.high[:2] - corners[1]).max()
+        return corners + np.array([[-1], [1]]) * self.resolution if beyond > MARGIN else None
+
+    def reaching(self, points: F32, origins: F64) -> Bool:
+        """(N,) bool: whether rays may cross a block, judged by bounds. In tiles of a map, most rays cross none.
+
+        Args:
+            points: (N, 3) float32, metres: ends of the rays.
+            origins: (N or 1, 3) float64, metres.
+        """
+        found = np.ones(len(points), np.bool_)
+        if self._rectangle is not None:
+            for axis, (low, high) in enumerate(self._rectangle.T.tolist()):
+                ends, starts = points[:, axis], origins[:, axis]
+                found &= (np.minimum(ends, starts) <= high) & (np.maximum(ends, starts) >= low)
+        return found
 
     def per_block(self, state: State, empty: float = 0) -> State:
         """Register state with one row per block, and return it.
@@ -164,6 +189,8 @@ class BlockGrid:
         Returns:
             The marks; a voxel may be both crossed and hit. Rays that start beyond the grid's reach mark nothing.
         """
+        if self._rectangle is not None:
+            casts = casts & self.reaching(scan.points, scan.origins)
         kernels.raycast.mark(
             kernels.as_readonly(scan.points, np.float32),
             kernels.as_readonly(scan.origins, np.float64),

@@ -49,8 +49,12 @@ class GrowingExtent:
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
         self._cells = KeySet()
 
-    def add(self, scan: Scan) -> None:
+    def add(self, scan: Scan, rectangle: F64 | None = None) -> None:
         """Add a scan.
+
+        Args:
+            scan: the scan.
+            rectangle: (2, 2) float64, metres: lower and upper corner in x and y; cells count within it only.
 
         Raises:
             DynavizError: if a point or ray origin is farther than ``FAR`` from the world's origin.
@@ -67,6 +71,11 @@ class GrowingExtent:
                 f"frame {scan.index}: a point or sensor position is {farthest / 1000:.3g} km from the world's origin, "
                 "where float32 is too coarse. Move the world's origin to the first pose, or remove such points."
             )
+        if rectangle is not None:
+            inside = np.ones(len(finite), np.bool_)
+            for axis, (low, high) in enumerate(rectangle.T.tolist()):
+                inside &= (finite[:, axis] >= low) & (finite[:, axis] <= high)
+            finite = finite[inside]
         self._cells.add(pack(finite, CELL))
 
     def extent(self) -> Extent:

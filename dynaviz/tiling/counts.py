@@ -30,7 +30,7 @@ class TileCounts(Listener):
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Count the points of a scan."""
-        tiles, of = np.unique(self._grid.owners(labelled.scan), return_inverse=True)
+        tiles, of, _ = self._grid.counted(labelled.scan)
         kinds = len(Outcome)
         counts = np.bincount(of * kinds + labelled.outcome, minlength=len(tiles) * kinds).reshape(-1, kinds)
         for tile, count in zip(map(unpacked, tiles.tolist()), counts, strict=True):

@@ -70,7 +70,8 @@ class SequenceIndex:
         for done, scan in enumerate(stream(sequence), 1):
             digest.add(scan)
             meter.add(done - 1, scan)
-            rows.add(scan, *np.unique(grid.owners(scan), return_counts=True))
+            tiles, _, counts = grid.counted(scan)
+            rows.add(scan, tiles, counts)
             progress(done)
         return cls(size, fingerprint(sequence), digest.hexdigest(), *rows.arrays(), meter.result())
 
@@ -179,7 +180,7 @@ class _Rows:
         self._positions.append(scan.position.copy())
         self._tiles.append(tiles)
         self._counts.append(counts)
-        finite = scan.points[np.isfinite(scan.points).all(1)]
+        finite = scan.points if np.isfinite(scan.points).all() else scan.points[np.isfinite(scan.points).all(1)]
         for xyz in (finite, scan.origins):
             if len(xyz):
                 self._low = np.minimum(self._low, [column.min() for column in xyz.T])

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from dynaviz import registry
-from dynaviz.arrays import U8, Bool
+from dynaviz.arrays import U8
 from dynaviz.errors import DataError, UsageError
 from dynaviz.method import Context, Halo, Labels, Tileable
 from dynaviz.progress import Progress, silent
@@ -71,13 +71,14 @@ class TiledLabels:
         info: that of the method.
         runtime: cost of the method, over all tiles.
         tiling: for the result.
+        summary: of the sequence.
     """
 
     scoring = "mask"
 
     def __init__(self, folder: Path, method: Any, params: Any, index: SequenceIndex, halo: Halo) -> None:
         self.info, self.Params, self.params = method.info, method.Params, params
-        self._folder, self._grid, self._index = folder, TileGrid(index.size), index
+        self._folder, self._grid, self.summary = folder, TileGrid(index.size), index.summary
         self._answers = lru_cache(maxsize=index.most_tiles + SPARE)(self._load)
         runtimes = [AnswersHead.load(self._path(packed)).runtime for packed in np.unique(index.tile_of).tolist()]
         self.runtime = _total(runtimes, len(index.numbers))
@@ -88,17 +89,16 @@ class TiledLabels:
 
     def label(self, scan: Scan) -> Labels:
         """The answers of the tiles for their points of this scan."""
-        codes, owners = np.zeros(len(scan), np.uint8), self._grid.owners(scan)
-        for packed in np.unique(owners).tolist():
-            own = owners == packed
-            codes[own] = self._of(packed, scan, own)
+        codes, (tiles, of, counts) = np.zeros(len(scan), np.uint8), self._grid.counted(scan)
+        for place, (packed, count) in enumerate(zip(tiles.tolist(), counts.tolist(), strict=True)):
+            codes[of == place] = self._of(packed, scan, count)
         return Labels(codes >= DYNAMIC, codes % np.uint8(DYNAMIC))
 
-    def _of(self, packed: int, scan: Scan, own: Bool) -> U8:
+    def _of(self, packed: int, scan: Scan, points: int) -> U8:
         answers = self._answers(packed)
         first, end = answers.rows.get(scan.index, (0, 0))
-        if end - first != own.sum():
-            problem = f"frame {scan.index} has {own.sum():,} points in this tile, but {end - first:,} answers"
+        if end - first != points:
+            problem = f"frame {scan.index} has {points:,} points in this tile, but {end - first:,} answers"
             raise DataError(self._path(packed), problem, hint="The data changed during the run: run it again")
         return answers.codes[first:end]
 
@@ -120,7 +120,7 @@ def label_tiles(
     seed: int = 0,
     record: RecordMode | None = None,
     progress: Progress = silent,
-) -> tuple[TiledLabels, SequenceIndex]:
+) -> TiledLabels:
     """Label a sequence tile by tile; tiles that an interrupted run finished are kept.
 
     Args:
@@ -134,7 +134,7 @@ def label_tiles(
         progress: called with ``index`` and frames, then with ``tiles`` and tiles.
 
     Returns:
-        A labeller with the answers, and the index of the sequence.
+        A labeller with the answers, and the summary of the sequence. It does not keep the index.
 
     Raises:
         UsageError: for a method whose labels depend on the whole map.
@@ -170,7 +170,7 @@ def label_tiles(
         names = ", ".join(task.path.name for task in failed[:5]) + (", ..." if len(failed) > 5 else "")
         problem = f"{len(failed)} of {len(tasks)} tiles failed ({names}): {error}"
         raise DataError(folder / failed[0].path, problem, hint="The same command continues with these")
-    return TiledLabels(folder, method, params, index, halo), index
+    return TiledLabels(folder, method, params, index, halo)
 
 
 def tile_frames(sequence: Sequence, index: SequenceIndex, tile: Tile, halo: Halo, truth: bool) -> TileFrames:

@@ -15,7 +15,7 @@ import numpy as np
 from dynaviz import registry
 from dynaviz.arrays import F64, I64, U8, Intp
 from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.engine.summary import summarize
+from dynaviz.engine.summary import ScanDigest, SequenceSummary
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.npy import open_npy
@@ -24,9 +24,9 @@ from dynaviz.metric import Figure, Labelled, Metric
 from dynaviz.progress import Progress
 from dynaviz.results.result import RecordMode, Result
 from dynaviz.results.sections import Runtime
-from dynaviz.scan import Scan, Sequence, SequenceView
-from dynaviz.spatial.extent import CELL
-from dynaviz.tiling.grid import Tile, TileGrid, packed
+from dynaviz.scan import Scan, Sequence, SequenceView, stream
+from dynaviz.spatial.extent import CELL, GrowingExtent
+from dynaviz.tiling.grid import Tile, TileGrid
 from dynaviz.tiling.index import SequenceIndex
 
 NEAR = 2500.0  # metres: with a reach of 300 m around the tile, within 32768 voxels of 0.1 m
@@ -135,13 +135,8 @@ class TileTask:
         Raises:
             DynavizError: as ``dynaviz.run``.
         """
-        grid, frames, margin = TileGrid(self.size), self.frames, self.halo.metres + 2 * CELL
-        summary = summarize(frames, lambda done: progress("survey", done, len(frames)))
-        if not self.halo.along_rays:
-            bounds = grid.bounds(self.tile) - frames.origin[:2]
-            summary = dataclasses.replace(
-                summary, extent=summary.extent.cropped(bounds[0] - margin, bounds[1] + margin)
-            )
+        grid, frames = TileGrid(self.size), self.frames
+        summary = self._summary(progress)
         kind = registry.load("methods", self.method)
         spec = RunSpec(
             kind(self.params), frames, self.params, (), self.online, self.seed, threads=threads, summary=summary
@@ -157,6 +152,23 @@ class TileTask:
         with Recorder(folder / self.files[0], self.record, budget=self.budget) as recorder:
             spec = dataclasses.replace(spec, metrics=metrics)
             execute(spec, [OwnListener(recorder, own), answers], recorder, progress)
+
+    def _summary(self, progress: Progress) -> SequenceSummary:
+        """The summary of its frames, with cells in the tile and around it only; a digest only for a recording."""
+        growing, digest, points, total = GrowingExtent(), ScanDigest(), 0, len(self.frames)
+        margin = self.halo.metres + 2 * CELL
+        low, high = TileGrid(self.size).bounds(self.tile) - self.frames.origin[:2] + np.array([[-margin], [margin]])
+        around = None if self.halo.along_rays else np.array([low - CELL, high + CELL])
+        for done, scan in enumerate(stream(self.frames), 1):
+            growing.add(scan, around)
+            points += len(scan)
+            if self.record is not None:
+                digest.add(scan)
+            progress("survey", done, total)
+        extent = growing.extent()
+        if not self.halo.along_rays:
+            extent = extent.cropped(low, high)
+        return SequenceSummary(extent, total, points, digest.hexdigest())
 
     def finished(self, folder: Path) -> bool:
         """Whether its answers are complete and belong to this run, with a recording if one is requested."""
@@ -176,13 +188,12 @@ class OwnPoints:
     """Reduces labelled scans of a tile's run to the tile's own points."""
 
     def __init__(self, grid: TileGrid, tile: Tile, frames: TileFrames) -> None:
-        self.frames, self._grid, self._tile = frames, grid, packed(tile)
+        self.frames, self._grid, self._tile = frames, grid, tile
         self._last: tuple[Labelled, Labelled] | None = None
 
     def rows(self, scan: Scan) -> Intp:
         """(K,) the points of a scan of the run that belong to the tile."""
-        origin = self.frames.origin
-        return np.flatnonzero(self._grid.owners(scan.moved(origin) if origin.any() else scan) == self._tile)
+        return self._grid.rows(scan, self._tile, self.frames.origin)
 
     def of(self, labelled: Labelled) -> Labelled:
         """A scan with its labels, reduced; computed once for the last scan."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import I64
+from dynaviz.arrays import I32, I64
 from dynaviz.method import MethodInfo
 from dynaviz.metric import Figure, FrameHistograms, Labelled
 from dynaviz.scan import Outcome
@@ -41,7 +41,7 @@ class ErrorDistance:
     def __init__(self, info: MethodInfo) -> None:
         self._spools = {outcome: PointSpool() for wrong, correct, _ in _PAIRS.values() for outcome in (wrong, correct)}
         self._frames = 0
-        self._by_frame: dict[str, I64] = {}
+        self._by_frame: dict[str, I32] = {}
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Store the points of one scan; points with non-finite coordinates have no distance."""
@@ -57,7 +57,7 @@ class ErrorDistance:
             fine, by_frame = distances(self._spools[wrong], self._spools[correct], self._frames)
             section[name] = summary(fine)
             if fine.any():
-                self._by_frame[name] = by_frame
+                self._by_frame[name] = by_frame.astype(np.int32)  # half the memory until the recording is written
         for spool in self._spools.values():
             spool.close()
         return {"error_distance": section}
@@ -65,7 +65,7 @@ class ErrorDistance:
     def figures(self) -> Mapping[str, Figure]:
         """Distances of the wrong points of each frame."""
         return {
-            name: FrameHistograms(f"distance from a {_PAIRS[name][2]}", "m", EDGES, counts)
+            name: FrameHistograms(f"distance from a {_PAIRS[name][2]}", "m", EDGES, counts.astype(np.int64))
             for name, counts in self._by_frame.items()
         }
 

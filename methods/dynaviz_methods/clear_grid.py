@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I64, U64
+from dynaviz.arrays import F32, F64, I64, U64
+from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid, Marks
 from dynaviz.spatial.extent import Extent
+from dynaviz.spatial.grid import SHIFTS, in_key_range, unpack
 
 
 class ClearGrid(BlockGrid):
@@ -34,10 +36,32 @@ class ClearGrid(BlockGrid):
             rays = np.unique((voxels * len(places) + which)[voxels >= 0])
             goals, origins = rays // len(places), places[rays % len(places)]
         centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
-        every = kernels.as_readonly(np.ones(len(goals), np.bool_), np.bool_)
+        if self._rectangle is not None:
+            more, of = self._beyond(scan, voxels)
+            centres, origins = (
+                np.concatenate([centres, more]),
+                origins if len(origins) == 1 else np.append(origins, of, 0),
+            )
+        every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
         ends = (kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64), every, every)
         kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch))
         return Marks(*kernels.raycast.collect(*self._scratch))
+
+    def _beyond(self, scan: Scan, voxels: I64) -> tuple[F32, F64]:
+        """Ends and origins, (K, 3) each, of rays that may cross blocks and end in voxels without one, one for each.
+
+        In a tile of a map, points around the tile have no voxel.
+        """
+        rows = np.flatnonzero((voxels < 0) & self.reaching(scan.points, scan.origins))
+        rows = rows[in_key_range(scan.points[rows], self.resolution)]
+        places, which = _distinct(scan.origins)
+        which = which[rows] if len(which) > 1 else np.zeros(len(rows), np.int64)
+        index = np.floor(scan.points[rows].astype(np.float64) * self._per_metre).astype(np.int64)
+        keys = ((index + REACH) << SHIFTS).sum(1)
+        order = np.lexsort((which, keys))
+        keys, which = keys[order], which[order]
+        first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(which) != 0))[: len(keys)]
+        return ((unpack(keys[first]) + 0.5) * self.resolution).astype(np.float32), places[which[first]]
 
     def near(self, marks: Marks, hit: U64, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.

@@ -15,11 +15,14 @@ import dynaviz as dv
 from dynaviz.datasets.drives import OBJECTS, Drives
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Scan
+from dynaviz.spatial.blocks import BlockGrid
+from dynaviz.spatial.extent import Extent
 from dynaviz.testing import InMemory
 from dynaviz.tiling.grid import TileGrid, packed, unpacked
 from dynaviz.tiling.index import SequenceIndex
 from dynaviz.tiling.tile import CYCLE, NEAR, TileFrames, TileTask
 from dynaviz.viz.reader import AnyRecording, RunRecording
+from dynaviz_methods.clear_grid import ClearGrid
 
 SIZE = 12.0  # metres: the room lies in four tiles
 
@@ -183,6 +186,49 @@ def test_every_point_has_one_tile() -> None:
         assert (own >= low).all()
         assert (own < high).all()
     assert set(owners[::50].tolist()) == {packed((1, -2))}
+
+
+def test_the_points_of_a_tile_are_those_it_owns() -> None:
+    points = np.random.default_rng(2).uniform(-60, 60, (3000, 3)).astype(np.float32)
+    points[::50, 1], points[1::50, 2], points[2::50] = np.nan, np.inf, 64.0 - 37.0
+    grid, origin, pose = TileGrid(37.0), np.array([64.0, 0, 0]), np.eye(4)
+    pose[:3, 3] = 40, -20, 1
+    for offset in (np.zeros(3), origin):
+        scan = Scan(0, points, pose)
+        owners = grid.owners(scan.moved(offset))
+        tiles, of, counts = grid.counted(scan.moved(offset))
+        assert (tiles[of] == owners).all()
+        assert counts.tolist() == np.unique(owners, return_counts=True)[1].tolist()
+        for tile in tiles.tolist():
+            assert grid.rows(scan, unpacked(tile), offset).tolist() == np.flatnonzero(owners == tile).tolist()
+    nothing = Scan(0, points[:0], pose)
+    assert [len(found) for found in grid.counted(nothing)] == [0, 0, 0]
+    assert len(grid.rows(nothing, (0, 0), origin)) == 0
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_rays_that_end_beyond_a_tile_mark_its_voxels(several: bool) -> None:
+    random, pose = np.random.default_rng(3), np.eye(4)
+    near = random.uniform(-30, 30, (200, 3)).astype(np.float32) * np.float32([1, 1, 0.05])
+    points = np.concatenate([near, 2 * near])  # each ray to a far point passes a near one
+    points[::40] = np.nan
+    origins = random.integers(0, 2, (400, 1)) * np.array([[0.03, 0.0, 0.0]]) if several else None
+    scan = Scan(0, points, pose, origins=origins)
+    whole = Extent.of(scan)
+    cut = whole.cropped(np.array([8.0, 8.0]), np.array([30.0, 30.0]))
+
+    def marked(grid: BlockGrid, scan: Scan) -> dict[tuple[int, ...], list[int]]:
+        if isinstance(grid, ClearGrid):
+            marks = grid.mark_once(scan, grid.locate(scan.points))
+        else:
+            marks = grid.mark(scan, np.ones(len(scan), np.bool_), np.ones(len(scan), np.bool_))
+        return dict(zip(map(tuple, grid.blocks[marks.blocks].tolist()), marks.bits.tolist(), strict=True))
+
+    for kind in (BlockGrid, ClearGrid):
+        grid = kind(cut, 0.1)
+        own, expected = set(map(tuple, grid.blocks.tolist())), marked(kind(whole, 0.1), scan)
+        assert marked(grid, scan) == {block: bits for block, bits in expected.items() if block in own}
+        assert marked(grid, scan) != marked(grid, scan.chosen(np.flatnonzero(grid.locate(points) >= 0)))
 
 
 @pytest.mark.parametrize("size", [37.0, 1000.0])
