@@ -1,9 +1,10 @@
 """Scores with estimated poses on simulated drives, recorded as ROS bags whose points are not deskewed.
 
     python benchmarks/odometry.py [--method NAME] [--frames N] [--sensor vlp16] [--speed 8] [--refine]
+        [--odometries small-gicp kiss-icp]
 
 Writes a drive along a street with motion during the sweep as a bag with the true odometry, then runs a method on it
-twice: with the given poses, and with those of KISS-ICP, which sees the points and their times only. Ground truth comes
+with the given poses, and with those of each odometry, which sees the points and their times only. Ground truth comes
 from the simulator. Prints a table with the errors of the estimated poses and the scores.
 """
 
@@ -134,24 +135,28 @@ def write_drive(path: Path, preset: Preset, frames: int, seed: int = 0) -> list[
     return labels
 
 
-def errors(found: Sequence, true: Sequence) -> tuple[float, float]:
-    """Root mean square error of positions after alignment, and largest error of a step between frames, metres."""
+def errors(found: Sequence, true: Sequence) -> tuple[float, float, float, float]:
+    """Root mean square errors after alignment, metres and degrees; largest errors of a step between frames."""
     a, b = (np.array([s[k].T_world_sensor for k in range(len(s))]) for s in (found, true))
     x, y = a[:, :3, 3] - a[:, :3, 3].mean(0), b[:, :3, 3] - b[:, :3, 3].mean(0)
     turn, *_ = Rotation.align_vectors(y, x)
     steps = [geometry.compose(np.array([geometry.inverse(T) for T in T_ab[:-1]]), T_ab[1:]) for T_ab in (a, b)]
     step = np.linalg.norm(steps[0][:, :3, 3] - steps[1][:, :3, 3], axis=1)
-    return float(np.sqrt(((turn.apply(x) - y) ** 2).sum(1).mean())), float(step.max())
+    position = float(np.sqrt(((turn.apply(x) - y) ** 2).sum(1).mean()))
+    apart = Rotation.from_matrix(a[:, :3, :3] @ np.swapaxes(b[:, :3, :3], 1, 2))
+    rotation = float(np.degrees(np.sqrt(((apart.mean().inv() * apart).magnitude() ** 2).mean())))
+    twist = Rotation.from_matrix(np.swapaxes(steps[1][:, :3, :3], 1, 2) @ steps[0][:, :3, :3]).magnitude()
+    return position, rotation, float(step.max()), float(np.degrees(twist.max()))
 
 
-def variants(bag: Path, folder: Path, refined: bool) -> Iterator[tuple[str, Sequence]]:
+def variants(bag: Path, folder: Path, odometries: list[str], refined: bool) -> Iterator[tuple[str, Sequence]]:
     """The bag with each source of poses."""
-    given = dv.open(bag)
-    estimated, _ = open_estimated(str(bag), folder=folder)
-    yield "given", given
-    yield "`--poses kiss-icp`", estimated
-    if refined:
-        yield "`--poses kiss-icp --refine-poses`", refine(estimated)
+    yield "given", dv.open(bag)
+    for name in odometries:
+        estimated, _ = open_estimated(str(bag), name, folder=folder)
+        yield f"`--poses {name}`", estimated
+        if refined:
+            yield f"`--poses {name} --refine-poses`", refine(estimated)
 
 
 def main(arguments: Iterable[str] | None = None) -> None:
@@ -162,23 +167,27 @@ def main(arguments: Iterable[str] | None = None) -> None:
     parser.add_argument("--sensor", default="vlp16")
     parser.add_argument("--speed", type=float, default=8.0, help="m/s")
     parser.add_argument("--refine", action="store_true", help="also refine the estimated poses")
+    parser.add_argument("--odometries", nargs="*", default=["small-gicp", "kiss-icp"])
     parser.add_argument("--no-scores", action="store_true", help="print the errors of the poses only")
     options = parser.parse_args(None if arguments is None else list(arguments))
     street = PRESETS["street_hdl64" if options.sensor == "hdl64e" else "street_vlp16"]
     effects = replace(street.effects, sweep_s=SWEEP, raw=1)
     preset = replace(street, sensor=options.sensor, speed=options.speed, pose_noise=(0.0, 0.0), effects=effects)
-    print("| poses | error of positions | largest error of a step | SA | DA | AA |\n|---|---|---|---|---|---|")
+    names = ("poses", "positions", "rotations", "largest step", "largest turn", "SA", "DA", "AA")
+    print(f"| {' | '.join(names)} |\n{'|---' * len(names)}|")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         labels = write_drive(folder / "drive", preset, options.frames)
         true = dv.open(folder / "drive")
-        for name, sequence in variants(folder / "drive", folder, options.refine):
-            error, step = errors(sequence, true)
+        for name, sequence in variants(folder / "drive", folder, options.odometries, options.refine):
+            position, rotation, step, twist = errors(sequence, true)
             scores = ""
             if not options.no_scores:
                 found = dv.run(options.method, WithLabels(sequence, labels), record="none", threads=1).metrics
                 scores = " | ".join(f"{found[key] or 0:.2f}" for key in ("SA", "DA", "AA"))
-            print(f"| {name} | {error:.3f} m | {step:.3f} m | {scores} |", flush=True)
+            print(
+                f"| {name} | {position:.3f} m | {rotation:.2f}° | {step:.3f} m | {twist:.2f}° | {scores} |", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def clean(
         workers, scheduler: who runs the tiles, as for ``dynaviz.run``.
         keep_dynamic: file for the removed points, in any of the formats.
         frames, stride, points_in, deskew, extrinsic, sensor: as for ``dynaviz.open``.
-        poses: as for ``dynaviz.open``; None estimates poses with KISS-ICP if the sequence has none.
+        poses: as for ``dynaviz.open``; None estimates poses with small-gicp if the sequence has none.
         preset, config, settings, record, threads, command, progress, refine_poses: as for ``dynaviz.run``.
 
     Returns:

@@ -89,7 +89,7 @@ def clean(
 ) -> None:
     """Clean a map of moving objects: from raw data to a map, in one command.
 
-    Poses are estimated with KISS-ICP if there are none. Intensity, ring, time and all other attributes are kept.
+    Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other attributes are kept.
     Writes the map, and next to it a folder with a summary, the labels and a recording.
 
     \b

@@ -80,7 +80,7 @@ SensorName = Annotated[
 Poses = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE|kiss-icp",
+        metavar="FILE|small-gicp",
         help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag also a topic or "
         "TF frame.",
     ),

@@ -29,7 +29,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 POSES = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped")
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 SAMPLES = 5  # clouds used to determine the unit of the point times
-_POSES_HINT = "Estimate the poses with --poses kiss-icp, or give a trajectory of the lidar with --poses FILE"
+_POSES_HINT = "Estimate the poses with --poses small-gicp, or give a trajectory of the lidar with --poses FILE"
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
 # Folder names that do not identify a sequence.
 _GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
 _NO_POSES = (
-    "Estimate them with --poses kiss-icp, or give --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy "
+    "Estimate them with --poses small-gicp, or give --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy "
     "qz qw) or CSV with a header"
 )
 

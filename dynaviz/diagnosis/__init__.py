@@ -160,8 +160,7 @@ def _unreadable(errors: list[DataError]) -> Iterator[Finding]:
 
 
 _MISSING = (
-    "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. Any odometry, such as KISS-ICP, "
-    "can compute them"
+    "Give the sensor's poses: --poses FILE for files:PATH, or VIEWPOINT in PCD files. --poses small-gicp estimates them"
 )
 _LIDAR = "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
 

@@ -13,15 +13,17 @@ from typing import Any
 import numpy as np
 
 from dynaviz import registry
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, I64
 from dynaviz.io.atomic import write_atomic
 from dynaviz.odometry.contract import Odometry
+from dynaviz.odometry.motion import deskewed_along, smoothed
 from dynaviz.odometry.pose_table import without_points, write_pose_table
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import Trajectory
 
-FORMAT = 2  # of the cache; a change makes earlier caches invalid
+FORMAT = 3  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at
 
 
@@ -59,6 +61,8 @@ class EstimatedPoses:
 def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: Progress = silent) -> EstimatedPoses:
     """Estimate poses, or find those that an earlier call wrote into the same folder for the same data.
 
+    Sweeps that are not compensated for motion are registered twice.
+
     Args:
         name: of the odometry (``dynaviz list odometries``).
         sequence: its points are transformed to the sensor frame with its own poses.
@@ -74,26 +78,60 @@ def estimate(name: str, sequence: Sequence, folder: Path, raw: bool, progress: P
     kind: type[Odometry] = registry.load("odometries", name)
     file, note = folder / f"poses_{name}.csv", folder / f"poses_{name}.toml"
     sample = [sequence[k] for k in np.unique(np.linspace(0, len(sequence) - 1, _SAMPLES).astype(int))]
-    odometry = kind(reach_of(sample))
+    reach = reach_of(sample)
+    first = kind(reach)  # raises MissingDependency before the sequence is read
     key = _key(kind, name, sequence, sample)
     if (earlier := _cached(file, note, key)) is not None:
         return earlier
     start = time.monotonic()
+    way = _register(first, sequence, raw, None, progress)
+    if way.deskewed and len(set(way.moments.tolist())) == len(sequence) > 1:
+        way = _register(kind(reach), sequence, raw, smoothed(way.moments, way.poses), progress)
+    write_pose_table(file, way.frames, way.poses, way.moments if way.deskewed else None)
+    steps = np.linalg.norm(np.diff(way.poses[:, :3, 3], axis=0), axis=1)
+    found = EstimatedPoses(file, name, _version(kind), len(way.poses), round(float(steps.sum()), 3),
+                           round(time.monotonic() - start, 1), way.deskewed, key)  # fmt: skip
+    _save(note, found)
+    return found
+
+
+@dataclass(frozen=True)
+class _Way:
+    """The poses that one pass found.
+
+    Attributes:
+        poses: (frames, 4, 4) float64, metres.
+        moments: (frames,) int64, nanoseconds: the times to which they refer.
+        frames: the sweeps without points.
+        deskewed: whether times of points were used.
+    """
+
+    poses: F64
+    moments: I64
+    frames: list[Scan]
+    deskewed: bool
+
+
+def _register(odometry: Odometry, sequence: Sequence, raw: bool, path: Trajectory | None, progress: Progress) -> _Way:
+    """Register all sweeps.
+
+    The first pass (path None) leaves deskewing to the odometry, which does not know yet how the sensor moves on: the
+    first sweeps, and those where a vehicle brakes or pitches, stay distorted. The second deskews with the poses of the
+    first.
+    """
     poses, moments, frames, deskewed = [], list[int](), list[Scan](), False
     for done, scan in enumerate(stream(sequence), 1):
         points, times = _sensor_frame(scan, raw)
-        poses.append(odometry.register(points, times))
+        moment = _moment(scan, times, odometry.reference)
         deskewed |= times is not None
-        moments.append(_moment(scan, times, kind.reference))
+        if path is not None and times is not None:
+            own = (scan.stamp_ns or 0) + np.round(times * 1e9).astype(np.int64)
+            points, times = deskewed_along(points, own, path, moment), None
+        poses.append(odometry.register(points, times))
+        moments.append(moment)
         frames.append(without_points(scan))
-        progress("poses", done, len(sequence))
-    T = np.array(poses)
-    write_pose_table(file, frames, T, np.array(moments, np.int64))
-    steps = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    found = EstimatedPoses(file, name, _version(kind), len(T), round(float(steps.sum()), 3),
-                           round(time.monotonic() - start, 1), deskewed, key)  # fmt: skip
-    _save(note, found)
-    return found
+        progress("poses" if path is None else "poses, second pass", done, len(sequence))
+    return _Way(np.array(poses), np.array(moments, np.int64), frames, deskewed)
 
 
 def _sensor_frame(scan: Scan, raw: bool) -> tuple[F64, F64 | None]:

@@ -8,8 +8,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.errors import MissingDependency
-from dynaviz.spatial import geometry
-from dynaviz.spatial.trajectory import Trajectory, deskew
+from dynaviz.odometry.motion import deskewed_to_middle
 
 LONGEST, SHORTEST = 100.0, 20.0  # metres; bounds of the range that is used
 
@@ -50,23 +49,3 @@ class KissIcp:
         self._kiss.register_frame(points, np.empty(0))
         pose: F64 = np.array(self._kiss.last_pose, np.float64)
         return pose
-
-
-def deskewed_to_middle(points: F64, times: F64, motion: F64) -> F64:
-    """Points as the sensor in the middle of the sweep sees them, at constant velocity.
-
-    Args:
-        points: (N, 3) float64, metres, sensor frame, each at its own time.
-        times: (N,) float64, seconds.
-        motion: (4, 4) float64, metres: pose of the sensor at the last time in its frame at the first.
-
-    Returns:
-        (N, 3) float64, metres.
-    """
-    moments = np.round((times - times.min()) * 1e9).astype(np.int64)
-    last = int(moments.max())
-    if not last:
-        return points
-    path = Trajectory.of([0, last], [np.eye(4), motion])
-    start, _ = deskew(points, moments, path)
-    return geometry.apply(geometry.inverse(path.at([last // 2])[0]), start.astype(np.float64))

@@ -16,7 +16,7 @@ from dynaviz.odometry.reposed import ReposedSequence
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence, select_frames
 
-DEFAULT = "kiss-icp"
+DEFAULT = "small-gicp"
 
 
 def is_odometry(poses: str) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.io.atomic import write_atomic
+from dynaviz.odometry.motion import smoothed
 from dynaviz.scan import Scan
 from dynaviz.spatial.trajectory import Trajectory
 
@@ -20,8 +21,9 @@ def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I6
         file: CSV file.
         frames: the sweeps; only their numbers and stamps are used.
         poses: (frames, 4, 4) float64, metres.
-        moments: (frames,) int64, nanoseconds: the times to which the poses refer, if they are not the stamps. Stamps
-            and these times both have a line, so that no sweep lies outside.
+        moments: (frames,) int64, nanoseconds: the times to which the poses refer, if they are not the stamps. These
+            times, a few between them and the stamps have a line, so that no sweep lies outside, and straight lines
+            between the lines of the table follow the motion.
     """
     frames = tuple(frames)
     matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
@@ -31,7 +33,8 @@ def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I6
         first, rows = "index", list(zip((frame.index for frame in frames), poses, strict=True))
     else:
         own = np.array(stamps, np.int64)
-        first, trajectory = "stamp [ns]", Trajectory.of(own if moments is None else moments, poses)
+        first = "stamp [ns]"
+        trajectory = Trajectory.of(own, poses) if moments is None else smoothed(moments, poses)
         times = np.union1d(own, trajectory.times)
         rows = list(zip(times.tolist(), trajectory.at(times), strict=True))
     lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]

@@ -65,10 +65,10 @@ class TrueOdometry:
 
 @pytest.fixture
 def odometry(monkeypatch: pytest.MonkeyPatch) -> type[TrueOdometry]:
-    """``kiss-icp`` replaced by an odometry that knows the truth."""
+    """``small-gicp`` replaced by an odometry that knows the truth."""
     every = registry.handles
     target = f"{TrueOdometry.__module__}:TrueOdometry"
-    handle = registry.PluginHandle("odometries", "kiss-icp", target, "test", "1")
+    handle = registry.PluginHandle("odometries", "small-gicp", target, "test", "1")
     monkeypatch.setattr(registry, "handles", lambda kind: [handle] if kind == "odometries" else every(kind))
     monkeypatch.setattr(registry.PluginHandle, "load", _load)
     TrueOdometry.calls = 0
@@ -131,13 +131,13 @@ def test_poses_are_estimated_once(tmp_path: Path, odometry: type[TrueOdometry]) 
         assert cleaned.removals.removed == pytest.approx(given.removals.removed, rel=0.1)
     assert odometry.calls == FRAMES
     page = (tmp_path / "none_run/summary.md").read_text()
-    assert "Poses were estimated with kiss-icp" in page
-    again = dv.open(scans, poses=tmp_path / "none_run/poses_kiss-icp.csv")
+    assert "Poses were estimated with small-gicp" in page
+    again = dv.open(scans, poses=tmp_path / "none_run/poses_small-gicp.csv")
     np.testing.assert_allclose(again[3].T_world_sensor[:3, 3], [0.6, 0, 0], atol=1e-12)
 
 
 def test_given_poses_can_be_replaced_by_estimated_ones(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
-    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.pcd", poses="kiss-icp", frames="0:3")
+    cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map.pcd", poses="small-gicp", frames="0:3")
     assert (cleaned.poses.frames, odometry.calls) == (3, 3)
     assert cleaned.result.sequence.frames == 3
 
@@ -151,8 +151,8 @@ def test_poses_that_are_all_the_identity_count_as_none(tmp_path: Path, odometry:
 
 
 def test_another_sequence_does_not_use_the_poses_of_the_first(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
-    estimate("kiss-icp", room(frames=FRAMES), tmp_path, False)
-    estimate("kiss-icp", room(frames=FRAMES, seed=1), tmp_path, False)
+    estimate("small-gicp", room(frames=FRAMES), tmp_path, False)
+    estimate("small-gicp", room(frames=FRAMES, seed=1), tmp_path, False)
     assert odometry.calls == 2 * FRAMES
 
 

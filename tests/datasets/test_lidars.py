@@ -62,4 +62,4 @@ def test_mistakes(bag: Path) -> None:
     with pytest.raises(UsageError, match=r"--extrinsic /front=1: must name each lidar once\. Give /front=X,Y,Z,ROLL"):
         dv.open(f"{bag}#/front,/rear", extrinsic="/front=1")
     with pytest.raises(UsageError, match=r"poses are estimated for one lidar\. Estimate them for .*#/front, then"):
-        dv.open(f"{bag}#/front,/rear", poses="kiss-icp")
+        dv.open(f"{bag}#/front,/rear", poses="small-gicp")

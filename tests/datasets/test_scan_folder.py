@@ -145,7 +145,7 @@ def test_a_wrong_number_of_poses_is_reported(tmp_path: Path) -> None:
 
 def test_missing_poses_are_reported_with_the_flag(tmp_path: Path) -> None:
     for suffix in (".bin", ".ply"):
-        with pytest.raises(DataError, match=r"has no poses\. Estimate them with --poses kiss-icp, or give"):
+        with pytest.raises(DataError, match=r"has no poses\. Estimate them with --poses small-gicp, or give"):
             dv.open(write_scans(tmp_path / suffix, suffix))
     with pytest.raises(DataError, match=r"nowhere\.txt: cannot be read"):
         dv.open(tmp_path / ".bin", poses=tmp_path / "nowhere.txt")
