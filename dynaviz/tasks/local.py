@@ -1,4 +1,4 @@
-"""Runs tasks on this machine, each in its own process, so that a crash affects no other task."""
+"""Runs tasks on this machine in other processes, so that a crash affects no other task."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Generic
 
 from dynaviz.tasks.task import AnyTask, TaskProgress, clear, error_of, fail, sentence
+from dynaviz.tasks.worker import END
 
 END_TIMEOUT = 5.0  # seconds for a process to remove partial files before it is killed
 
@@ -58,15 +59,17 @@ class LocalExecutor(Generic[AnyTask]):
         out: folder of the whole work.
         workers: number of tasks that run at a time.
         report: called with the progress of the tasks, from other threads.
+        reuse: run several tasks in a process, one after another, which saves its start; else each has its own, whose
+            memory and time are those of the task.
     """
 
-    def __init__(self, out: Path, workers: int, report: TaskProgress[AnyTask]):
-        self._out, self._workers, self._report = out, workers, report
+    def __init__(self, out: Path, workers: int, report: TaskProgress[AnyTask], reuse: bool = False):
+        self._out, self._workers, self._report, self._reuse = out, workers, report, reuse
         self._threads = None if workers == 1 else max(1, (os.cpu_count() or 1) // workers)
 
     def run(self, todo: Sequence[AnyTask]) -> Iterator[AnyTask]:
         """Run tasks and yield each when it has ended, also if it failed; closing the iterator ends all processes."""
-        processes = WorkerProcesses()
+        processes = WorkerProcesses(self._reuse)
         pool = ThreadPoolExecutor(self._workers)
         try:
             ended = {
@@ -83,36 +86,48 @@ class LocalExecutor(Generic[AnyTask]):
 
 
 class WorkerProcesses:
-    """The processes that run tasks, one process per task."""
+    """The processes that run tasks.
 
-    def __init__(self) -> None:
+    Args:
+        reuse: keep a process whose task has ended for the next one.
+    """
+
+    def __init__(self, reuse: bool = False) -> None:
         self._alive: set[subprocess.Popen[bytes]] = set()
-        self._lock, self._ending = threading.Lock(), False
+        self._idle: list[subprocess.Popen[bytes]] = []
+        self._lock, self._ending, self._reuse = threading.Lock(), False, reuse
 
     def run(self, task: AnyTask, folder: Path, threads: int | None, report: TaskProgress[AnyTask]) -> None:
         """Run a task in a process and wait for it; its folder then contains its files, or ``error.json``."""
         folder.mkdir(parents=True, exist_ok=True)
         clear(task, folder)
-        with (folder / "error.log").open("wb") as log, self._child(log.fileno()) as child:
+        child, ended = self._take(folder / "error.log"), False
+        try:
             assert child.stdin
             assert child.stdout
+            content = pickle.dumps((task, folder, threads))
             with contextlib.suppress(BrokenPipeError):  # the process died; its exit code is checked below
-                child.stdin.write(pickle.dumps((task, folder, threads)))
+                child.stdin.write(len(content).to_bytes(8, "little") + content)
                 child.stdin.flush()
             for line in child.stdout:
+                if ended := line == END:
+                    break
                 phase, done, total = line.decode().rsplit(maxsplit=2)
                 report(task, phase, int(done), int(total))
-            code = child.wait()
-        if code == 0:
+        finally:
+            self._give_back(child, ended)
+        if ended and error_of(folder) is None:
             (folder / "error.log").unlink(missing_ok=True)
-        elif not self._ending and error_of(folder) is None:
-            fail(task, folder, death(code))
+        elif not ended and not self._ending and error_of(folder) is None:
+            fail(task, folder, death(child.returncode))
 
     def end(self) -> None:
         """End all processes, and start no more."""
         with self._lock:
             self._ending = True
-            alive = tuple(self._alive)
+            alive, idle = self._alive - set(self._idle), self._idle
+        for child in idle:
+            child.communicate()
         for child in alive:
             child.terminate()
         for child in alive:
@@ -121,23 +136,30 @@ class WorkerProcesses:
             except subprocess.TimeoutExpired:
                 child.kill()
 
-    @contextlib.contextmanager
-    def _child(self, log: int) -> Iterator[subprocess.Popen[bytes]]:
-        with self._lock:
+    def _take(self, log: Path) -> subprocess.Popen[bytes]:
+        """A process that waits for a task; a new one writes to the log until then."""
+        with self._lock, log.open("wb") as file:
             if self._ending:
                 raise KeyboardInterrupt
+            if self._idle:
+                return self._idle.pop()
             child = subprocess.Popen(
                 [sys.executable, "-P", "-m", "dynaviz.tasks.worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=log,
+                stderr=file,
                 start_new_session=sys.platform != "win32",
                 creationflags=DETACHED,
             )
             self._alive.add(child)
-        try:
-            yield child
-        finally:
+            return child
+
+    def _give_back(self, child: subprocess.Popen[bytes], ended: bool) -> None:
+        """Keep a process whose task has ended for the next task, or end it."""
+        with self._lock:
+            if keep := self._reuse and ended and not self._ending:
+                self._idle.append(child)
+        if not keep:
             with contextlib.suppress(BrokenPipeError):
                 child.communicate()
             self._alive.discard(child)

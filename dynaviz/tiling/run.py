@@ -192,7 +192,7 @@ def _executor(folder: Path, options: TileOptions) -> Iterator[Any]:
 
     if not options.scheduler:
         several = options.workers > 1
-        yield LocalExecutor(folder, options.workers, report) if several else InThisProcess(folder, report)
+        yield LocalExecutor(folder, options.workers, report, reuse=True) if several else InThisProcess(folder, report)
         return
     from dynaviz.tasks.cluster import DaskExecutor
 

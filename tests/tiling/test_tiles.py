@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid
 from dynaviz.spatial.extent import Extent
+from dynaviz.tasks.local import WorkerProcesses
 from dynaviz.testing import InMemory
 from dynaviz.tiling.grid import TileGrid, packed, unpacked
 from dynaviz.tiling.index import SequenceIndex
@@ -74,11 +77,40 @@ def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str,
     assert tiled.labels_sha256 == whole.labels_sha256
 
 
-def test_two_processes_give_the_same_labels(long_room: InMemory, tmp_path: Path) -> None:
+def test_two_processes_run_all_tiles_with_the_same_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
+
+    class Counted(subprocess.Popen):  # type: ignore[type-arg]
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            started.append(self)
+            super().__init__(*arguments, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Counted)
     folder = write_room(tmp_path / "room", frames=6)
     whole = dv.run("octomap", folder)
     tiled = dv.run("octomap", folder, out=tmp_path / "out", record="none", tiles=SIZE, workers=2)
     assert tiled.labels_sha256 == whole.labels_sha256
+    assert [process.returncode for process in started] == [0, 0], "four tiles, two processes"
+    assert {path.name for path in tmp_path.glob("out/tiles/*/*")} == {"answers.npz"}
+
+
+def test_a_process_that_dies_loses_one_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[subprocess.Popen[bytes]] = []
+    take = WorkerProcesses._take
+
+    def killed(processes: WorkerProcesses, log: Path) -> subprocess.Popen[bytes]:
+        taken.append(take(processes, log))
+        if len(taken) == 2:
+            taken[1].kill()
+        return taken[-1]
+
+    monkeypatch.setattr(WorkerProcesses, "_take", killed)
+    folder = write_room(tmp_path / "room", frames=6)
+    options = dict[str, Any](out=tmp_path / "out", record="none", tiles=SIZE, workers=2)
+    with pytest.raises(DataError, match=r"1 of 4 tiles failed \(.*killed by SIGKILL"):
+        dv.run("octomap", folder, **options)
+    assert len(list(tmp_path.glob("out/tiles/*/answers.npz"))) == 3
+    assert dv.run("octomap", folder, **options).labels_sha256 == dv.run("octomap", folder).labels_sha256
 
 
 def test_finished_tiles_are_kept_and_others_run(
