@@ -20,7 +20,7 @@ from dynaviz import api
 from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods import ground_height, seethrough
+from dynaviz_methods import ground_height, seethrough, trails
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
 CHOSEN = (
@@ -36,7 +36,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "waiting objects may be hit again": ({"seethrough.LEFT": -1e9}, ()),
     "no following": ({"seethrough.PROOF": 1 << 30}, ()),
     "followed objects may be hit again": ({"seethrough.STAYS": 1.0}, ()),
-    "what was there before may follow": ({"seethrough.BEFORE": seethrough.NEVER}, ()),
+    "what was there before may follow": ({"trails.BEFORE": trails.NEVER}, ()),
     "dynamic objects as a whole": ({"seethrough.FIRM": 1e30}, ()),
     "feet up to 0.8 m away": ({"seethrough.UNDER": 4}, ()),
     "neither following nor waiting": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
@@ -52,7 +52,7 @@ PARAMETERS = {
     "ground_height": (-100.0, 0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {"seethrough": seethrough, "ground_height": ground_height}
+MODULES = {"seethrough": seethrough, "ground_height": ground_height, "trails": trails}
 
 
 def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:

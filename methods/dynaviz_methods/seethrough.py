@@ -55,14 +55,13 @@ from dynaviz.spatial.blocks import VOXELS, read, voxels_of
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
 from dynaviz_methods.lookups import known
+from dynaviz_methods.trails import LATELY, Trails
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
-LATELY = 3  # number of scans for which the position of a dynamic object is remembered
 STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
 LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
-BEFORE = 10  # number of scans before the first dynamic object: what was already in its place then stays there
 RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
 UNSEEN = 0.05  # maximum mean vote around a point of a settled part
 FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
@@ -72,7 +71,6 @@ LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelle
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-NEVER = 1 << 30  # later than any scan
 FEW = 3  # minimum number of voting points of a dynamic object
 OBJECT = 30.0  # metres
 
@@ -192,15 +190,9 @@ class SeeThrough:
         )
         # One bit per voxel: ever hit; seen clear between two hits; seen clear after the last hit.
         self._order = tuple(self._grid.per_block(np.zeros((rows, 8), np.uint64)) for _ in range(3))
-        # For each quarter column: the last scan with a dynamic object, the number of scans in which that object was
-        # dynamic, and the first scan with one, for ``label`` and for ``observe``. Then the last scans with any points
-        # and with dynamic points, and the first with any.
-        places = 4 * len(self._ground) + 4
-        self._movers, self._so_far = _no_movers(places), _no_movers(places)
-        self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
-        self._first = np.full(places, NEVER, np.int32)
+        self._trails = Trails(4 * len(self._ground) + 4)  # by quarter column
         if isinstance(self._ground, RollingGroundHeight):
-            self._ground.watch(self._forget_columns)
+            self._ground.watch(self._trails.forget)
         self._observed = 0
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
@@ -217,10 +209,9 @@ class SeeThrough:
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
         self._observed += 1
-        reasons = self._judge(scan, points, voxels, places, self._so_far)
-        up = places[(reasons != LOW) & (reasons != FOOT)]
-        self._seen[up], self._first[up] = now, np.minimum(self._first[up], now)
-        self._dynamic[places[reasons == SEEN_THROUGH]] = now
+        reasons = self._judge(scan, points, voxels, places, self._trails.observed)
+        up = (reasons != LOW) & (reasons != FOOT)
+        self._trails.observe(places[up], places[reasons == SEEN_THROUGH], now)
         self._show(reasons, marks.blocks, crossed & ~hit, near)
 
     def label(self, scan: Scan) -> Labels:
@@ -230,17 +221,12 @@ class SeeThrough:
         scans in order.
         """
         if scan.index not in self._reasons:
-            reasons = self._judge(scan, *self._located(scan), self._movers)
+            reasons = self._judge(scan, *self._located(scan), self._trails.labelled)
             even, odd = np.append(reasons, np.zeros(len(reasons) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
         pairs = self._reasons[scan.index]
         reasons = np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
         return Labels(REMOVED[reasons], reasons)
-
-    def _forget_columns(self, columns: I64) -> None:
-        """Forget when points and dynamic objects were first seen in columns that are now elsewhere."""
-        for first in (self._first, self._movers[2], self._so_far[2]):
-            first[:-4].reshape(-1, 4)[columns] = NEVER
 
     def forget(self, index: int) -> None:
         """Drop the labels of a scan."""
@@ -249,12 +235,12 @@ class SeeThrough:
 
     def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
         """Label scans again, in order, as if none had been labelled; the stored labels stay."""
-        stored = self._reasons, self._movers
-        self._reasons, self._movers = {}, _no_movers(self._movers.shape[1])
+        stored = self._reasons, self._trails.restart()
+        self._reasons = {}
         try:
             return [self.label(scan) for scan in scans]
         finally:
-            self._reasons, self._movers = stored
+            self._reasons, self._trails.labelled = stored
 
     def _located(self, scan: Scan) -> tuple[F32, I64, I64]:
         """The scan's points (N, 3), their voxels (N,), -1 for none, and their quarter columns (N,)."""
@@ -299,10 +285,9 @@ class SeeThrough:
         evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
         size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers[:2])
-        last = self._dynamic[places]
-        left = kernels.objects.count(objects, n, (last >= now) & (self._seen[places] <= last + LATELY))
+        left = kernels.objects.count(objects, n, self._trails.left(places, now))
         between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
-        old = kernels.objects.count(objects, n, self._first[places] < movers[2][places] - BEFORE)
+        old = kernels.objects.count(objects, n, self._trails.old(places, movers))
         self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
         reasons = verdict[:n]
@@ -316,7 +301,7 @@ class SeeThrough:
         proven = (proof + dynamic).astype(np.int32)
         follows, by_point = (reasons > 0) & (reasons != WAITED), verdict[objects]
         settled = np.zeros(len(objects), np.bool_)
-        if movers is self._movers:  # labels; a mark of a mover in the scans so far may be too large
+        if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
             vote = np.append(votes / (1000 * self.params.votes * np.maximum(having, 1)), 0.0)
             settled = self._settled(points, by_point == SEEN_THROUGH, voxels, vote[objects])
         kernels.objects.leave(np.where(settled, np.int32(-1), objects), follows, proven, places, now, *movers)
@@ -429,9 +414,3 @@ class SeeThrough:
             emit("objects", PointClasses(CLASS[reasons]))
         if wants("low"):
             emit("low", Mask((reasons == LOW) | (reasons == FOOT)))
-
-
-def _no_movers(places: int) -> I32:
-    """(3, places) int32: last scan with a dynamic object, scans in which it was dynamic, and first scan with one."""
-    never = np.array([[-LATELY - 1], [0], [NEVER]], np.int32)
-    return np.tile(never, places)

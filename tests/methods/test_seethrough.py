@@ -19,7 +19,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.blocks import Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
-from dynaviz_methods import seethrough
+from dynaviz_methods import trails
 from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
@@ -152,12 +152,12 @@ def test_what_was_there_before_a_walker_came_is_not_followed(monkeypatch: pytest
     scans = [seen(k, GROUND, wall(), block(7.0, y), *([pillar] if k < last else [])) for k, y in enumerate(places)]
     n = len(GROUND) + len(wall()) + len(block(7.0, 0))
     followed = {}
-    for before in (seethrough.BEFORE, seethrough.NEVER):
-        monkeypatch.setattr(seethrough, "BEFORE", before)
+    for before in (trails.BEFORE, trails.NEVER):
+        monkeypatch.setattr(trails, "BEFORE", before)
         method = running(scans)
         codes = np.concatenate([method.label(scan).reasons[n:] for scan in scans[:last]])
         followed[before] = (codes == FOLLOWED_ON).sum()
-    assert followed[seethrough.NEVER] > 0, "without the rule it is followed"
+    assert followed[trails.NEVER] > 0, "without the rule it is followed"
     assert followed[10] == 0
 
 

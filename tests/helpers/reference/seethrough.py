@@ -14,12 +14,10 @@ from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods.ground_height import PIT, SLOPE
 from dynaviz_methods.seethrough import (
-    BEFORE,
     EMPTY,
     FEW,
     FIRM,
     HIGHEST,
-    LATELY,
     LEAST,
     LEFT,
     LEVEL,
@@ -33,6 +31,7 @@ from dynaviz_methods.seethrough import (
     WAITED_FOR,
     SeeThroughParams,
 )
+from dynaviz_methods.trails import BEFORE, LATELY
 from helpers.reference.octomap import Key, key, walk
 
 

@@ -1,0 +1,58 @@
+"""When each place was last and first seen with points, and with dynamic objects: the trails that objects follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaviz.arrays import I32, I64, Bool
+
+LATELY = 3  # number of scans for which the position of a dynamic object is remembered
+BEFORE = 10  # number of scans before the first dynamic object: what was already in its place then stays there
+NEVER = 1 << 30  # later than any scan
+
+
+class Trails:
+    """The scans in which places, such as quarter columns, had points above the ground and dynamic objects.
+
+    Attributes:
+        labelled, observed: (3, places) int32, of dynamic objects when scans are labelled, and when they are observed:
+            the last scan with one, the number of scans in which that one was dynamic, and the first scan with one.
+
+    Args:
+        places: number of places.
+    """
+
+    def __init__(self, places: int) -> None:
+        self.labelled, self.observed = _no_movers(places), _no_movers(places)
+        self._seen, self._dynamic = (np.full(places, -LATELY - 1, np.int32) for _ in range(2))
+        self._first = np.full(places, NEVER, np.int32)
+
+    def observe(self, up: I64, dynamic: I64, now: int) -> None:
+        """Note the places of points above the ground, and of objects that are dynamic by their votes, in this scan."""
+        self._seen[up], self._first[up] = now, np.minimum(self._first[up], now)
+        self._dynamic[dynamic] = now
+
+    def restart(self) -> I32:
+        """Forget the dynamic objects of labelled scans; returns them as they were."""
+        before, self.labelled = self.labelled, _no_movers(self.labelled.shape[1])
+        return before
+
+    def forget(self, columns: I64) -> None:
+        """Forget what was first seen in columns of four places that are now elsewhere."""
+        for first in (self._first, self.labelled[2], self.observed[2]):
+            first[:-4].reshape(-1, 4)[columns] = NEVER
+
+    def left(self, places: I64, now: int) -> Bool:
+        """(N,) bool: whether the last object ever seen in each place is dynamic, in this scan or later."""
+        last = self._dynamic[places]
+        left: Bool = (last >= now) & (self._seen[places] <= last + LATELY)
+        return left
+
+    def old(self, places: I64, movers: I32) -> Bool:
+        """(N,) bool: whether points were in each place more than ``BEFORE`` scans before the first of ``movers``."""
+        old: Bool = self._first[places] < movers[2][places] - BEFORE
+        return old
+
+
+def _no_movers(places: int) -> I32:
+    return np.tile(np.array([[-LATELY - 1], [0], [NEVER]], np.int32), places)
