@@ -8,7 +8,7 @@ written.
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 
 REACH = 1 << 15  # voxels to each side of the world's origin, as in OctoMap's keys of 16 bit
 SEQUENCE = np.uint64(0x03F79D71B4CB0A89)  # de Bruijn: its 64 windows of 6 bits differ, which numbers single bits
@@ -84,7 +84,7 @@ def keys_of(voxels, blocks):
     return keys
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def locate(points, per_metre, base, shape, top, children):
     """(N,) int64: voxel of each point, block number * 512 + index in the block; -1 if the grid has no block there.
 
@@ -94,7 +94,7 @@ def locate(points, per_metre, base, shape, top, children):
         base, shape, top, children: the directory.
     """
     found = np.full(len(points), np.int64(-1))
-    for i in range(len(points)):
+    for i in prange(len(points)):
         fx, fy, fz = points[i, 0] * per_metre, points[i, 1] * per_metre, points[i, 2] * per_metre
         if not (abs(fx) < REACH and abs(fy) < REACH and abs(fz) < REACH):  # also where not finite
             continue
@@ -111,11 +111,11 @@ def locate(points, per_metre, base, shape, top, children):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def read(voxels, bits):
     """(N,) bool: whether the bits of voxels (N,) are set in words (B, 8 or more); False for -1."""
     found = np.zeros(len(voxels), np.bool_)
-    for i in range(len(voxels)):
+    for i in prange(len(voxels)):
         if voxels[i] >= 0:
             found[i] = bits[voxels[i] >> 9, voxels[i] >> 6 & 7] >> np.uint64(voxels[i] & 63) & np.uint64(1)
     return found

@@ -9,7 +9,6 @@ from numba import njit, prange
 MOST = np.uint16(65535)
 LOW, HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 ONE, SEVEN, EIGHT, TOP = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
-BYTE = np.uint64(255)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -72,6 +71,13 @@ def grown(bits, sides, times):
     return here
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _add(counts, word):
+    """Add one to the counts (64,) whose bit is set; without branches, so that it is vectorised."""
+    for v in range(64):
+        counts[v] += np.uint16(word >> np.uint64(v) & ONE & np.uint64(counts[v] < MOST))
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def count(blocks, crossed, hit, near, hits, passed, clear):
     """Add one scan to the counts; they saturate at 65535.
@@ -89,21 +95,15 @@ def count(blocks, crossed, hit, near, hits, passed, clear):
         for w in range(8):
             struck = hit[r, w]
             through = crossed[r, w] & ~struck
-            if not struck | through:
-                continue
             free = through & ~near[r, w]
-            for y in range(8):
-                if not (struck | through) >> np.uint64(8 * y) & BYTE:
-                    continue
-                for v in range(8 * y, 8 * y + 8):
-                    bit, i = np.uint64(v), w << 6 | v
-                    if struck >> bit & ONE:
-                        if hits[block, i] < MOST:
-                            hits[block, i] += 1
-                    elif through >> bit & ONE and passed[block, i] < MOST:
-                        passed[block, i] += 1
-                        if free >> bit & ONE:
-                            clear[block, i] += 1
+            if struck:
+                _add(hits[block, w << 6 : (w << 6) + 64], struck)
+            if through:
+                crossings, clears = passed[block, w << 6 : (w << 6) + 64], clear[block, w << 6 : (w << 6) + 64]
+                for v in range(64):  # as in _add; what is not counted as passed is not counted as clear
+                    more = through >> np.uint64(v) & ONE & np.uint64(crossings[v] < MOST)
+                    crossings[v] += np.uint16(more)
+                    clears[v] += np.uint16(free >> np.uint64(v) & more)
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -66,12 +66,15 @@ def pits(surface, deep):
     """(X, Y) bool: cells that are reflections, not ground.
 
     They are more than ``deep`` below over three quarters of the known cells among the 5 x 5 cells around them, or below
-    all but one of them: stray returns far below the ground have few known cells around.
+    all but one of them: stray returns far below the ground have few known cells around. Unknown cells are infinite, and
+    not reflections.
     """
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
     for x in prange(rows):
         for y in range(columns):
+            if surface[x, y] == np.inf:
+                continue
             around, level = 0, 0
             for i in range(max(x - 2, 0), min(x + 3, rows)):
                 for j in range(max(y - 2, 0), min(y + 3, columns)):
@@ -118,23 +121,27 @@ def spanned(voxels, column, columns):
     """(2, 2) int64: lowest and highest key of the columns that contain voxels; lowest above highest if none."""
     bounds = np.empty((2, 2), np.int64)
     bounds[0], bounds[1] = 1 << 40, -(1 << 40)
+    last = np.int64(-1)
     for i in range(len(voxels)):
-        if voxels[i] >= 0:
-            c = column[voxels[i] >> 9]
+        if voxels[i] >> 9 != last:  # consecutive points often share a block
+            last = voxels[i] >> 9
+            if last < 0:
+                continue
+            c = column[last]
             for axis in range(2):
                 bounds[0, axis] = min(bounds[0, axis], columns[c, axis])
                 bounds[1, axis] = max(bounds[1, axis], columns[c, axis])
     return bounds
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def heights(points, voxels, column, columns, first, surface):
     """(N,) float32, metres: height of points (N, 3) above a surface whose first cell is column ``first``.
 
     Infinite for voxels -1, outside the surface, and where the surface is infinite.
     """
     found = np.full(len(voxels), np.float32(np.inf))
-    for i in range(len(voxels)):
+    for i in prange(len(voxels)):
         if voxels[i] >= 0:
             c = column[voxels[i] >> 9]
             x, y = columns[c, 0] - first[0], columns[c, 1] - first[1]

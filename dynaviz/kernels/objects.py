@@ -274,21 +274,28 @@ def local_level(points, chosen, height, cell, few):
         cell: edge of a cell, metres.
         few: minimum number of points.
     """
-    n, length = len(points), 1024
-    while length < 2 * chosen.sum():
+    keys, runs, last = np.full(len(points), np.int64(-1)), 0, np.int64(-1)
+    for i in range(len(points)):
+        if math.isfinite(points[i, 0]) and math.isfinite(points[i, 1]):
+            x, y = math.floor(points[i, 0] / cell), math.floor(points[i, 1] / cell)
+            if max(abs(x), abs(y)) < REACH:
+                keys[i] = (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH
+                if chosen[i] and keys[i] != last:
+                    runs, last = runs + 1, keys[i]
+    length = 1024
+    while length < 2 * runs:
         length *= 2
     slots, number, total = np.full(length, np.int64(-1)), np.zeros(length, np.int64), np.zeros(length, np.int64)
-    level = np.zeros(n, np.float32)
+    level = np.zeros(len(points), np.float32)
     for adds in (True, False):  # add the chosen points, then look up all points
-        for i in range(n):
-            if not (math.isfinite(points[i, 0]) and math.isfinite(points[i, 1])) or (adds and not chosen[i]):
+        s, last = np.int64(0), np.int64(-1)
+        for i in range(len(points)):
+            if keys[i] < 0 or (adds and not chosen[i]):
                 continue
-            x, y = math.floor(points[i, 0] / cell), math.floor(points[i, 1] / cell)
-            if not max(abs(x), abs(y)) < REACH:
-                continue
-            s = _slot(slots, (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH)
+            if keys[i] != last:  # consecutive points often share a cell
+                s, last = _slot(slots, keys[i]), keys[i]
             if adds:
-                slots[s] = (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH
+                slots[s] = last
                 number[s] += 1
                 total[s] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
             elif slots[s] >= 0 and number[s] >= few:

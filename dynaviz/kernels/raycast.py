@@ -72,6 +72,7 @@ def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
 
     j = ((kx >> 7) * shape[1] + (ky >> 7)) * shape[2] + (kz >> 7)
     ux, uy, uz = fx + _ahead(kx, sx, 127) * px, fy + _ahead(ky, sy, 127) * py, fz + _ahead(kz, sz, 127) * pz
+    dx, dy = sx << 6, sy << 3  # steps of i
     time = np.int64(START)
     while True:  # super-blocks
         until = min(min(ux, uy), min(uz, END))
@@ -97,11 +98,11 @@ def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
                     t = min(tx, min(ty, tz))
                     while t < limit:  # voxels; without branches, since the order of axes cannot be predicted
                         masks[slot, i >> 6] |= np.int64(1) << (i & 63)
-                        gx, gy, gz = t == tx, t == ty, t == tz
+                        gx, gy = t == tx, t == ty
                         tx += px if gx else 0
                         ty += py if gy else 0
-                        tz += pz if gz else 0
-                        i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
+                        tz += 0 if gx or gy else pz
+                        i += dx if gx else (dy if gy else sz)
                         t = min(tx, min(ty, tz))
                     if limit < END:
                         masks[slot, i >> 6] |= np.int64(1) << (i & 63)
@@ -222,10 +223,8 @@ def update_log_odds(log_odds, ever, blocks, bits, miss, hit, low, high):
             ever[block, w] |= crossed
             ever[block, 8 + w] |= struck
             if crossed | struck:
-                for v in range(64):
-                    value = log_odds[block, w << 6 | v]
-                    if crossed >> v & 1:
-                        value = max(value + miss, low)
-                    if struck >> v & 1:
-                        value = min(value + hit, high)
-                    log_odds[block, w << 6 | v] = value
+                values = log_odds[block, w << 6 : (w << 6) + 64]
+                for v in range(64):  # without branches, so that it is vectorised
+                    value = values[v]
+                    value = max(value + miss, low) if crossed >> v & 1 else value
+                    values[v] = min(value + hit, high) if struck >> v & 1 else value

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-TILE_ROWS, TILE_COLUMNS = 4, 32  # pixels per tile; the farthest range of a tile lets hidden blocks be skipped
+TILE_ROWS, TILE_COLUMNS = 4, 8  # pixels per tile; the farthest range of a tile lets hidden blocks be skipped
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 _ONE = np.uint64(1)
 _F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
@@ -202,6 +202,20 @@ def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
     return any_updated
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _remember(flags, updated, near, observed):
+    """Set and clear the bits of a block's voxels (8,) by flags (512,) as from ``_average``."""
+    for w in range(8):
+        seen, close = np.uint64(0), np.uint64(0)
+        for v in range(64):
+            flag = np.uint64(flags[w << 6 | v])
+            seen |= (flag & _ONE) << np.uint64(v)
+            close |= (flag >> _ONE) << np.uint64(v)
+        updated[w] |= seen
+        observed[w] |= seen
+        near[w] = near[w] & ~seen | close
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def integrate(
     active, blocks, size, position, axes, offsets, view, image, truncation, near_below, most,
@@ -224,7 +238,8 @@ def integrate(
     """
     trunc, below, heaviest = np.float32(truncation), np.float32(near_below), np.uint16(most)
     for lane in prange(lanes):
-        places, pixel, flags = np.empty(512, np.int32), np.empty(512, np.int32), np.empty(512, np.uint8)
+        places, pixel = np.empty(512, np.int32), np.empty(512, np.int32)
+        flags, marks = np.empty(512, np.uint8), np.empty(512, np.uint8)
         ranges, depths, some = np.empty(512, np.float32), np.empty(512, np.float32), np.empty((3, 512), np.float32)
         corner = np.empty(3, np.float64)
         for a in range(lane, len(active), lanes):
@@ -247,13 +262,8 @@ def integrate(
             own, heavy = distance[start : start + n], weight[start : start + n]
             if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags):
                 continue
-            for i in range(n):
-                if flags[i]:
-                    w, bit = places[i] >> 6, _ONE << np.uint64(places[i] & 63)
-                    updated[b, w] |= bit
-                    if flags[i] > 1:
-                        near[b, w] |= bit
-                    else:
-                        near[b, w] &= ~bit
-            for w in range(8):
-                observed[b, w] |= updated[b, w]
+            if n < 512:
+                marks[:] = 0
+                for i in range(n):
+                    marks[places[i]] = flags[i]
+            _remember(flags if n == 512 else marks, updated[b], near[b], observed[b])

@@ -177,6 +177,7 @@ def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owne
     i, tx, ty, tz = (kx & 7) << 6 | (ky & 7) << 3 | (kz & 7), fx, fy, fz
     end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
     time, here, stopped = np.int64(-1), True, False
+    dx, dy = sx << 6, sy << 3  # steps of i
     while True:  # blocks
         limit = min(min(ux, uy), min(uz, end))
         block = _block(bx, by, bz, shape, top, children) - 1
@@ -200,11 +201,11 @@ def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owne
                     break
                 if t >= limit:
                     break
-                gx, gy, gz = t == tx, t == ty, t == tz
+                gx, gy = t == tx, t == ty
                 tx += px if gx else 0
                 ty += py if gy else 0
-                tz += pz if gz else 0
-                i += ((sx << 6) if gx else 0) + ((sy << 3) if gy else 0) + (sz if gz else 0)
+                tz += 0 if gx or gy else pz
+                i += dx if gx else (dy if gy else sz)
                 t = min(tx, min(ty, tz))
         else:
             here = False
