@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, Intp
 from dynaviz.attributes import attributes_of
 from dynaviz.errors import UsageError
 from dynaviz.scan import Scan, Sequence, select_frames
 from dynaviz.sensors import Sensor
+from dynaviz.spatial.motion import smoothed
+from dynaviz.spatial.trajectory import Trajectory
 
 ESTIMATED = ("height", "rings", "elevation", "max_range", "rate", "points_per_sweep")
 SAMPLES = 7  # scans that are looked at
@@ -23,8 +25,12 @@ BIN = 0.01  # degrees; of the histogram of elevations
 FEW = 0.02  # share of the median row: fewer points are not a row
 MOST_ROWS = 300
 BEYOND = 20.0  # metres; range at which lasers 0.2 m apart differ by 0.6 degrees
+AROUND_SCAN = 2  # scans before and after a scan that show how the sensor moves
 PARALLAX = 4.0  # degrees; by which lasers 0.2 m apart differ at 3 m
 NEAR, AROUND, FARTHEST = 1.5, 12.0, 40.0  # metres; horizontal distances within which the ground is fitted
+TICK = 100_000  # nanoseconds; a vehicle that turns by 60 degrees per second turns by 0.006 degrees
+SAME_PLACE, MOST_LIDARS = 0.03, 8  # metres between the starts of two rays of one lidar; lidars on a vehicle
+FEWEST_RAYS = 0.05  # share of the rays that a lidar has at least
 LAYER = 0.1  # metres; thickness of layers in which the ground is looked for
 
 
@@ -35,38 +41,71 @@ class Rays:
     Attributes:
         ends: (N, 3) float64, metres: points as seen from the origins of their rays.
         ranges, elevations, azimuths: (N,) float64, metres and degrees.
+        lidars: (N,) int: number of the lidar that measured the point, if several were merged into one scan; from the
+            places on the vehicle where rays start.
     """
 
     ends: F64
     ranges: F64
     elevations: F64
     azimuths: F64
+    lidars: Intp
 
     @classmethod
-    def of(cls, scan: Scan) -> Rays:
-        """The rays of the finite points of a scan, in their order."""
+    def of(cls, scan: Scan, path: Trajectory | None = None) -> Rays:
+        """The rays of the finite points of a scan, in their order.
+
+        Args:
+            scan: the scan.
+            path: poses of the sensor during the scan by time, nanoseconds: a vehicle that pitches turns its rays
+                within a sweep. None to use the pose of the scan for all points.
+        """
+        T, of = scan.T_world_sensor[None], np.zeros(len(scan), np.intp)
+        if path is not None and scan.times is not None and scan.stamp_ns is not None:
+            moments = scan.stamp_ns + np.round(np.nan_to_num(scan.times.astype(np.float64)) * 1e9).astype(np.int64)
+            ticks, of = np.unique(moments // TICK, return_inverse=True)
+            T = path.at(ticks * TICK)
         with np.errstate(invalid="ignore", over="ignore"):
-            ends = (scan.points - scan.origins) @ scan.T_world_sensor[:3, :3]
+            ends = np.einsum("nji,nj->ni", T[of, :3, :3], scan.points - scan.origins)
+            starts = np.einsum("nji,nj->ni", T[of, :3, :3], scan.origins - T[of, :3, 3])
             ranges = np.sqrt((ends * ends).sum(1))
         chosen = np.isfinite(ranges) & (ranges > 0.1)
         ends, ranges = ends[chosen], ranges[chosen]
         elevations = np.degrees(np.arcsin(np.clip(ends[:, 2] / ranges, -1, 1)))
-        return cls(ends, ranges, elevations, np.degrees(np.arctan2(ends[:, 1], ends[:, 0])))
+        return cls(ends, ranges, elevations, np.degrees(np.arctan2(ends[:, 1], ends[:, 0])), _lidars(starts[chosen]))
+
+
+def _lidars(starts: F64) -> Intp:
+    """Number of the lidar of each ray, (N,); zeros if rays start in no small number of places."""
+    numbers = np.full(len(starts), -1, np.intp)
+    for lidar in range(MOST_LIDARS):
+        left = np.flatnonzero(numbers < 0)
+        if not len(left):
+            return numbers
+        near = ((starts[left] - starts[left[0]]) ** 2).sum(1) < SAME_PLACE**2
+        if near.sum() < FEWEST_RAYS * len(starts):
+            break
+        numbers[left[near]] = lidar
+    return np.zeros(len(starts), np.intp)
 
 
 def estimate_sensor(sequence: Sequence) -> Sensor:
     """Estimate the facts of the sensor of a sequence from a few of its scans; None where they do not show.
 
     Rows are the attribute ``ring`` if points have it, otherwise jumps of the azimuth in the order of the points, or
-    peaks in the elevations. The height is the distance of the sensor from the plane of the ground around it.
+    peaks in the elevations; of several lidars, those of the one that has the most. The height is the distance of the
+    sensor from the plane of the ground around it.
 
     Raises:
         DataError: for data that cannot be read.
     """
-    positions = np.unique(np.linspace(0, len(sequence) - 1, SAMPLES).astype(int)).tolist()
+    timed = sequence[0].times is not None
+    skipped = min(AROUND_SCAN, (len(sequence) - 1) // 2) if timed else 0  # scans with a path on both sides
+    positions = np.unique(np.linspace(skipped, len(sequence) - 1 - skipped, SAMPLES).astype(int)).tolist()
     scans = [sequence[k] for k in positions]
-    rays = [found for scan in scans if len((found := Rays.of(scan)).ranges) > 100]
-    if not rays:
+    paths = [_path(sequence, k, scan) for k, scan in zip(positions, scans, strict=True)]
+    rays = [Rays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
+    if not (rays := [each for each in rays if len(each.ranges) > 100]):
         return Sensor()
     rows = _rows(sequence, positions, rays)
     heights = [height for each in rays if (height := _height(each)) is not None]
@@ -84,6 +123,17 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
         rate=_rate(sequence, positions),
         points_per_sweep=None if rows else round(float(np.mean([len(each.ranges) for each in rays]))),
     )
+
+
+def _path(sequence: Sequence, position: int, scan: Scan) -> Trajectory | None:
+    """Poses from the scan before to the one after; None if points have no times."""
+    if scan.times is None or not len(scan) or not np.ptp(np.nan_to_num(scan.times)):
+        return None
+    near = [sequence[k] for k in range(max(position - AROUND_SCAN, 0), min(position + AROUND_SCAN + 1, len(sequence)))]
+    stamps = [each.stamp_ns for each in near]
+    if None in stamps or len(set(stamps)) < 3:
+        return None
+    return smoothed(np.array(stamps, np.int64), np.array([each.T_world_sensor for each in near]))
 
 
 def sentence(sensor: Sensor) -> str:
@@ -137,6 +187,8 @@ def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | N
     """Number of rows; None for a sensor without rows, or if they do not show."""
     attributes = [attributes_of(sequence, k) for k in positions]
     name = next((name for name in RINGS if all(name in each for each in attributes)), None)
+    if any(each.lidars.any() for each in rays) and (rows := _agreed(rays)):
+        return rows
     if name is not None:
         values = np.unique(np.concatenate([np.asarray(each[name]) for each in attributes]))
         if values.min() >= 0 and 1 < len(values) <= MOST_ROWS:
@@ -144,7 +196,17 @@ def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | N
     wraps = [_wraps(each) for each in rays]
     if None not in wraps and np.ptp(wraps) <= 2:  # type: ignore[arg-type]  # no None here
         return int(np.max(wraps))  # type: ignore[arg-type]  # likewise
-    return _peaks(np.concatenate([each.elevations for each in rays]))
+    return _peaks(np.concatenate([each.elevations for each in rays])) or _agreed(rays)
+
+
+def _agreed(rays: list[Rays]) -> int | None:
+    """Number of peaks in the elevations of a lidar, if it is the same in most scans; of the lidar that has the most."""
+    counts = []
+    for each in rays:
+        found = [_peaks(each.elevations[each.lidars == lidar]) for lidar in np.unique(each.lidars)]
+        counts.append(0 if None in found else max(count or 0 for count in found))
+    rows = int(np.median(counts))
+    return rows if rows and np.mean(np.array(counts) == rows) > 0.5 else None
 
 
 def _wraps(rays: Rays) -> int | None:

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.worlds import room
+from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
+from dynaviz.arrays import F64
 from dynaviz.errors import DataError, UsageError
-from dynaviz.scan import Sequence, select_frames
+from dynaviz.scan import Scan, Sequence, select_frames
 from dynaviz.sensing import estimate_sensor, sentence
 from dynaviz.sensors import Sensor, load_sensor, sensor_names
+from dynaviz.testing.world import InMemory
 
 
 def unknown(text: str) -> Sequence:
@@ -54,6 +57,50 @@ def test_near_points_of_lasers_mounted_higher_do_not_widen_the_field_of_view() -
     assert found.rings == 30
     assert found.elevation is not None
     assert found.elevation[1] == pytest.approx(2.0, abs=1.0)
+
+
+def turned(seconds: F64) -> F64:
+    """(N, 4, 4) poses of a vehicle that drives and pitches by 2 degrees within ten sweeps."""
+    T = np.tile(np.eye(4), (len(seconds), 1, 1))
+    T[:, 0, 3] = 8 * seconds
+    pitch = np.radians(2.0) * np.sin(2 * np.pi * seconds)
+    T[:, :3, :3] = Rotation.from_rotvec(pitch[:, None] * [0.0, 1.0, 0.0]).as_matrix()
+    return T
+
+
+def test_rows_are_counted_although_the_vehicle_pitches_within_a_sweep() -> None:
+    """Rays of a sweep start from many poses; with the times of points, each is seen from its own."""
+    shares, ring = np.tile(np.arange(400) / 400, 12), np.repeat(np.arange(12), 400)
+    shuffle = np.random.default_rng(0).permutation(len(ring))  # so that the order of points shows no rows
+    azimuth, elevation = 2 * np.pi * shares[shuffle], np.radians(-10 + 0.8 * ring[shuffle])
+    flat = 10 * np.cos(elevation)
+    points = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 10 * np.sin(elevation)])
+    scans = []
+    for k in range(7):
+        T, here = turned(0.1 * (k + shares[shuffle])), turned(np.array([0.1 * k]))[0]
+        world = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+        times = (0.1 * shares[shuffle]).astype(np.float32)
+        scans.append(Scan(k, world.astype(np.float32), here, k * 10**8, origins=T[:, :3, 3], times=times))
+    found = estimate_sensor(InMemory(scans, "bumps", Sensor()))
+    assert found.rings == 12
+    assert found.elevation == pytest.approx((-10.0, -1.2), abs=0.05)
+    blurred = [dataclasses.replace(scan, times=None) for scan in scans]
+    assert estimate_sensor(InMemory(blurred, "bumps", Sensor())).rings is None
+
+
+def test_rows_of_two_lidars_in_one_scan_are_not_added() -> None:
+    """Their rows are at other elevations, and their rays start from other places."""
+    azimuth, ring = np.tile(np.linspace(0, 2 * np.pi, 300, endpoint=False), 20), np.repeat(np.arange(20), 300)
+    elevation = np.radians(np.where(ring < 10, -8 + 1.1 * ring, 8.3 - 1.1 * (ring - 10)))
+    starts = np.where(ring[:, None] < 10, [0.0, 0.0, 0.0], [0.0, 0.1, -0.2])
+    flat = 12 * np.cos(elevation)
+    ends = np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 12 * np.sin(elevation)])
+    shuffle = np.random.default_rng(0).permutation(len(ring))
+    points = (starts + ends)[shuffle].astype(np.float32)
+    both = Scan(0, points, np.eye(4), origins=starts[shuffle])
+    assert estimate_sensor(InMemory([both], "pair", Sensor())).rings == 10
+    one = Scan(0, points, np.eye(4))
+    assert estimate_sensor(InMemory([one], "pair", Sensor())).rings != 10
 
 
 def test_a_method_gets_the_estimates_that_it_needs() -> None:

@@ -16,11 +16,11 @@ from dynaviz import registry
 from dynaviz.arrays import F64, I64
 from dynaviz.io.atomic import write_atomic
 from dynaviz.odometry.contract import Odometry
-from dynaviz.odometry.motion import deskewed_along, smoothed
 from dynaviz.odometry.pose_table import without_points, write_pose_table
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Scan, Sequence, stream
 from dynaviz.spatial import geometry
+from dynaviz.spatial.motion import deskewed_along, smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
 FORMAT = 3  # of the cache; a change makes earlier caches invalid

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.errors import MissingDependency
-from dynaviz.odometry.motion import deskewed_to_middle
+from dynaviz.spatial.motion import deskewed_to_middle
 
 LONGEST, SHORTEST = 100.0, 20.0  # metres; bounds of the range that is used
 

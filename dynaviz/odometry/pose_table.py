@@ -9,8 +9,8 @@ import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.io.atomic import write_atomic
-from dynaviz.odometry.motion import smoothed
 from dynaviz.scan import Scan
+from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
 

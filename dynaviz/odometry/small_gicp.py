@@ -12,8 +12,8 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.errors import MissingDependency
-from dynaviz.odometry.motion import deskewed_to_middle
 from dynaviz.spatial import geometry
+from dynaviz.spatial.motion import deskewed_to_middle
 
 FINEST, COARSEST = 0.05, 0.1  # metres; edge of the voxels that thin out sweeps
 DENSE = 50_000  # points; sweeps with more are thinned out with edges twice as long

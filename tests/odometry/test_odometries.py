@@ -15,10 +15,10 @@ from dynaviz.io.poses import read_poses
 from dynaviz.odometry.contract import Odometry
 from dynaviz.odometry.estimate import estimate
 from dynaviz.odometry.kiss_icp import KissIcp
-from dynaviz.odometry.motion import deskewed_to_middle
 from dynaviz.odometry.small_gicp import SmallGicp
 from dynaviz.scan import Scan
 from dynaviz.spatial import geometry
+from dynaviz.spatial.motion import deskewed_to_middle
 from dynaviz.testing.world import InMemory, crossing
 
 STEP = np.array([0.8, 0.1, 0.0])  # metres in a sweep

@@ -1,4 +1,4 @@
-"""Motion of the sensor between and during sweeps that an odometry registered."""
+"""Motion of the sensor between and during sweeps, from the poses of the sweeps."""
 
 from __future__ import annotations
 
