@@ -37,7 +37,7 @@ class Gain:
         """Why the gain may not apply to other movers, one clause each; empty if it is proven."""
         found = []
         if self.low <= 0:
-            found.append(f"the {100 * LEVEL:.0f} % interval of the gain over drawn movers includes zero")
+            found.append(f"the {100 * LEVEL:.0f} % interval of the gain over drawn movers is not above zero")
         if self.movers <= 0:
             found.append("AA does not rise if each mover counts once")
         if self.sa < -SA_LOSS:

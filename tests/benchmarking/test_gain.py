@@ -37,7 +37,7 @@ def test_a_gain_that_depends_on_one_mover_is_not():
     assert found.aa > 20
     assert found.low < 0 < found.high
     assert found.movers < 0.5
-    assert found.doubts[0] == "the 95 % interval of the gain over drawn movers includes zero"
+    assert found.doubts[0] == "the 95 % interval of the gain over drawn movers is not above zero"
     worse = gain([before], [result([(1000, 900)] + [(100, 30)] * 9)])
     assert "AA does not rise if each mover counts once" in worse.doubts
 
