@@ -14,6 +14,7 @@ from dynaviz.datasets import open_sequence
 from dynaviz.datasets.in_memory import ArraySequence
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
+from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
@@ -67,6 +68,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     if not checker.positions:
         raise errors[0]
     findings += _unreadable(errors)
+    if columns := list(check_columns(sequence, checker.indices[0], checker.positions[0])):
+        return Diagnosis.of(sequence.name, len(sequence), len(chosen), columns + findings)  # all else follows from it
     alignment_findings = list(_check_alignment(checker, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
     findings += alignment_findings  # first among equal confidence: other findings may follow from these
@@ -95,7 +98,8 @@ def quick_check(sequence: Sequence) -> tuple[Finding, ...]:
     try:
         for position in sorted({int(start) + k for start in starts for k in (0, gap)}):
             checker.check(position, few[position])
-        found = list(_check_alignment(checker, silent, quick=True))
+        columns = list(check_columns(sequence, checker.indices[0], checker.positions[0]))
+        found = columns or list(_check_alignment(checker, silent, quick=True))
     except DataError:
         return ()
     return tuple(finding for finding in found if finding.confidence <= Confidence.LIKELY)

@@ -37,7 +37,8 @@ def read_velodyne(path: str | os.PathLike[str], fields: int = 4) -> F32:
         if size % row:
             layout = f"{' '.join(FIELDS[:fields])}, float32"
             problem = f"ends in the middle of a point: {size} bytes is not a multiple of {row} ({layout})"
-            raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint="Copy the file again")
+            hint = "Copy the file again. If it has other columns, open its folder as files:PATH, which detects them"
+            raise DataError(Path(path), problem, at=f"byte {size - size % row}", hint=hint)
         return single(np.fromfile(file, "<f4")).reshape(-1, fields)
 
 

@@ -125,6 +125,43 @@ def test_a_jump_is_found_where_it_is() -> None:
     assert "jumps by 5." in found.findings[0].problem or "jumps by 4." in found.findings[0].problem
 
 
+def spinning(columns: int, order: tuple[int, ...] = (0, 1, 2, 3)) -> F32:
+    """A room of 12 x 8 m as 16 rows of a spinning lidar, with intensity and further columns."""
+    azimuth, elevation = np.tile(np.linspace(0, 2 * np.pi, 300), 16), np.radians(np.repeat(np.arange(-15, 17, 2), 300))
+    rays = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], 1)
+    ranges = (np.array([6.0, 4.0, 2.0]) / np.maximum(np.abs(rays), 1e-6)).min(1)
+    rows = np.zeros((len(rays), columns), np.float32)
+    rows[:, :3], rows[:, 3] = rays * ranges[:, None], np.random.default_rng(0).uniform(0, 1, len(rays))
+    rows[:, 4:] = np.repeat(np.arange(16), 300)[:, None]
+    rows[:, :4] = rows[:, order]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("rows", "confidence", "problem"),
+    [
+        (spinning(5), Confidence.CERTAIN, "5 columns (x y z intensity ring), but this layout reads 4"),
+        (spinning(4, (3, 0, 1, 2)), Confidence.LIKELY, "column 4 is negative at"),
+    ],
+)
+def test_wrong_columns(tmp_path: Path, rows: F32, confidence: Confidence, problem: str) -> None:
+    """In the layout of KITTI odometry, whose files have four columns."""
+    folder = tmp_path / "sequences/00/velodyne"
+    folder.mkdir(parents=True)
+    for frame in range(3):
+        rows.tofile(folder / f"{frame:06d}.bin")
+    np.savetxt(tmp_path / "sequences/00/poses.txt", np.tile(np.eye(4)[:3].ravel(), (3, 1)))
+    (tmp_path / "sequences/00/calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    found = doctor(dv.open(f"kitti_odometry:{tmp_path / 'sequences/00'}"))
+    assert names(found) == ["columns"], found
+    assert found.findings[0].confidence is confidence
+    assert problem in found.findings[0].problem
+    right = spinning(4)
+    for frame in range(3):
+        right.tofile(folder / f"{frame:06d}.bin")
+    assert "columns" not in names(doctor(dv.open(f"kitti_odometry:{tmp_path / 'sequences/00'}")))
+
+
 def test_an_origin_outside_its_cloud() -> None:
     far = np.eye(4)
     far[0, 3] = 500.0
