@@ -54,6 +54,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, read, voxels_of
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
+from dynaviz_methods.judgement import Judged, Measured
 from dynaviz_methods.lookups import known
 from dynaviz_methods.trails import LATELY, Trails
 
@@ -144,31 +145,6 @@ STATES = (
 CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0, 0], np.uint8)  # reason code to class of the legend
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """What decided the labels of the scan that was judged last.
-
-    Attributes:
-        index: number of the scan.
-        height: (N,) float32, metres above the ground, of each point; infinite if unknown.
-        objects: (N,) int32, the object of each point, -1 for none.
-        weighed: (10, objects) float64: points, voting points, sum of votes, points seen clear, points where an object
-            moved lately, scans in which that one moved, points where the last object moved, points seen clear between
-            two hits, points seen clear after the last hit, points where something was before any object moved.
-        settled: (N,) bool, in a settled part of a dynamic object.
-        under: (N,) bool, low and in or next to a dynamic object.
-        level: (N,) float32, metres: height of this scan's low points around each point.
-    """
-
-    index: int
-    height: F32
-    objects: I32
-    weighed: F64
-    settled: Bool
-    under: Bool
-    level: F32
-
-
 class SeeThrough:
     """SeeThrough; in online mode it labels each scan by the scans so far."""
 
@@ -194,6 +170,7 @@ class SeeThrough:
         if isinstance(self._ground, RollingGroundHeight):
             self._ground.watch(self._trails.forget)
         self._observed = 0
+        self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
@@ -209,7 +186,8 @@ class SeeThrough:
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
         self._observed += 1
-        reasons = self._judge(scan, points, voxels, places, self._trails.observed)
+        self._measured = self._measure(scan, points, voxels, places)
+        reasons = self._judge(self._measured, self._trails.observed)
         up = (reasons != LOW) & (reasons != FOOT)
         self._trails.observe(places[up], places[reasons == SEEN_THROUGH], now)
         self._show(reasons, marks.blocks, crossed & ~hit, near)
@@ -221,7 +199,10 @@ class SeeThrough:
         scans in order.
         """
         if scan.index not in self._reasons:
-            reasons = self._judge(scan, *self._located(scan), self._trails.labelled)
+            last = self._measured
+            if last is None or last.index != scan.index:
+                last = self._measure(scan, *self._located(scan))
+            reasons = self._judge(last, self._trails.labelled)
             even, odd = np.append(reasons, np.zeros(len(reasons) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
         pairs = self._reasons[scan.index]
@@ -248,45 +229,56 @@ class SeeThrough:
         voxels = self._grid.locate(points)
         return points, voxels, self._ground.quarters(voxels)
 
-    def _judge(self, scan: Scan, points: F32, voxels: I64, places: I64, movers: I32) -> U8:
+    def _measure(self, scan: Scan, points: F32, voxels: I64, places: I64) -> Measured:
+        """The height, object, counts and evidence of each point of an observed scan."""
+        params, counts = self.params, (self._hits, self._passed, self._clear)
+        height = self._ground.height(points, voxels, scan.position)
+        within, low = voxels >= 0, height <= params.ground_height
+        chosen = within & ~low & ~_high(height)
+        objects, n = kernels.objects.connect(points, chosen, params.gap, TALL * params.gap)
+        votes = kernels.objects.evidence(objects, n, voxels, *counts, params.votes)
+        between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
+        hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
+        found = (*votes, between, after), (hits, passed, clear)
+        return Measured(scan.index, points, voxels, places, height, objects, n, *found)
+
+    def _judge(self, measured: Measured, movers: I32) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8.
 
         ``movers`` holds the positions of dynamic objects in earlier scans; those of this scan are added.
         """
-        params, now = self.params, self._number[scan.index]
-        height = self._ground.height(points, voxels, scan.position)
+        params, now = self.params, self._number[measured.index]
+        points, voxels, height = measured.points, measured.voxels, measured.height
         within, low = voxels >= 0, height <= params.ground_height
-        high = (height > HIGHEST) & (height < np.inf)
-        objects, n = kernels.objects.connect(points, within & ~low & ~high, params.gap, TALL * params.gap)
-        verdict = self._movement(points, objects, n, voxels, places, now, movers)
+        verdict = self._movement(measured, now, movers)
         moves = REMOVED[verdict]
 
-        counts = (self._hits, self._passed, self._clear)
-        hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
+        hits, passed, clear = measured.counts
         reasons = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
-        reasons[high] = HIGH
+        reasons[_high(height)] = HIGH
         reasons[verdict == SETTLED] = SETTLED
         reasons[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
         reasons[moves] = verdict[moves]
         reasons[low] = LOW
         under = low & kernels.objects.in_or_next_to(points, moves, UNDER * params.resolution)
         level = kernels.objects.local_level(points, within & low & ~under & (height > -PIT), height, LEVEL, LEAST)
-        self._judged = _Judged(scan.index, height, objects, self._weighed, verdict == SETTLED, under, level)
+        of_objects = measured.objects, self._weighed
+        self._judged = Judged(measured.index, height, *of_objects, verdict == SETTLED, under, level)
         empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
         reasons[under & ((height - level > STANDS_OUT) | empty)] = FOOT
         reasons[~within] = OUT_OF_REACH
         return reasons
 
-    def _movement(self, points: F32, objects: I32, n: int, voxels: I64, places: I64, now: int, movers: I32) -> U8:
+    def _movement(self, measured: Measured, now: int, movers: I32) -> U8:
         """(N,) uint8: why each point's object is dynamic, ``SETTLED`` for its settled parts, or 0.
 
         Adds positions of dynamic objects to ``movers``.
         """
-        evidence = (voxels, self._hits, self._passed, self._clear, self.params.votes)
-        size, having, votes, touched = kernels.objects.evidence(objects, n, *evidence)
+        points, voxels, places = measured.points, measured.voxels, measured.places
+        objects, n = measured.objects, measured.n
+        size, having, votes, touched, between, after = measured.evidence
         lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers[:2])
         left = kernels.objects.count(objects, n, self._trails.left(places, now))
-        between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
         old = kernels.objects.count(objects, n, self._trails.old(places, movers))
         self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
@@ -343,7 +335,7 @@ class SeeThrough:
             rules = (*self._object_rules(asked, judged), *self._point_rules(asked, judged, hits, passed, clear))
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
 
-    def _object_rules(self, asked: Asked, judged: _Judged) -> tuple[Rule, ...]:
+    def _object_rules(self, asked: Asked, judged: Judged) -> tuple[Rule, ...]:
         """The rules that remove objects; points without an object have NaN."""
         of = judged.objects[asked.rows]
         weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
@@ -387,7 +379,7 @@ class SeeThrough:
             ),
         )
 
-    def _point_rules(self, asked: Asked, judged: _Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
+    def _point_rules(self, asked: Asked, judged: Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
         """The rules that remove single points: above the ground, and low under a dynamic object."""
         height, under, level = (of[asked.rows] for of in (judged.height, judged.under, judged.level))
         limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
@@ -414,3 +406,9 @@ class SeeThrough:
             emit("objects", PointClasses(CLASS[reasons]))
         if wants("low"):
             emit("low", Mask((reasons == LOW) | (reasons == FOOT)))
+
+
+def _high(height: F32) -> Bool:
+    """(N,) bool: points too high above the ground for a mover, from their heights in metres; infinite is unknown."""
+    high: Bool = (height > HIGHEST) & (height < np.inf)
+    return high
