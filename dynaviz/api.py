@@ -178,10 +178,13 @@ def run(
     budget = parse_bytes(record_budget) if isinstance(record_budget, str) else record_budget
     if tiles is not None:
         options = TileOptions(tiles, workers, scheduler, budget)
-        return _run_tiles(folder, recording, mode, spec, options, progress, maps)
-    if workers != 1 or scheduler:
+        result = _run_tiles(folder, recording, mode, spec, options, progress, maps)
+    elif workers != 1 or scheduler:
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
-    return _run_into(folder, recording, mode, spec, view, progress, maps=maps, budget=budget)
+    else:
+        result = _run_into(folder, recording, mode, spec, view, progress, maps=maps, budget=budget)
+    _warn_of_size(recording, result, budget)
+    return result
 
 
 def score(
@@ -291,6 +294,21 @@ def _warn_of_findings(sequence: Sequence) -> None:
     for finding in quick_check(sequence):
         advice = f"{finding.fix}. 'dynaviz doctor' examines all frames"
         warnings.warn(f"{sequence.name}: {finding.name}: {finding.problem}. {advice}", stacklevel=3)
+
+
+def _warn_of_size(recording: Path | None, result: Result, budget: int | None) -> None:
+    """Warn if the recordings are larger than their budget."""
+    if recording is None or budget is None:
+        return
+    paths = [recording]
+    if tiling := result.sections.tiling:
+        folders = [f"tiles/{tile.column}_{tile.row}" for tile in tiling.tile]
+        paths += [recording.parent / name for name in ("overview.rrd", *(f"{folder}/run.rrd" for folder in folders))]
+    sizes = [path.stat().st_size for path in paths if path.is_file()]
+    if sum(sizes) > budget:
+        files = "the recording has" if len(sizes) == 1 else f"{len(sizes)} recordings have"
+        problem = f"{files} {sum(sizes) / 1e6:.1f} MB, more than the budget of {budget / 1e6:.1f} MB"
+        warnings.warn(f"{problem}: labels, maps and cases are always recorded", stacklevel=3)
 
 
 def _recording(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode]:

@@ -9,7 +9,10 @@ from dynaviz.errors import UsageError
 _UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 ANSWER = 1.0  # bytes of the label, ground truth, reason and range band of a point, compressed; on simulated scans
 DRAWN = 1.0  # bytes per point of the sequence for the drawn points of frames
-FIXED = 3_000_000  # bytes of the map of the whole run, cases, texts and layout
+TEXTS = 1_000_000  # bytes of texts, curves and layout
+MAP, MAPPED = 5.0, 550_000  # bytes per point of the map of the whole run, and its points at most
+CASES = 20  # with the scan and the states of their worst frame
+CASE, CASE_STATES = 1.6, 80_000  # bytes of a case: per point of its scan, and of its states
 
 
 class Quota:
@@ -24,6 +27,7 @@ class Quota:
     def __init__(self, budget: int | None, points: int, frames: int, two_passes: bool = True) -> None:
         self._budget, self._points, self._frames = budget, points, max(frames, 1)
         self._first, self._answered = 0.5 if two_passes else 0.0, 0
+        self._fixed = fixed(points, self._frames)
 
     def answered(self, points: int) -> None:
         """Count the points of a scan whose labels are stored."""
@@ -41,13 +45,18 @@ class Quota:
             return True
         others = ANSWER + DRAWN
         done = (self._first if labels else 0.0) + (1 - self._first) * (frame + 1) / self._frames
-        room = self._budget - FIXED - others * self._points
+        room = self._budget - self._fixed - others * self._points
         return size - others * self._answered < room * done
 
     def drawing(self, size: int) -> bool:
         """Whether the drawn points of the next scan fit, given the bytes of the file so far."""
         left = (self._points - self._answered) * ANSWER
-        return self._budget is None or size + left < self._budget - FIXED
+        return self._budget is None or size + left < self._budget - self._fixed
+
+
+def fixed(points: int, frames: int) -> float:
+    """Bytes of what follows the frames, at most: the map of the whole run, cases, texts and layout."""
+    return TEXTS + MAP * min(points, MAPPED) + CASES * (CASE * points / max(frames, 1) + CASE_STATES)
 
 
 def parse_bytes(text: str) -> int:
