@@ -1,8 +1,8 @@
 """What tiles cost, on drives of a simulated street, and what they keep: labels, memory, and a run that loses a worker.
 
 python benchmarks/tiles.py equal [SEQUENCE]    labels of every method on tiles of 60 m and as a whole
-python benchmarks/tiles.py cost                processor time on tiles of 200 m and as a whole
-python benchmarks/tiles.py workers             elapsed time of two workers against one; set NUMBA_NUM_THREADS=1
+python benchmarks/tiles.py cost [METRES]       processor time on tiles of 200 m and as a whole; 1000 m
+python benchmarks/tiles.py workers [METRES]    elapsed time of two workers against one; set NUMBA_NUM_THREADS=1
                                                and run it with nothing else running
 python benchmarks/tiles.py memory              peak memory at 1, 4 and 16 times 1.25 km
 python benchmarks/tiles.py city                20 km on a Dask cluster of two workers, one of which is killed
@@ -56,22 +56,24 @@ def equal(sequence: str | None, folder: Path) -> None:
         print(f"{method:12} {differ:6} of {len(labels[0]):,} points differ", flush=True)
 
 
-def cost(folder: Path) -> None:
-    """Print processor time against a run without tiles."""
-    whole = drive(20_000, 1000.0, folder)
+def cost(metres: float, folder: Path) -> None:
+    """Print processor time against a run without tiles, for a road in the middle and on the border of tiles."""
+    on_border = drive(20_000, metres, folder)
+    in_middle = replace(on_border, block=[scan.moved(np.array([0.0, 100.0, 0.0])) for scan in on_border.block])
+    cases = (("whole", on_border, None), ("in the middle", in_middle, 200.0), ("on the border", on_border, 200.0))
     for method in ("octomap", "seethrough"):
+        dv.run(method, drive(2000, 2.0, folder), threads=1)  # loads the kernels
         spent = []
-        for name, tiles in (("whole", None), ("tiles", 200.0)):
+        for name, sequence, tiles in cases:
             start = time.process_time()
-            dv.run(method, whole, out=folder / f"{method}-{name}", record="none", tiles=tiles, threads=1)
+            dv.run(method, sequence, out=folder / f"{method} {name}", record="none", tiles=tiles, threads=1)
             spent.append(time.process_time() - start)
-        factor = spent[1] / spent[0]
-        print(f"{method}: {spent[0]:.0f} s as a whole, {spent[1]:.0f} s on tiles: x {factor:.2f}", flush=True)
+            print(f"{method} {name}: {spent[-1]:.0f} s, x {spent[-1] / spent[0]:.2f}", flush=True)
 
 
-def workers(folder: Path) -> None:
+def workers(metres: float, folder: Path) -> None:
     """Print elapsed time of the tiles of a drive with one and with two workers, each with one thread."""
-    whole = drive(20_000, 2000.0, folder)
+    whole = drive(20_000, metres, folder)
     elapsed = []
     for count in (1, 2):
         ends: dict[str, float] = {}
@@ -142,14 +144,19 @@ def _path() -> dict[str, str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("equal", "cost", "workers", "memory", "city"))
-    parser.add_argument("sequence", nargs="?")
+    parser.add_argument("argument", nargs="?", help="a sequence, or the length of the drive in metres")
     arguments = parser.parse_args()
     os.environ.update(_path())
     with TemporaryDirectory() as name:
+        folder = Path(name)
         if arguments.what == "equal":
-            equal(arguments.sequence, Path(name))
+            equal(arguments.argument, folder)
+        elif arguments.what == "cost":
+            cost(float(arguments.argument or 1000.0), folder)
+        elif arguments.what == "workers":
+            workers(float(arguments.argument or 1000.0), folder)
         else:
-            {"cost": cost, "workers": workers, "memory": memory, "city": city}[arguments.what](Path(name))
+            {"memory": memory, "city": city}[arguments.what](folder)
 
 
 if __name__ == "__main__":
