@@ -186,9 +186,10 @@ def warm_up(kind: type[Method], params: Any, sensor: Sensor, settings: Settings)
     Raises:
         UsageError: if the method needs facts of the sensor that are not known.
     """
-    from dynaviz.testing.world import crossing
+    from dynaviz.testing.world import SENSOR, crossing
 
-    session = LiveSession(kind(params), sensor, settings)
+    LiveSession(kind(params), sensor, settings)  # raises if a fact is missing
+    session = LiveSession(kind(params), SENSOR, settings)  # that of these scans, so that dynamic points are found
     for scan in crossing(8):
         session.add(scan.without_truth())
     session.revise()

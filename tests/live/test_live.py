@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
-from dynaviz import registry
+from dynaviz import kernels, registry
 from dynaviz.errors import UsageError
 from dynaviz.method import Live
 from dynaviz.online.session import LiveSession, Settings
@@ -196,3 +196,11 @@ def test_all_other_methods_run_live() -> None:
 def test_wrong_arrays_are_refused(points: object, pose: object, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         session("dufomap").update(points, pose)  # type: ignore[arg-type]
+
+
+def test_kernels_that_need_dynamic_points_are_compiled_before_the_first_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+    grow = kernels.clusters.grow
+    monkeypatch.setattr(kernels.clusters, "grow", lambda *given: calls.append(grow(*given)) or calls[-1])
+    dv.live("dynablox", sensor="hdl64e", reach=30)
+    assert len(calls) > 0, "clusters grow only from points in ever-free space"
