@@ -55,7 +55,7 @@ class ExploredRun:
             raise DataError(self.path, "contains scores alone, without points to explore", hint=hint)
         self.result: Result = result
         self.frames = self.recording.frames
-        self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn()}
+        self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)}
         self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}
         self._reasons = self.recording.reasons
         for frame, drawn in self._drawn.items():

@@ -244,8 +244,12 @@ class RunRecording(AnyRecording):
             yield answers.unscored() if frame in self._unscored else answers
 
     def drawn(self) -> Iterator[DrawnPoints]:
-        """The drawn points, frame by frame; none in ``scores`` mode."""
+        """The drawn points, frame by frame, of some frames none; nothing in ``scores`` mode."""
         for frame, components in self.rows(paths.SCAN):
+            if "Clear:is_recursive" in components:  # left out because of a budget
+                nothing = np.empty(0, np.int64)
+                yield DrawnPoints(frame, np.empty((0, 3), np.float32), nothing.astype(np.uint8), nothing, nothing)
+                continue
             if "Points3D:positions" not in components:
                 continue  # the incomplete last frame of a killed run
             xyz = components["Points3D:positions"]

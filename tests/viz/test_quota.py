@@ -56,3 +56,14 @@ def test_a_small_budget_leaves_out_states_and_points_but_no_label(tmp_path: Path
         sizes[budget] = sum(1 for path in ("world/octomap/log_odds", "world/scan") for _ in recording.rows(path))
         assert [len(each) for each in recording.answers()] == [len(scan) for scan in sequence.scans]
     assert sizes["1kB"] < sizes[None]
+
+
+def test_a_recording_without_drawn_points_can_be_compared(tmp_path: Path) -> None:
+    sequence = room(frames=4, rays=1500)
+    dv.run("octomap", sequence, out=tmp_path / "all", maps=False)
+    with pytest.warns(UserWarning, match="more than the budget of"):
+        dv.run("dufomap", sequence, out=tmp_path / "few", record_budget="1kB", maps=False)
+    recordings = [tmp_path / "all/run.rrd", tmp_path / "few/run.rrd"]
+    assert [len(points.xyz) for points in RunRecording(recordings[1]).drawn()] == [0] * 4
+    pair = dv.compare(*recordings, out=tmp_path / "compare.rrd").pairs[0]
+    assert pair.differ is not None
