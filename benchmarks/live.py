@@ -27,7 +27,7 @@ from dynaviz.method import Live
 from dynaviz.scan import Scan, Sequence
 
 SIZES = (30_000, 60_000, 120_000)
-SCANS, WARM = 100, 10
+SCANS, WARM = 80, 10
 QUANTILES = (50, 95, 99, 100)
 LONG, STEP = 10_000, 0.5  # scans, and metres between them
 

@@ -129,6 +129,7 @@ def play(
     """Play scans; their stamps decide when each one comes.
 
     A scan is dropped if the next one has come before the session is ready for it: like a robot's queue of length one.
+    Time stands still where the source is slower than its sensor, for example a simulation.
 
     Args:
         session: labels the scans.
@@ -140,11 +141,15 @@ def play(
     """
     clock = clock or WallClock()
     start = clock.now()
+    asked = first = start
     for frame, (due, scan, next_due) in enumerate(_scheduled(scans, report.rate, period)):
         if report.rate > 0:
             now = clock.now() - start
+            reading = min(clock.now() - asked, max(now - due, 0.0))
+            start, now = start + reading, now - reading
             if now >= next_due:
                 report.dropped.append(frame)
+                asked = clock.now()
                 continue
             if now < due:
                 clock.sleep(due - now)
@@ -155,7 +160,8 @@ def play(
         report.points += len(labels)
         report.dynamic += int(labels.dynamic.sum())
         shown(Played(frame, scan, labels, seconds))
-    report.seconds, report.restarts = clock.now() - start, session.restarts
+        asked = clock.now()
+    report.seconds, report.restarts = clock.now() - first, session.restarts
     return report
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -75,6 +76,20 @@ def test_scans_are_dropped_when_a_newer_one_has_come(
     assert (report.points, report.dynamic) == (4 * len(began), len(began))
     assert report.to_dict()["frames"] == 6
     assert f"dropped because a newer scan had come: {len(dropped)}" in str(report)
+
+
+def test_time_stands_still_while_a_slow_source_is_read() -> None:
+    clock = Simulated()
+
+    def simulation(seconds: float) -> Iterator[Scan]:
+        for scan in scans(6):
+            clock.time += seconds
+            yield scan
+
+    session: Any = Slow(clock, [0.05])
+    assert play(session, simulation(0.7), PlayReport("slow", "six", 1.0), clock=clock).dropped == []
+    late: Any = Slow(clock, [0.25])
+    assert play(late, simulation(0.7), PlayReport("slow", "six", 1.0), clock=clock).dropped == [1, 3, 4]
 
 
 def test_a_report_without_scans_has_no_latencies() -> None:
