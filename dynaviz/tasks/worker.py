@@ -32,7 +32,8 @@ def main() -> int:
     busy = threading.Event()
     threading.Thread(target=_receive, args=(received, busy), daemon=True).start()
     while content := received.get():
-        _run(*pickle.loads(content), _ProgressReporter(progress_lines))
+        task, folder, threads = pickle.loads(content)
+        _run(task, folder, threads, _ProgressReporter(progress_lines))
         busy.clear()
         progress_lines.write(END)
         progress_lines.flush()

@@ -24,11 +24,11 @@ class TileGrid:
 
     def owners(self, scan: Scan) -> I64:
         """(N,) int64: the packed tile of each point; points that are not finite belong to the sensor's tile."""
-        i, j = scan.points[:, 0].astype(np.float64), scan.points[:, 1].astype(np.float64)
+        x, y = scan.points[:, 0].astype(np.float64), scan.points[:, 1].astype(np.float64)
         if not np.isfinite(scan.points).all():
             lost = ~np.isfinite(scan.points).all(1)
-            i[lost], j[lost] = scan.position[:2]
-        i, j = (np.floor(along / self.size).astype(np.int64) + _HALF for along in (i, j))
+            x[lost], y[lost] = scan.position[:2]
+        i, j = (np.floor(along / self.size).astype(np.int64) + _HALF for along in (x, y))
         packed: I64 = i << 32 | j
         return packed
 
@@ -51,7 +51,8 @@ class TileGrid:
             near |= ~np.isfinite(scan.points).all(1)
         rows = np.flatnonzero(near)
         chosen = scan.chosen(rows)
-        return rows[self.owners(chosen.moved(origin) if origin.any() else chosen) == packed(tile)]
+        own: Intp = rows[self.owners(chosen.moved(origin) if origin.any() else chosen) == packed(tile)]
+        return own
 
     def bounds(self, tile: Tile) -> F64:
         """(2, 2) float64, metres: lower and upper corner of a tile in x and y."""
