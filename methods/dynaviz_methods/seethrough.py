@@ -18,7 +18,7 @@
         followed: also call an object dynamic if most of it is where a dynamic object was in the last scans that was
                   judged dynamic at least twice, any of its points was ever seen clear, at most 1 in 4 of these
                   between two hits: a car that arrives and parks, but not the wall that it passed; nor, with a mean vote
-                  of at most 0.1, what is mostly where something was seen more than 10 scans before any dynamic object
+                  of at most 0.1, what is mostly where something was seen more than 30 scans before any dynamic object
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
                   this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
                   exceed those between two hits by 7 in 100: a parked car that drives off

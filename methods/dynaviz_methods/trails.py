@@ -7,7 +7,7 @@ import numpy as np
 from dynaviz.arrays import I32, I64, Bool
 
 LATELY = 3  # number of scans for which the position of a dynamic object is remembered
-BEFORE = 10  # number of scans before the first dynamic object: what was already in its place then stays there
+BEFORE = 30  # number of scans before the first dynamic object: what was already in its place then stays there
 NEVER = 1 << 30  # later than any scan
 
 
