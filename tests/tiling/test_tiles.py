@@ -14,6 +14,7 @@ from helpers.toy_method import write_room
 from helpers.worlds import room
 
 import dynaviz as dv
+from dynaviz.arrays import F32
 from dynaviz.datasets.drives import OBJECTS, Drives
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Scan
@@ -201,6 +202,23 @@ def test_several_drives_are_one_map(tmp_path: Path, run_command: Callable[..., t
     assert [scan.index for scan in (both[0], both[6], both[11])] == [0, 6, 11]
     assert result.labels_sha256 == dv.run("octomap", both).labels_sha256
     assert dv.why(tmp_path / "run", 7, 0).sequence == "first+second"
+
+
+def test_a_car_that_is_gone_in_the_second_drive_is_removed_from_the_first(tmp_path: Path) -> None:
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.05), np.arange(-1, 1, 0.05)))
+    wall = np.stack([np.full(len(y), 15.0), y, z], 1).astype(np.float32)
+    behind = np.abs(y) < 1.5
+    parked = np.where(behind[:, None], wall * np.float32(0.4), wall)  # at 6 m, on the rays to the wall
+
+    def drive(points: F32) -> InMemory:
+        labels = (points[:, 0] < 10).astype(np.uint8)
+        return InMemory([Scan(k, points, np.eye(4), labels=labels) for k in range(4)], "drive", room(1).sensor)
+
+    both = Drives.of([drive(parked), drive(wall), drive(wall), drive(wall)])  # three misses outweigh a hit
+    result = dv.run("octomap", both, out=tmp_path, record="none", tiles=SIZE)
+    assert result.labels[0][behind].mean() > 0.9
+    assert not result.labels[0][~behind].any()
+    assert not result.labels[5].any()
 
 
 def test_every_point_has_one_tile() -> None:
