@@ -236,6 +236,16 @@ def _lag(found: Comparison, each: Interpretation) -> float:
     return float(np.linalg.norm(np.std(ways, axis=0)))
 
 
+def _outside(found: Comparison, each: Interpretation) -> float:
+    """Share of the scans whose sensor is farther from the middle of its cloud than nine of ten points."""
+    outside = []
+    for _, b in found.views:
+        middle = np.median(b.sample, axis=0)
+        radius = np.percentile(np.linalg.norm(b.sample - middle, axis=1), 90)
+        outside.append(np.linalg.norm(each.pose(b.T)[:3, 3] - middle) > radius)
+    return float(np.mean(outside))
+
+
 def _level(found: Comparison, each: Interpretation) -> bool:
     """Whether the sensor is at one height above the ground in most scans."""
     layers = [ground_layer(b, np.array([0.0, 0.0, 1.0]), each.pose(b.T)[:3, 3]) for _, b in found.views]
@@ -251,6 +261,8 @@ def _moves_sensor(found: Comparison, each: Interpretation) -> bool:
 def _hides_less_everywhere(found: Comparison, each: Interpretation) -> bool:
     """Whether fewer points are behind surfaces, of their own scan and of the other one, where the sensor moves."""
     if not _moves_sensor(found, each) or _lag(found, each) > _lag(found, AS_GIVEN) + LAG:
+        return False
+    if _outside(found, each) > _outside(found, AS_GIVEN):  # far away, a cloud hides nothing of itself
         return False
     forwards, turned = (facing(np.array([which.pose(b.T) for _, b in found.views])) for which in (AS_GIVEN, each))
     if forwards > 0.9 and turned < -0.5:
