@@ -22,7 +22,11 @@ def add_to(app: typer.Typer) -> None:
 
 def repair(
     broken: Annotated[
-        Path, typer.Argument(metavar="BROKEN.rrd", help="Damaged recording, or the .run.rrd.part of a killed run.")
+        Path,
+        typer.Argument(
+            metavar="BROKEN.rrd",
+            help="Damaged recording, .run.rrd.part of a killed run, or live-N.rrd of a live session.",
+        ),
     ],
     out: Annotated[
         Path | None,
@@ -68,5 +72,7 @@ def _summary(broken: Path, salvaged: SalvagedRecording) -> list[str]:
 def _recovered(salvaged: SalvagedRecording) -> str:
     if not salvaged.answered:
         return f"Recovered the states of {salvaged.observed} of {salvaged.frames} frames; no frame has labels yet."
+    if salvaged.live:
+        return f"Recovered {salvaged.answered} frames of a live session."
     result = " and the result" if salvaged.finished else ""
     return f"Recovered {salvaged.answered} of {salvaged.frames} frames{result}."

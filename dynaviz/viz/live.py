@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import subprocess
 import tempfile
@@ -186,8 +185,8 @@ class LiveRecording:
             stream.connect_grpc(viewer.url(self._port), default_blueprint=layout)
         stream.set_log_time_enabled(False)
         stream.send_recording_name(f"{self._name}: {self._info.name} {number}")
-        values = {"method": self._info.name, "source": self._name, "live": True}
-        stream.send_property(paths.PROPERTIES, rr.AnyValues(facts=json.dumps(values)))
+        values = rr.AnyValues(schema=paths.SCHEMA, method=self._info.name, source=self._name)
+        stream.send_property(paths.LIVE, values)
         stream.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
         circles = [limit * np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1) for limit in RINGS]

@@ -48,6 +48,7 @@ FAILURE_LIST = "report/failures"
 LOG = "log"
 
 PROPERTIES = "run"  # recording property: method, sequence, settings, and the complete result
+LIVE = "live"  # the same of a part of a live recording: method, source
 OVERVIEW = "overview"  # the same of the overview of a run on tiles: title, sequence, frames
 
 SOLID = (Points, PointClasses, Mask, Voxels, Plane)  # kinds of state drawn in the world

@@ -33,6 +33,7 @@ NEEDED = (  # properties that every recording of a run has
     "seed", "online", "complete",
 )  # fmt: skip
 COUNTS = ("schema", "frames", "points", "seed")  # properties that are integers
+OTHER_KINDS = {paths.OVERVIEW: "the overview of a run on tiles", paths.LIVE: "a live session"}
 COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
 
 
@@ -62,7 +63,7 @@ class AnyRecording:
         path: the file.
 
     Attributes:
-        kind: ``run``, ``comparison`` or ``overview``; also the name of its properties.
+        kind: ``run``, ``comparison``, ``live`` or ``overview``; also the name of its properties.
 
     Raises:
         DataError: if the file is not a recording of dynaviz, is incomplete, or was written by a newer dynaviz.
@@ -88,14 +89,26 @@ class AnyRecording:
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return int(self.properties["frames"])
+        return len(self.span) if self.kind == paths.LIVE else int(self.properties["frames"])
+
+    @property
+    def span(self) -> range:
+        """Frames that can be shown; a live recording may begin anywhere."""
+        if self.kind != paths.LIVE:
+            return range(self.frames)
+        with self.decoding():
+            times = self.store.stream().filter(content=f"/{paths.REMOVED_POINTS}/removed", has_timeline=paths.FRAME)
+            found = [frame for chunk in times for frame in chunk.to_record_batch()[paths.FRAME].to_pylist()]
+        return range(min(found), max(found) + 1) if found else range(0)
 
     def facts(self) -> dict[str, str]:
         """A summary for display: names and values."""
-        p = self.properties
+        p, size = self.properties, f"{self.path.stat().st_size / 1e6:.1f} MB"
         if self.kind == paths.OVERVIEW:
-            size = f"{self.path.stat().st_size / 1e6:.1f} MB"
             return {"overview": p["title"], "sequence": p["sequence"], "frames": f"{self.frames:,}", "size": size}
+        if self.kind == paths.LIVE:
+            span = f"{self.span[0]} to {self.span[-1]}" if self.span else "none"
+            return {"live": p["method"], "source": p["source"], "frames": span, "size": size}
         with self.decoding():
             letters = {
                 run["letter"]: f"{run['name']}, {run['path']}" for run in json.loads(p["comparison_json"])["runs"]
@@ -106,7 +119,7 @@ class AnyRecording:
             "digest": p["digest"],
             "frames": f"{self.frames:,}",
             **letters,
-            "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
+            "size": size,
         }
 
     def curve(self, path: str) -> tuple[I64, F64]:
@@ -145,7 +158,7 @@ class AnyRecording:
                 yield frame, merged
 
     def _read_properties(self) -> tuple[str, dict[str, Any]]:
-        for kind in (paths.PROPERTIES, COMPARISON, paths.OVERVIEW):
+        for kind in (paths.PROPERTIES, COMPARISON, *OTHER_KINDS):
             properties = {name: value[0] for name, value in self.static(f"__properties/{kind}").items()}
             if "schema" in properties:
                 break
@@ -176,7 +189,7 @@ class RunRecording(AnyRecording):
     def __init__(self, path: str | os.PathLike[str]):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
-            kind = "a comparison" if self.kind == COMPARISON else "the overview of a run on tiles"
+            kind = OTHER_KINDS.get(self.kind, "a comparison")
             raise DataError(self.path, f"contains {kind}, not a run", hint="Give the run.rrd of a run")
         self._unscored: frozenset[int] = frozenset()
 

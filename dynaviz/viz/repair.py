@@ -15,7 +15,7 @@ from dynaviz.viz import chunks, paths, viewer
 from dynaviz.viz.reader import MAGIC, AnyRecording, RunRecording, open_store
 from dynaviz.viz.sink import of_part
 
-_HINT = "Give the run.rrd of a run, or the .run.rrd.part of a killed run"
+_HINT = "Give the run.rrd of a run, the .run.rrd.part of a killed run, or a live-N.rrd"
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class SalvagedRecording:
         frames: frames of the whole run; 0 if unknown.
         finished: whether the run finished, so that its result is there.
         damaged: number of damaged chunks, which are left out.
+        live: whether it is of a live session, which has no result and no number of frames of its own.
     """
 
     path: Path | None
@@ -37,6 +38,7 @@ class SalvagedRecording:
     frames: int = 0
     finished: bool = False
     damaged: int = 0
+    live: bool = False
 
     @property
     def whole(self) -> bool:
@@ -52,7 +54,8 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
         out: where to write it; None for the recording's own name, or ``run-repaired.rrd`` if that exists.
 
     Raises:
-        DataError: if the file cannot be read, is not the recording of a run, or ``out`` cannot be written.
+        DataError: if the file cannot be read, is not the recording of a run or of a live session, or ``out`` cannot
+            be written.
         UsageError: if ``out`` exists, or the file is the recording of a comparison.
     """
     broken = Path(broken)
@@ -68,7 +71,7 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
             kind = AnyRecording(salvaged).kind
         except DataError:  # not even the properties were written, or they are damaged
             return SalvagedRecording(None, damaged=damaged)
-        if kind != paths.PROPERTIES:
+        if kind not in (paths.PROPERTIES, paths.LIVE):
             raise UsageError(f"{broken} contains a {kind}, not a run. Write it again with dynaviz compare")
         found = _count_frames(salvaged)
         if not found.observed:
@@ -130,8 +133,10 @@ def _count_frames(path: Path) -> SalvagedRecording:
     """Count the frames in a recording that opens.
 
     Raises:
-        DataError: if it is not the recording of a run.
+        DataError: if it is not the recording of a run or of a live session.
     """
+    if (live := AnyRecording(path)).kind == paths.LIVE:
+        return SalvagedRecording(path, live.frames, live.frames, live.frames, finished=True, live=True)
     recording = RunRecording(path)
     answered = 0
     with contextlib.suppress(DataError):  # for a damaged frame

@@ -128,10 +128,10 @@ def _frames(
     progress: Progress,
 ) -> list[Path]:
     """Pictures of frames."""
-    count = source.frames
-    frames = tuple(frames) or (max(count - 1, 0),)
-    if wrong := [frame for frame in frames if not 0 <= frame < max(count, 1)]:
-        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames 0 to {count - 1}")
+    span = source.span or range(1)
+    frames = tuple(frames) or (span[-1],)
+    if wrong := [frame for frame in frames if frame not in span]:
+        raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames {span[0]} to {span[-1]}")
     files = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
     with _window(source, size) as client:
         for file, png in zip(files, _at_frames(client, frames, _picture(client, view), progress), strict=True):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
-from dynaviz.errors import UsageError
+from dynaviz.errors import DataError, UsageError
 from dynaviz.method import Labels
 from dynaviz.online.player import PlayReport, play
 from dynaviz.playback import play_live
@@ -125,3 +125,22 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
     assert report.dynamic == sum(int(online.labels[frame].sum()) for frame in range(5))
     assert len(report.latencies) == 5
     assert not report.dropped
+
+
+def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
+    from dynaviz.viz.reader import AnyRecording, RunRecording
+    from dynaviz.viz.repair import repair
+
+    play_live(InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0)
+    whole = tmp_path / "live" / "live-000000.rrd"
+    assert (AnyRecording(whole).kind, AnyRecording(whole).span) == ("live", range(5))
+    killed = tmp_path / "live-000001.rrd"
+    killed.write_bytes(whole.read_bytes()[: whole.stat().st_size * 9 // 10])
+    with pytest.raises(DataError, match="dynaviz repair"):
+        AnyRecording(killed)
+    salvaged = repair(killed, tmp_path / "repaired.rrd")
+    assert salvaged.live
+    assert salvaged.path is not None
+    assert 0 < salvaged.answered == len(AnyRecording(salvaged.path).span) <= 5
+    with pytest.raises(DataError, match="contains a live session, not a run"):
+        RunRecording(salvaged.path)
