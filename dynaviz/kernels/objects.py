@@ -27,6 +27,34 @@ def _root(parent, i):
 
 
 @njit(cache=True, nogil=True)
+def _cells(points, chosen, size, tall):
+    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
+
+    Then the hash table of the cells: the keys by slot, and the numbers of the cells by slot.
+    """
+    n, length = chosen.sum(), 16
+    while length < 2 * n:
+        length *= 2
+    slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
+    cells, count, mine = np.empty(n, np.int64), 0, np.full(len(points), np.int32(-1))
+    s, last = np.int64(0), np.int64(-1)
+    for i in range(len(points)):
+        if not chosen[i]:
+            continue
+        x = np.int64(math.floor(points[i, 0] / size)) + REACH
+        y = np.int64(math.floor(points[i, 1] / size)) + REACH
+        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
+        key = x << X_SHIFT | y << Y_SHIFT | z
+        if key != last:  # consecutive points often share a cell
+            s, last = _slot(slots, key), key
+        if slots[s] < 0:
+            slots[s], ranks[s], cells[count] = key, count, key
+            count += 1
+        mine[i] = ranks[s]
+    return mine, cells[:count], slots, ranks
+
+
+@njit(cache=True, nogil=True)
 def connect(points, chosen, size, tall):
     """Join the chosen points to objects: connected components of cells that share a face, an edge or a corner.
 
@@ -39,27 +67,8 @@ def connect(points, chosen, size, tall):
         (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
-    n = chosen.sum()
-    length = 16
-    while length < 2 * n:
-        length *= 2
-    slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
-    cells, parent, count = np.empty(n, np.int64), np.empty(n, np.int64), 0
-    mine = np.full(len(points), np.int32(-1))
-    s, last = np.int64(0), np.int64(-1)
-    for i in range(len(points)):
-        if not chosen[i]:
-            continue
-        x = np.int64(math.floor(points[i, 0] / size)) + REACH
-        y = np.int64(math.floor(points[i, 1] / size)) + REACH
-        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
-        key = x << X_SHIFT | y << Y_SHIFT | z
-        if key != last:  # consecutive points often share a cell
-            s, last = _slot(slots, key), key
-        if slots[s] < 0:
-            slots[s], ranks[s], cells[count], parent[count] = key, count, key, count
-            count += 1
-        mine[i] = ranks[s]
+    mine, cells, slots, ranks = _cells(points, chosen, size, tall)
+    count, parent = len(cells), np.arange(len(cells))
     for c in range(count):
         for j in range(13):  # half of the 26 neighbours; the other half is covered from their side
             key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
@@ -185,28 +194,15 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
         Two arrays (N,) float64: mean vote of the points that vote, from 0 to 1, and mean evidence against votes of all
         points, scans. Zero for points that are not chosen.
     """
-    n, length = chosen.sum(), 16
-    while length < 2 * n:
-        length *= 2
-    slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
-    cells, sums, count = np.empty(n, np.int64), np.zeros((n, 4), np.int64), 0
-    mine = np.full(len(points), np.int32(-1))
+    mine, cells, slots, ranks = _cells(points, chosen, size, tall)
+    count, sums = len(cells), np.zeros((len(cells), 4), np.int64)
     for i in range(len(points)):
-        if not chosen[i]:
+        if mine[i] < 0:
             continue
-        x = np.int64(math.floor(points[i, 0] / size)) + REACH
-        y = np.int64(math.floor(points[i, 1] / size)) + REACH
-        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
-        s = _slot(slots, x << X_SHIFT | y << Y_SHIFT | z)
-        if slots[s] < 0:
-            slots[s] = cells[count] = x << X_SHIFT | y << Y_SHIFT | z
-            ranks[s] = count
-            count += 1
-        mine[i] = ranks[s]
         block, place = voxels[i] >> 9, voxels[i] & 511
         seen, hit, crossed = np.int64(clear[block, place]), np.int64(hits[block, place]), np.int64(passed[block, place])
         against = hit + 3 * (crossed - seen)
-        own = sums[ranks[s]]
+        own = sums[mine[i]]
         own[0] += 1
         own[1] += hit > 1 or crossed > 0
         own[2] += 1000 * min(seen, votes) * min(3 * seen, against) // against

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import warnings
@@ -33,8 +34,13 @@ NEEDED = (  # properties that every recording of a run has
     "seed", "online", "complete",
 )  # fmt: skip
 COUNTS = ("schema", "frames", "points", "seed")  # properties that are integers
-OTHER_KINDS = {paths.OVERVIEW: "the overview of a run on tiles", paths.LIVE: "a live session"}
 COMPARISON = "comparison"  # properties of a comparison of runs; those of a run are ``paths.PROPERTIES``
+KINDS = {
+    paths.PROPERTIES: "a run",
+    COMPARISON: "a comparison",
+    paths.OVERVIEW: "the overview of a run on tiles",
+    paths.LIVE: "a live session",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +97,7 @@ class AnyRecording:
         """Number of frames."""
         return len(self.span) if self.kind == paths.LIVE else int(self.properties["frames"])
 
-    @property
+    @functools.cached_property
     def span(self) -> range:
         """Frames that can be shown; a live recording may begin anywhere."""
         if self.kind != paths.LIVE:
@@ -158,7 +164,7 @@ class AnyRecording:
                 yield frame, merged
 
     def _read_properties(self) -> tuple[str, dict[str, Any]]:
-        for kind in (paths.PROPERTIES, COMPARISON, *OTHER_KINDS):
+        for kind in KINDS:
             properties = {name: value[0] for name, value in self.static(f"__properties/{kind}").items()}
             if "schema" in properties:
                 break
@@ -189,8 +195,7 @@ class RunRecording(AnyRecording):
     def __init__(self, path: str | os.PathLike[str]):
         super().__init__(path)
         if self.kind != paths.PROPERTIES:
-            kind = OTHER_KINDS.get(self.kind, "a comparison")
-            raise DataError(self.path, f"contains {kind}, not a run", hint="Give the run.rrd of a run")
+            raise DataError(self.path, f"contains {KINDS[self.kind]}, not a run", hint="Give the run.rrd of a run")
         self._unscored: frozenset[int] = frozenset()
 
     def leave_out(self, frames: Iterable[int]) -> None:

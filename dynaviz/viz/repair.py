@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.viz import chunks, paths, viewer
-from dynaviz.viz.reader import MAGIC, AnyRecording, RunRecording, open_store
+from dynaviz.viz.reader import COMPARISON, KINDS, MAGIC, AnyRecording, RunRecording, open_store
 from dynaviz.viz.sink import of_part
 
 _HINT = "Give the run.rrd of a run, the .run.rrd.part of a killed run, or a live-N.rrd"
@@ -72,7 +72,8 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
         except DataError:  # not even the properties were written, or they are damaged
             return SalvagedRecording(None, damaged=damaged)
         if kind not in (paths.PROPERTIES, paths.LIVE):
-            raise UsageError(f"{broken} contains a {kind}, not a run. Write it again with dynaviz compare")
+            again = "Write it again with dynaviz compare" if kind == COMPARISON else "Run the method again"
+            raise UsageError(f"{broken} contains {KINDS[kind]}, not a run. {again}")
         found = _count_frames(salvaged)
         if not found.observed:
             return SalvagedRecording(None, frames=found.frames, damaged=damaged)

@@ -17,7 +17,7 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.viz import clip, paths, viewer
 from dynaviz.viz.compare_layout import CASE_TEXT
-from dynaviz.viz.reader import AnyRecording, RunRecording, read, viewable
+from dynaviz.viz.reader import KINDS, AnyRecording, RunRecording, read, viewable
 
 SIZE = (1600, 900)
 SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
@@ -158,7 +158,9 @@ def _difference(source: AnyRecording, out: Path, case: int, view: str | None, si
     """A picture of a case of a comparison."""
     count = sum(1 for _ in source.rows(CASE_TEXT, paths.CASE))
     if not count:
-        raise UsageError(f"--case {case}: {source.path} contains a comparison, which has no cases. Give --frame")
+        raise UsageError(
+            f"--case {case}: {source.path} contains {KINDS[source.kind]}, which has no cases. Give --frame"
+        )
     if not 1 <= case <= count:
         raise UsageError(f"--case {case}: {source.path} has the cases 1 to {count}")
     if out.suffix.lower() == ".mp4":

@@ -6,11 +6,10 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U64
-from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid, Marks
 from dynaviz.spatial.extent import Extent
-from dynaviz.spatial.grid import SHIFTS, in_key_range, unpack
+from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 
 class ClearGrid(BlockGrid):
@@ -56,8 +55,7 @@ class ClearGrid(BlockGrid):
         rows = rows[in_key_range(scan.points[rows], self.resolution)]
         places, which = _distinct(scan.origins)
         which = which[rows] if len(which) > 1 else np.zeros(len(rows), np.int64)
-        index = np.floor(scan.points[rows].astype(np.float64) * self._per_metre).astype(np.int64)
-        keys = ((index + REACH) << SHIFTS).sum(1)
+        keys = pack(scan.points[rows], self.resolution)
         order = np.lexsort((which, keys))
         keys, which = keys[order], which[order]
         first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(which) != 0))[: len(keys)]

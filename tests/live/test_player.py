@@ -130,6 +130,7 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
 def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
     from dynaviz.viz.reader import AnyRecording, RunRecording
     from dynaviz.viz.repair import repair
+    from dynaviz.viz.shot import shot
 
     play_live(InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0)
     whole = tmp_path / "live" / "live-000000.rrd"
@@ -144,3 +145,5 @@ def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
     assert 0 < salvaged.answered == len(AnyRecording(salvaged.path).span) <= 5
     with pytest.raises(DataError, match="contains a live session, not a run"):
         RunRecording(salvaged.path)
+    with pytest.raises(UsageError, match=r"contains a live session, which has no cases\. Give --frame"):
+        shot(salvaged.path, tmp_path / "case.png", case=1)
