@@ -74,7 +74,8 @@ class Context:
         sensor: facts about the sensor.
         probe: receives the method's states.
         seed: for all randomness; the same seed gives the same labels.
-        raw_map: (M, 3) float32, metres, world frame: all points of all scans if ``info.needs_map``, else None.
+        raw_map: (M, 3) float32, metres, world frame: all points of all scans if ``info.needs_map``; else, and live,
+            None.
     """
 
     extent: Extent
@@ -151,8 +152,10 @@ class Method(Labeller, Protocol):
 class Live(Protocol):
     """A method that can run live: on scans as they come, in bounded memory.
 
-    Its context has a ``Window`` as extent. Register all state of a ``BlockGrid`` with ``per_block``, which resets it
-    where the window forgets. Store nothing else that grows, except what ``forget`` drops.
+    Its context has a ``Window`` as extent, and no raw map: if ``info.needs_map``, its labels of a scan are those of an
+    offline run over the scans that were not forgotten, up to this one. Register all state of a ``BlockGrid`` with
+    ``per_block``, which resets it where the window forgets. Store nothing else that grows, except what ``forget``
+    drops.
     """
 
     def forget(self, index: int) -> None:

@@ -68,7 +68,8 @@ def play_live(
     if reason := why_not_live(kind):
         raise UsageError(f"{method} cannot run live: {reason}")
     resolved = params.resolve(kind, preset, None, settings)
-    sequence, options = suited(kind, resolved.params, sequence), Settings(reach, 0)
+    sequence = suited(kind, resolved.params, sequence)
+    options = Settings(reach) if kind.info.needs_map else Settings(reach, 0)  # nothing is revised here
     kernels.set_threads(threads)
     warm_up(kind, resolved.params, sequence.sensor, options)
     with contextlib.ExitStack() as stack:

@@ -14,31 +14,23 @@ FINE = 32  # maximum number of fine bins per slice
 HIGH = 1e6  # metres: points at or beyond this height or depth have no column
 
 
-@njit(cache=True, nogil=True)
-def _inside(point, corner, side, shape):
-    """Whether a point is within the tiles; False if it is not finite."""
-    a, b = (point[0] - corner[0]) / side, (point[1] - corner[1]) / side
-    return 0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and abs(point[2]) < HIGH
+@njit(cache=True, nogil=True, inline="always")
+def _place(x, y, z, corner, side, shape):
+    """Column (i, j) of a point, counted from the map's corner; (-1, -1) if it is not finite or outside the tiles."""
+    a, b = (x - corner[0]) / side, (y - corner[1]) / side
+    if not (0 <= a < shape[0] * 64 and 0 <= b < shape[1] * 64 and abs(z) < HIGH):
+        return -1, -1
+    return math.floor(a), math.floor(b)
 
 
-@njit(cache=True, nogil=True)
-def _column(point, corner, side, directory):
-    """Number of a point's column, -1 if none."""
-    if not _inside(point, corner, side, directory.shape):
-        return -1
-    i, j = math.floor((point[0] - corner[0]) / side), math.floor((point[1] - corner[1]) / side)
-    tile = directory[i >> 6, j >> 6]
-    return -1 if tile < 0 else tile * 4096 + (i & 63) * 64 + (j & 63)
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _slice(z, base, height):
     """Number of a point's slice, rounded towards 0, so slice 0 extends as far below the base as above; -1 if deeper."""
     k = (z - base) / height
     return -1 if k <= -1 else int(min(k, TOP))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _fine(z, base, height, k, step):
     """Number of a point's fine bin in slice k, rounded towards 0 as for slices; -1 if deeper."""
     f = (z - base - k * height) / step
@@ -79,31 +71,44 @@ def bounds(points, reach):
 
 
 @njit(cache=True, nogil=True)
-def directory(points, corner, side, shape):
-    """Number the tiles with points: int32 array of the given shape, -1 for empty tiles; and the number of tiles."""
-    tiles = np.full(shape, np.int32(-1))
+def enter(points, corner, side, tiles):
+    """Set the entries of ``tiles``, an int32 array, to 0 where there are points."""
     for p in range(len(points)):
-        if _inside(points[p], corner, side, shape):
-            i, j = math.floor((points[p, 0] - corner[0]) / side), math.floor((points[p, 1] - corner[1]) / side)
+        i, j = _place(points[p, 0], points[p, 1], points[p, 2], corner, side, tiles.shape)
+        if i >= 0:
             tiles[i >> 6, j >> 6] = 0
-    n = 0
-    for a in range(shape[0]):
-        for b in range(shape[1]):
-            if tiles[a, b] == 0:
-                tiles[a, b] = n
-                n += 1
-    return tiles, n
 
 
 @njit(cache=True, nogil=True)
-def lowest(points, corner, side, directory, n):
-    """(n,) float64, metres: height of the lowest point of each column, NaN without points."""
-    low = np.full(n, np.nan)
+def number(tiles):
+    """Number the tiles that are at least 0, in place; returns how many they are."""
+    n = 0
+    for a in range(tiles.shape[0]):
+        for b in range(tiles.shape[1]):
+            if tiles[a, b] >= 0:
+                tiles[a, b] = n
+                n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def locate(points, corner, side, directory):
+    """(N,) int32: number of the column of each point (N, 3) float32, metres, world frame; -1 if none."""
+    columns = np.empty(len(points), np.int32)
     for p in range(len(points)):
-        c = _column(points[p], corner, side, directory)
+        i, j = _place(points[p, 0], points[p, 1], points[p, 2], corner, side, directory.shape)
+        tile = directory[i >> 6, j >> 6] if i >= 0 else np.int32(-1)
+        columns[p] = -1 if tile < 0 else tile * 4096 + (i & 63) * 64 + (j & 63)
+    return columns
+
+
+@njit(cache=True, nogil=True)
+def lowest(points, columns, low):
+    """Lower ``low`` (n,) float64, metres, to the lowest points (N, 3) of the columns (N,); NaN without points."""
+    for p in range(len(points)):
+        c = columns[p]
         if c >= 0 and not low[c] <= points[p, 2]:
             low[c] = points[p, 2]
-    return low
 
 
 @njit(cache=True, nogil=True)
@@ -153,30 +158,50 @@ def level(low, directory, reach, least, deviations):
 
 
 @njit(cache=True, nogil=True)
-def fill(points, corner, side, directory, base, height):
-    """(n,) int32: the bits of occupied slices, and (n + 1,) int64: how many slices the columns before a column have."""
-    bits = np.zeros(len(base), np.int32)
+def slices(points, columns, base, height):
+    """(N,) int8: slice of each point (N, 3), from its column (N,); -1 if none."""
+    found = np.full(len(points), np.int8(-1))
     for p in range(len(points)):
-        c = _column(points[p], corner, side, directory)
-        k = -1 if c < 0 else _slice(points[p, 2], base[c], height)
-        if k >= 0:
-            bits[c] |= 1 << k
-    rows = np.zeros(len(base) + 1, np.int64)
-    for c in range(len(base)):
-        rows[c + 1] = rows[c] + _below(bits[c], TOP + 1)
-    return bits, rows
+        c = columns[p]
+        if c >= 0 and not math.isnan(base[c]):
+            found[p] = _slice(points[p, 2], base[c], height)
+    return found
 
 
 @njit(cache=True, nogil=True)
-def histograms(points, corner, side, directory, base, height, step, bits, rows):
-    """(R, FINE + 1) uint32: number of points in the fine bins of each occupied slice; last, those below the bins."""
-    fine = np.zeros((rows[-1], FINE + 1), np.uint32)
+def fill(columns, slices, bits):
+    """Set the bits (n,) int32 of the slices with points, which are given by column and slice (N,)."""
+    for p in range(len(columns)):
+        if slices[p] >= 0:
+            bits[columns[p]] |= 1 << slices[p]
+
+
+@njit(cache=True, nogil=True)
+def rows(bits):
+    """(n + 1,) int64: how many slices the columns before a column have."""
+    before = np.zeros(len(bits) + 1, np.int64)
+    for c in range(len(bits)):
+        before[c + 1] = before[c] + _below(bits[c], TOP + 1)
+    return before
+
+
+@njit(cache=True, nogil=True)
+def histograms(points, columns, slices, base, height, step, bits, rows, wanted, fine):
+    """Add points to the fine bins of their slices.
+
+    Args:
+        points: (N, 3) float32, metres.
+        columns, slices: (N,), as from ``locate`` and ``slices``.
+        base, height: of columns and slices, metres.
+        step: height of a fine bin, metres.
+        bits, rows: of the map; row of a slice.
+        wanted: (n,) int32: bits of the slices whose points count.
+        fine: (R, FINE + 1) uint32: number of points in the fine bins of each slice; last, those below. Modified.
+    """
     for p in range(len(points)):
-        c = _column(points[p], corner, side, directory)
-        k = -1 if c < 0 else _slice(points[p, 2], base[c], height)
-        if k >= 0:
+        c, k = columns[p], slices[p]
+        if k >= 0 and wanted[c] >> k & 1:
             fine[rows[c] + _below(bits[c], k), _fine(points[p, 2], base[c], height, k, step)] += np.uint32(1)
-    return fine
 
 
 @njit(cache=True, nogil=True)
@@ -205,38 +230,29 @@ def ground(fine, part, gap):
 
 
 @njit(cache=True, nogil=True)
-def look(points, corner, side, directory, base, height, first, width, sensor):
-    """The slices that a scan sees in the columns around it.
+def look(columns, slices, places, seen):
+    """Set the bits of the slices that a scan sees in the window around it.
 
     Args:
-        points: (N, 3) float32, metres, world frame.
-        corner, side, directory, base, height: the map's columns.
-        first: (2,) int64: the window's first column.
-        width: number of columns along the window's edge.
-        sensor: (3,) float64, metres, world frame.
-
-    Returns:
-        bits: (width, width) int32: slices with points of the scan.
-        slope: the steepest slope from the sensor to a point, metres per metre; -inf without points.
+        columns, slices: (N,) of the scan's points.
+        places: (n,) int32: the position in the window of each column; -1 outside.
+        seen: (columns of the window,) int32. Modified.
     """
-    bits = np.zeros((width, width), np.int32)
+    for p in range(len(columns)):
+        if slices[p] >= 0 and places[columns[p]] >= 0:
+            seen[places[columns[p]]] |= 1 << slices[p]
+
+
+@njit(cache=True, nogil=True)
+def steepest(points, sensor):
+    """The steepest slope from the sensor (3,) to a finite point (N, 3), metres per metre; -inf without points."""
     slope = -np.inf
     for p in range(len(points)):
         x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
-        if not math.isfinite(x + y + z):
-            continue
         flat = x * x + y * y
-        if flat > 0:
+        if math.isfinite(x + y + z) and flat > 0:
             slope = max(slope, z / math.sqrt(flat))
-        c = _column(points[p], corner, side, directory)
-        if c < 0 or math.isnan(base[c]):
-            continue
-        i = math.floor((points[p, 0] - corner[0]) / side) - first[0]
-        j = math.floor((points[p, 1] - corner[1]) / side) - first[1]
-        k = _slice(points[p, 2], base[c], height)
-        if 0 <= i < width and 0 <= j < width and k >= 0:
-            bits[i, j] |= 1 << k
-    return bits, slope
+    return slope
 
 
 @njit(cache=True, nogil=True)
@@ -343,21 +359,23 @@ def judge(columns, bits, base, raised, seen, view, sensor_base, rise, blind, sig
 
 
 @njit(cache=True, nogil=True)
-def places(points, corner, side, directory, base, height, step, bits, rows, cuts):
-    """Column, slice and fine bin of each point, and the bins to remove there: (N, 5) int64; -1, if it has no slice."""
-    found = np.full((len(points), 5), np.int64(-1))
+def bins(points, columns, slices, base, height, step, bits, rows, cuts):
+    """Fine bin of each point, and the bins to remove there: (N, 3) int64; -1 without a slice."""
+    found = np.full((len(points), 3), np.int64(-1))
     for p in range(len(points)):
-        c = _column(points[p], corner, side, directory)
-        k = -1 if c < 0 or math.isnan(base[c]) else _slice(points[p, 2], base[c], height)
+        c, k = columns[p], slices[p]
         if k >= 0:
-            cut = cuts[rows[c] + _below(bits[c], k)]
-            found[p, 0], found[p, 1], found[p, 2] = c, k, _fine(points[p, 2], base[c], height, k, step)
-            found[p, 3], found[p, 4] = cut[0], cut[1]
+            cut = rows[c] + _below(bits[c], k)
+            found[p, 0], found[p, 1], found[p, 2] = (
+                _fine(points[p, 2], base[c], height, k, step),
+                cuts[cut, 0],
+                cuts[cut, 1],
+            )
     return found
 
 
 @njit(cache=True, nogil=True)
-def reasons(points, corner, side, directory, base, height, step, bits, rows, steps, splits, cuts):
+def reasons(points, columns, slices, base, height, step, bits, rows, steps, splits, cuts):
     """Reason code of each point, (N,) uint8.
 
     0 without a slice of the map, 1 never in a window, 2 always seen, 3 ... 9 the last of the steps that kept its
@@ -366,8 +384,7 @@ def reasons(points, corner, side, directory, base, height, step, bits, rows, ste
     """
     codes = np.zeros(len(points), np.uint8)
     for p in range(len(points)):
-        c = _column(points[p], corner, side, directory)
-        k = -1 if c < 0 or math.isnan(base[c]) else _slice(points[p, 2], base[c], height)
+        c, k = columns[p], slices[p]
         if k < 0:
             continue
         codes[p] = 1
@@ -375,6 +392,6 @@ def reasons(points, corner, side, directory, base, height, step, bits, rows, ste
             if steps[c, s] >> k & 1:
                 codes[p] = (2, 3, 4, 5, 6, 7, 8, 9, 11)[s]
         if codes[p] != 11 and splits[c] >> k & 1:
-            f, cut = _fine(points[p, 2], base[c], height, k, step), cuts[rows[c] + _below(bits[c], k)]
-            codes[p] = 10 if f < cut[0] else 12 if f < cut[1] else 8
+            f, cut = _fine(points[p, 2], base[c], height, k, step), rows[c] + _below(bits[c], k)
+            codes[p] = 10 if f < cuts[cut, 0] else 12 if f < cuts[cut, 1] else 8
     return codes

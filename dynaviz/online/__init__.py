@@ -36,7 +36,7 @@ def live(
         method: its name (``dynaviz list methods``).
         sensor: name of the sensor (``dynaviz list sensors``), a TOML file, or a ``Sensor``; some methods need none.
         reach: metres around the sensor within which points are judged. What lies a tenth farther is forgotten.
-        keep: number of last scans that ``LiveSession.revise`` labels again.
+        keep: number of last scans that ``LiveSession.revise`` labels again, and with which BeautyMap compares a scan.
         map_voxel: edge of the voxels of the static map, metres; one point each.
         preset, config, settings: layers of parameters, as for ``dynaviz.run``.
         seed: for all randomness in the method.
@@ -50,6 +50,8 @@ def live(
     reason = why_not_live(kind)
     if reason:
         raise UsageError(f"{method} cannot run live: {reason}. Use one of {', '.join(_able())}")
+    if kind.info.needs_map and keep == 0:
+        raise UsageError(f"keep = 0: {method} compares each scan with the last ones. Give at least 1")
     resolved = params.resolve(kind, preset, config, settings)
     chosen = load_sensor(sensor) if isinstance(sensor, str) else sensor or Sensor()
     kernels.set_threads(threads)
@@ -74,11 +76,11 @@ def check_numbers(reach: float, keep: int, map_voxel: float) -> None:
 
 def why_not_live(kind: type[Method]) -> str | None:
     """Why a method cannot run live; None if it can."""
+    if issubclass(kind, Live):
+        return None
     if kind.info.needs_map:
         return "it compares each scan with the map of all scans, which exists only after the last one"
-    if not issubclass(kind, Live):
-        return "it has no forget(index), so its memory would grow with every scan"
-    return None
+    return "it has no forget(index), so its memory would grow with every scan"
 
 
 def _able() -> list[str]:

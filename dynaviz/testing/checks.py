@@ -300,6 +300,7 @@ def answers_online(method: type[Method], params: Any) -> None:
 def answers_live(method: type[Method], params: Any) -> None:
     """A method that implements ``Live`` gives the labels of online mode in a window that reaches all points.
 
+    If it needs the map, these are the labels of offline runs over the scans that are not forgotten.
     In a window that forgets, while the sensor drives away and returns, it still answers for every point.
     """
     if issubclass(method, Live):

@@ -20,34 +20,34 @@ Jia et al. 2024. The algorithm:
 Slice 0 extends as far below the base as above it, and slice 30, the highest, includes everything above it. Points
 below slice 0 are kept unjudged. So are points that are not finite, or more than 32768 columns or 1000 km of height
 from the world's origin.
+
+Live, the map is that of the scans that are not forgotten yet. It is encoded anew with each scan, because a single
+lower point can move the bases of many columns, and all scans in it are compared again. So the labels of a scan are
+those of an offline run that ends with it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I32, I64
+from dynaviz.arrays import F32, F64, I32, I64
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term
 from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
 from dynaviz.scan import Scan
+from dynaviz.spatial.window import Window
+from dynaviz_methods.column_map import GAP, REACH, SLICES, ColumnMap, Placed, bounds
 
-REACH = 32768  # columns to each side of the world's origin
-SLICES = 31
 BLIND = 2.0  # metres around the sensor where nothing is judged
 SIGHT = 15.0  # metres; farther columns are judged only if the scan sees their ground
-GAP = 2  # empty slices or fine bins; everything above such a gap is an overhang
 SKIP = 3  # columns in x and y together, up to which nothing blocks the line of sight
-FINE = 0.1  # metres: smallest height of a fine bin
-GROUND_PART = 0.85  # share of a split slice's points that are ground
-# The base of a column is bounded by those of the columns up to NEIGHBOURS before it in x and y, if LEAST of them have
-# points: it may differ from their median by DEVIATIONS times their median absolute deviation.
-NEIGHBOURS, LEAST, DEVIATIONS = 5, 15, 3.0
+CHUNK = 1 << 20  # points of the raw map that are encoded at a time
 
 
 @dataclass(frozen=True)
@@ -177,6 +177,33 @@ class _Window:
     columns: I64
 
 
+@dataclass(frozen=True)
+class _View:
+    """A scan: its points, read-only; the sensor's position; and the slope of the upper edge of its field of view."""
+
+    points: F32
+    sensor: F64
+    slope: float
+
+    @classmethod
+    def of(cls, scan: Scan) -> _View:
+        points, sensor = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
+        return cls(points, sensor, float(kernels.columns.steepest(points, sensor)))
+
+
+@dataclass
+class _Edge:
+    """Lets a live session begin anew before the sensor leaves the columns' reach."""
+
+    farthest: float  # metres from the world's origin
+
+    def grow(self, cells: I32, position: F64) -> bool:
+        return True
+
+    def shrink(self, position: F64, limit: float) -> None:
+        return
+
+
 class BeautyMap:
     """BeautyMap, with a label for every point."""
 
@@ -189,64 +216,82 @@ class BeautyMap:
         self.params = params
 
     def begin(self, context: Context) -> None:
-        """Encode the raw map in columns; the points themselves are not stored."""
-        assert context.raw_map is not None  # because of info.needs_map
-        self._probe, p = context.probe, self.params
-        points, k = kernels.as_readonly(context.raw_map, np.float32), kernels.columns
-        low, high = k.bounds(points, REACH * p.xy_resolution)
-        self._corner = np.where(np.isfinite(low), low, 0.0)
-        shape = (np.nan_to_num((high - low) / p.xy_resolution, neginf=0.0) // 64).astype(np.int64) + 1
-        tiles, n = k.directory(points, self._corner, p.xy_resolution, (int(shape[0]), int(shape[1])))
-        self._grid = (self._corner, float(p.xy_resolution), tiles)
-        low_z = k.lowest(points, *self._grid, n * 64 * 64)
-        self._base, self._raised = k.level(low_z, tiles, NEIGHBOURS, LEAST, DEVIATIONS)
-        self._lowest = float(np.fmin.reduce(low_z, initial=np.inf))
-        self._fine_step = max(FINE, p.h_res / SLICES)
-        self._bits, self._rows = k.fill(points, *self._grid, self._base, p.h_res)
-        fine = k.histograms(points, *self._grid, self._base, p.h_res, self._fine_step, self._bits, self._rows)
-        self._cuts = k.ground(fine, GROUND_PART, GAP)
-        self._steps = np.zeros((len(self._base), len(STEPS)), np.int32)  # bits of all scans so far
-        self._splits = np.zeros(len(self._base), np.int32)
-        self._last: tuple[_Window, I32, I32] | None = None  # window, slices and outcome of the last scan
+        """Encode the raw map in columns; the points themselves are not stored. Live, there is no map yet."""
+        self._probe, side = context.probe, self.params.xy_resolution
+        self._recent: dict[int, tuple[_View, F64]] = {}  # live, by index: the scans in the map, and their bounds
+        self._live = context.raw_map is None
+        if isinstance(context.extent, Window):
+            context.extent.attach(_Edge(REACH * side))
+        raw = kernels.as_readonly(np.zeros((0, 3)) if context.raw_map is None else context.raw_map, np.float32)
+        self._encode([raw[start : start + CHUNK] for start in range(0, len(raw), CHUNK)], bounds(raw, side))
+        self._map.find_ground(self._map.bits)
 
     def observe(self, scan: Scan) -> None:
         """Compare the scan's slices with the map's; split the slices below the removed ones."""
-        p, sensor = self.params, scan.position
-        self._last = None
-        if not np.isfinite(sensor).all():
-            return
-        window = self._window(sensor)
-        width, middle = len(window.columns), len(window.columns) // 2
-        eye = kernels.as_readonly(sensor, np.float64)
-        seen, slope = kernels.columns.look(scan.points, *self._grid, self._base, p.h_res, window.first, width, eye)
-        under = window.columns[middle, middle]
-        base = float(self._base[under]) if under >= 0 else math.nan
-        if math.isnan(base):
-            base = self._lowest  # the map has no point in the sensor's column
-        outcome = kernels.columns.judge(
-            *(window.columns, self._bits, self._base, self._raised, seen),
-            *(float(sensor[2] - base) / p.h_res + 0.5, base, slope * p.xy_resolution / p.h_res),
-            *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
-        )
-        self._last = window, seen, outcome
-        self._show(scan, window, seen, outcome, slope)
+        view = _View.of(scan)
+        if not self._live:
+            self._compare(view, self._map.place(view.points))
+        else:
+            self._recent[scan.index] = view, bounds(view.points, self.params.xy_resolution)
+            views, around = zip(*self._recent.values(), strict=True)
+            lowest, highest = np.stack(around, 1)
+            self._encode([each.points for each in views], np.array([lowest.min(0), highest.max(0)]), keep=True)
+            for cloud, each in enumerate(views):
+                self._compare(each, self._map.placed(cloud))
+            self._map.find_ground(self._splits)
+        self._show(scan, view.slope)
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose slice is removed, or is split with the point above its ground.
 
         The reason is that of the scan that came closest to removing the slice.
         """
-        reasons = kernels.columns.reasons(
-            *(scan.points, *self._grid, self._base, float(self.params.h_res), self._fine_step),
-            *(self._bits, self._rows, self._steps, self._splits, self._cuts),
-        )
+        points = kernels.as_readonly(scan.points, np.float32)
+        reasons = self._map.reasons(points, self._steps, self._splits)
         return Labels((reasons == SLICE_GONE) | (reasons == ABOVE_GROUND), reasons)
+
+    def forget(self, index: int) -> None:
+        """Leave a scan out of the map from the next scan on."""
+        self._recent.pop(index, None)
+
+    def _encode(self, clouds: Sequence[F32], around: F64, keep: bool = False) -> None:
+        self._map = ColumnMap(clouds, around, self.params.xy_resolution, self.params.h_res, keep)
+        self._steps = np.zeros((len(self._map), len(STEPS)), np.int32)  # bits of all scans so far
+        self._splits = np.zeros(len(self._map), np.int32)
+        self._places = np.full(len(self._map), -1, np.int32)  # where columns are in the window of a scan
+        self._last: tuple[_Window, I32, I32] | None = None  # window, slices and outcome of the last scan
+
+    def _compare(self, view: _View, placed: Placed) -> None:
+        """Remove slices of the map that a scan does not see."""
+        p, columns = self.params, self._map
+        self._last = None
+        if not np.isfinite(view.sensor).all():
+            return
+        window = self._window(view.sensor)
+        middle, seen = len(window.columns) // 2, self._seen(window, placed)
+        under = window.columns[middle, middle]
+        base = float(columns.base[under]) if under >= 0 else math.nan
+        if math.isnan(base):
+            base = columns.lowest  # the map has no point in the sensor's column
+        outcome = kernels.columns.judge(
+            *(window.columns, columns.bits, columns.base, columns.raised, seen),
+            *(float(view.sensor[2] - base) / p.h_res + 0.5, base, view.slope * p.xy_resolution / p.h_res),
+            *(int(BLIND / p.xy_resolution) + 1, SIGHT / p.xy_resolution, GAP, SKIP, self._steps, self._splits),
+        )
+        self._last = window, seen, outcome
+
+    def _seen(self, window: _Window, placed: Placed) -> I32:
+        """(W, W) int32: the slices in the window with points of a scan."""
+        seen, within = np.zeros(window.columns.shape, np.int32), window.columns >= 0
+        self._places[window.columns[within]] = np.flatnonzero(within)
+        kernels.columns.look(*placed, self._places, seen.ravel())
+        self._places[window.columns[within]] = -1
+        return seen
 
     def evidence(self, asked: Asked) -> Evidence:
         """Whether the last scan saw the points' slices, and which step of the algorithm kept those that it missed."""
-        p, points = self.params, asked.points
-        place = (points, *self._grid, self._base, float(p.h_res), self._fine_step)
-        column, k, fine, first, end = kernels.columns.places(*place, self._bits, self._rows, self._cuts).T
+        points = kernels.as_readonly(asked.points, np.float32)
+        column, k, fine, first, end = self._map.bins(points)
         saw, split = np.full(len(points), np.nan), self._splits[column] >> k & 1
         if self._last is not None:
             window, seen, outcome = self._last
@@ -265,38 +310,31 @@ class BeautyMap:
 
     def _boxes(self, column: I64, k: I64) -> F64:
         """(K, 2, 3) float64, metres: lowest and highest corner of slices; NaN where k is -1."""
-        p, tiles = self.params, self._grid[2]
-        tile = np.full(max(int(tiles.max(initial=0)) + 1, 1), -1)
-        tile[tiles[tiles >= 0]] = np.flatnonzero(tiles.ravel() >= 0)
-        i, j = np.divmod(tile[column // 4096], tiles.shape[1])
-        i, j = i * 64 + column % 4096 // 64, j * 64 + column % 64
+        p = self.params
         sides = np.array([p.xy_resolution, p.xy_resolution, p.h_res])
-        low = np.stack([i, j, k], 1) * sides
-        low[:, :2] += self._corner
-        low[:, 2] += self._base[column]
+        low = np.column_stack([self._map.corners(column), k]) * sides
+        low[:, :2] += self._map.corner
+        low[:, 2] += self._map.base[column]
         low[k < 0] = np.nan
         return np.stack([low, low + sides], 1)
 
     def _window(self, sensor: F64) -> _Window:
         """The columns around the sensor: half of them before the sensor's column, half from it on, along each axis."""
         half = max(int(self.params.dis_range / self.params.xy_resolution / 2), 1)
-        tiles = self._grid[2]
-        at = np.clip((sensor[:2] - self._corner) / self.params.xy_resolution, -(2**40), 2**40)
+        at = np.clip((sensor[:2] - self._map.corner) / self.params.xy_resolution, -(2**40), 2**40)
         first = np.floor(at).astype(np.int64) - half
-        i, j = (first[a] + np.arange(2 * half) for a in (0, 1))
-        inside = [(x >= 0) & (x < 64 * tiles.shape[a]) for a, x in enumerate((i, j))]
-        tile = tiles[np.ix_(np.where(inside[0], i >> 6, 0), np.where(inside[1], j >> 6, 0))].astype(np.int64)
-        columns = tile * 4096 + (i & 63)[:, None] * 64 + (j & 63)[None]
-        columns[(tile < 0) | ~(inside[0][:, None] & inside[1][None])] = -1
-        return _Window(first, columns)
+        return _Window(first, self._map.window(first, 2 * half))
 
-    def _show(self, scan: Scan, window: _Window, seen: I32, outcome: I32, slope: float) -> None:
+    def _show(self, scan: Scan, slope: float) -> None:
+        if self._last is None:
+            return
+        window, seen, outcome = self._last
         for name, bits in {**dict(zip(STEPS, np.moveaxis(outcome, 2, 0), strict=True)), "scan_slices": seen}.items():
             if self._probe.wants(name):
                 self._probe.emit(name, self._cubes(window, bits))
         if self._probe.wants("fine_ground"):
             self._probe.emit("fine_ground", Mask(self.label(scan).reasons == FINE_GROUND))
-        self._probe.emit("view_slope", Scalar(float(slope)))
+        self._probe.emit("view_slope", Scalar(slope))
 
     def _cubes(self, window: _Window, bits: I32) -> Voxels:
         """Slices as cubes of the world's grid, at most half a cube from their exact position."""
@@ -304,9 +342,9 @@ class BeautyMap:
         edge = min(p.xy_resolution, p.h_res)
         across, above = round(p.xy_resolution / edge), round(p.h_res / edge)
         i, j, k = np.nonzero(bits[:, :, None] >> np.arange(SLICES) & 1)
-        base = self._base[window.columns[i, j]]
+        base = self._map.base[window.columns[i, j]]
         corners = np.stack([(window.first[0] + i) * p.xy_resolution, (window.first[1] + j) * p.xy_resolution, base], 1)
-        corners[:, :2] += self._corner
+        corners[:, :2] += self._map.corner
         corners[:, 2] += k * p.h_res
         within = np.indices((across, across, above)).reshape(3, -1).T + 0.5
         size = np.array([p.xy_resolution / across] * 2 + [p.h_res / above])

@@ -174,7 +174,7 @@ def test_a_crowded_window_drops_the_farthest() -> None:
     assert (grid.locate(near.astype(np.float32)) >= 0).all()
 
 
-@pytest.mark.parametrize("method", ["erasor", "removert", "beautymap"])
+@pytest.mark.parametrize("method", ["erasor", "removert"])
 def test_methods_that_need_the_map_say_why_not(method: str) -> None:
     with pytest.raises(UsageError, match="compares each scan with the map of all scans"):
         dv.live(method)
@@ -182,7 +182,7 @@ def test_methods_that_need_the_map_say_why_not(method: str) -> None:
 
 def test_all_other_methods_run_live() -> None:
     methods = registry.loadable("methods")
-    assert {name for name, kind in methods.items() if not issubclass(kind, Live)} == {"erasor", "removert", "beautymap"}
+    assert {name for name, kind in methods.items() if not issubclass(kind, Live)} == {"erasor", "removert"}
 
 
 @pytest.mark.parametrize(
