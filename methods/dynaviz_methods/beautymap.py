@@ -42,7 +42,7 @@ from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.window import Window
-from dynaviz_methods.column_map import GAP, REACH, SLICES, ColumnMap, Placed, bounds
+from dynaviz_methods.column_map import GAP, REACH, SLICES, Cloud, ColumnMap, Placed
 
 BLIND = 2.0  # metres around the sensor where nothing is judged
 SIGHT = 15.0  # metres; farther columns are judged only if the scan sees their ground
@@ -179,16 +179,15 @@ class _Window:
 
 @dataclass(frozen=True)
 class _View:
-    """A scan: its points, read-only; the sensor's position; and the slope of the upper edge of its field of view."""
+    """A sensor's position (3,) and the slope of the upper edge of its field of view."""
 
-    points: F32
     sensor: F64
     slope: float
 
     @classmethod
-    def of(cls, scan: Scan) -> _View:
-        points, sensor = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
-        return cls(points, sensor, float(kernels.columns.steepest(points, sensor)))
+    def of(cls, scan: Scan, points: F32) -> _View:
+        sensor = kernels.as_readonly(scan.position, np.float64)
+        return cls(sensor, float(kernels.columns.steepest(points, sensor)))
 
 
 @dataclass
@@ -218,26 +217,25 @@ class BeautyMap:
     def begin(self, context: Context) -> None:
         """Encode the raw map in columns; the points themselves are not stored. Live, there is no map yet."""
         self._probe, side = context.probe, self.params.xy_resolution
-        self._recent: dict[int, tuple[_View, F64]] = {}  # live, by index: the scans in the map, and their bounds
+        self._recent: dict[int, tuple[_View, Cloud]] = {}  # live: the scans in the map, by index
         self._live = context.raw_map is None
         if isinstance(context.extent, Window):
             context.extent.attach(_Edge(REACH * side))
         raw = kernels.as_readonly(np.zeros((0, 3)) if context.raw_map is None else context.raw_map, np.float32)
-        self._encode([raw[start : start + CHUNK] for start in range(0, len(raw), CHUNK)], bounds(raw, side))
+        self._encode([Cloud.of(raw[start : start + CHUNK], side) for start in range(0, max(len(raw), 1), CHUNK)])
         self._map.find_ground(self._map.bits)
 
     def observe(self, scan: Scan) -> None:
         """Compare the scan's slices with the map's; split the slices below the removed ones."""
-        view = _View.of(scan)
+        points = kernels.as_readonly(scan.points, np.float32)
+        view = _View.of(scan, points)
         if not self._live:
-            self._compare(view, self._map.place(view.points))
+            self._compare(view, self._map.place(points))
         else:
-            self._recent[scan.index] = view, bounds(view.points, self.params.xy_resolution)
-            views, around = zip(*self._recent.values(), strict=True)
-            lowest, highest = np.stack(around, 1)
-            self._encode([each.points for each in views], np.array([lowest.min(0), highest.max(0)]), keep=True)
-            for cloud, each in enumerate(views):
-                self._compare(each, self._map.placed(cloud))
+            self._recent[scan.index] = view, Cloud.of(points, self.params.xy_resolution)
+            self._encode([cloud for _, cloud in self._recent.values()], keep=True)
+            for n, (each, _) in enumerate(self._recent.values()):
+                self._compare(each, self._map.placed(n))
             self._map.find_ground(self._splits)
         self._show(scan, view.slope)
 
@@ -254,8 +252,8 @@ class BeautyMap:
         """Leave a scan out of the map from the next scan on."""
         self._recent.pop(index, None)
 
-    def _encode(self, clouds: Sequence[F32], around: F64, keep: bool = False) -> None:
-        self._map = ColumnMap(clouds, around, self.params.xy_resolution, self.params.h_res, keep)
+    def _encode(self, clouds: Sequence[Cloud], keep: bool = False) -> None:
+        self._map = ColumnMap(clouds, self.params.xy_resolution, self.params.h_res, keep)
         self._steps = np.zeros((len(self._map), len(STEPS)), np.int32)  # bits of all scans so far
         self._splits = np.zeros(len(self._map), np.int32)
         self._places = np.full(len(self._map), -1, np.int32)  # where columns are in the window of a scan

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import reduce
 from typing import Any, TypeVar
 
@@ -15,6 +16,7 @@ from dynaviz.arrays import F32, F64, I32, I64, Bool
 
 REACH = 32768  # columns to each side of the world's origin
 SLICES = 31
+TILE = 64  # columns along the side of a tile
 FINE = 0.1  # metres: smallest height of a fine bin
 GROUND_PART = 0.85  # share of a split slice's points that are ground
 GAP = 2  # empty slices or fine bins; everything above such a gap is an overhang
@@ -27,17 +29,35 @@ T = TypeVar("T")
 Placed = tuple[I32, I8]  # (N,) each: column and slice of points, -1 if none
 
 
-def bounds(points: F32, side: float) -> F64:
-    """(2, 2) float64, metres: lowest and highest x and y of points (N, 3) in reach; infinite without points."""
-    return np.array(kernels.columns.bounds(points, REACH * side))
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a map.
+
+    Attributes:
+        points: (N, 3) float32, metres, world frame; read-only, C-contiguous.
+        low, high: (2,) float64, metres: lowest and highest x and y of points in reach; infinite without points.
+        squares: (K, 2) float64, metres: lower corners of squares, ``TILE`` columns wide, that contain all these points.
+    """
+
+    points: F32
+    low: F64
+    high: F64
+    squares: F64
+
+    @classmethod
+    def of(cls, points: F32, side: float) -> Cloud:
+        """A cloud for columns of this side, metres."""
+        low, high = kernels.columns.bounds(points, REACH * side)
+        tiles = _tiles(low, high, side)
+        kernels.columns.enter(points, low, float(side), tiles)
+        return cls(points, low, high, low + np.argwhere(tiles == 0) * side * TILE)
 
 
 class ColumnMap:
     """The points of clouds in columns.
 
     Args:
-        clouds: (N, 3) float32 each, metres, world frame, read-only; C-contiguous.
-        around: (2, 2) float64, metres: lowest and highest x and y of all clouds, as from ``bounds``.
+        clouds: the points; at least one cloud, which may be empty.
         side: of a column, metres.
         height: of a slice, metres.
         keep: store columns and slices of all points, 5 bytes each, instead of computing them again.
@@ -51,18 +71,21 @@ class ColumnMap:
         corner: (2,) float64, metres: where columns are counted from.
     """
 
-    def __init__(self, clouds: Sequence[F32], around: F64, side: float, height: float, keep: bool = False) -> None:
-        self._clouds, self._height, self._keep = clouds, float(height), keep
+    def __init__(self, clouds: Sequence[Cloud], side: float, height: float, keep: bool = False) -> None:
+        self._clouds, self._height, self._keep = [cloud.points for cloud in clouds], float(height), keep
         self._step = max(FINE, height / SLICES)
         self._columns: list[I32 | None] = [None] * len(clouds)
         self._slices: list[I8 | None] = [None] * len(clouds)
-        low, high = around
+        low = np.min([cloud.low for cloud in clouds], axis=0)
+        high = np.max([cloud.high for cloud in clouds], axis=0)
         self.corner: F64 = np.where(np.isfinite(low), low, 0.0)
-        shape = (np.nan_to_num((high - low) / side, neginf=0.0) // 64).astype(np.int64) + 1
-        self.tiles: I32 = np.full((int(shape[0]), int(shape[1])), -1, np.int32)
+        self.tiles = _tiles(low, high, side)
         self._grid = (self.corner, float(side), self.tiles)
-        self._shared(self._enter)
-        self._count = int(kernels.columns.number(self.tiles)) * 64 * 64
+        for cloud in clouds:  # a square covers parts of up to four tiles
+            ends = [(cloud.squares - self.corner) / side + end for end in (-1, TILE + 1)]
+            (i, j), (u, v) = (np.clip(end // TILE, 0, np.array(self.tiles.shape) - 1).astype(int).T for end in ends)
+            self.tiles[np.concatenate([i, i, u, u]), np.concatenate([j, v, j, v])] = 0
+        self._count = int(kernels.columns.number(self.tiles)) * TILE * TILE
         low_z: F64 = reduce(np.fmin, self._shared(self._lowest), np.full(self._count, np.nan))
         self.lowest = float(np.fmin.reduce(low_z, initial=np.inf))
         self.base: F64
@@ -102,10 +125,6 @@ class ColumnMap:
             return [work(part) for part in parts]
         with ThreadPoolExecutor(lanes) as pool:
             return list(pool.map(work, parts))
-
-    def _enter(self, part: range) -> None:
-        for cloud in part:
-            kernels.columns.enter(self._clouds[cloud], *self._grid)
 
     def _lowest(self, part: range) -> F64:
         lowest = np.full(self._count, np.nan)
@@ -160,3 +179,9 @@ class ColumnMap:
         columns: I64 = tile * 4096 + (i & 63)[:, None] * 64 + (j & 63)[None]
         columns[(tile < 0) | ~(inside[0][:, None] & inside[1][None])] = -1
         return columns
+
+
+def _tiles(low: F64, high: F64, side: float) -> I32:
+    """Tiles without points, -1, from the lowest to the highest x and y (2,), metres."""
+    shape = (np.nan_to_num((high - low) / side, neginf=0.0) // TILE).astype(np.int64) + 1
+    return np.full((int(shape[0]), int(shape[1])), -1, np.int32)

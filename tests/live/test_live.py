@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 import dynaviz as dv
 from dynaviz import kernels, registry
 from dynaviz.errors import UsageError
-from dynaviz.method import Live
+from dynaviz.method import Context, Live
 from dynaviz.online.session import LiveSession, Settings
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid
@@ -51,7 +51,7 @@ def test_labels_scans_given_as_arrays_like_those_of_a_sequence() -> None:
 
 def test_revised_labels_are_those_of_the_offline_run() -> None:
     scans = [scan.without_truth() for scan in crossing(9)]
-    for method in ("dufomap", "seethrough"):
+    for method in ("dufomap", "seethrough", "beautymap"):
         live = session(method)
         first = [live.add(scan).dynamic.sum() for scan in scans]
         offline = ask(type(live._method), type(live._method).Params(), scans)
@@ -178,6 +178,17 @@ def test_a_crowded_window_drops_the_farthest() -> None:
 def test_methods_that_need_the_map_say_why_not(method: str) -> None:
     with pytest.raises(UsageError, match="compares each scan with the map of all scans"):
         dv.live(method)
+
+
+def test_a_map_of_no_other_scans_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"keep = 0: beautymap compares each scan with the last ones\. Give"):
+        dv.live("beautymap", keep=0)
+
+
+def test_beautymap_begins_anew_before_the_end_of_its_columns() -> None:
+    window, kind = Window(20.0), registry.load("methods", "beautymap")
+    kind(kind.Params(dis_range=10.0, xy_resolution=0.1)).begin(Context(window))
+    assert 3200 < window.farthest < 3276.8 - 20, "32768 columns of 0.1 m"
 
 
 def test_all_other_methods_run_live() -> None:

@@ -12,6 +12,7 @@ from dynaviz.method import Context
 from dynaviz.probe import SILENT, MemoryProbe
 from dynaviz.scan import Scan
 from dynaviz.spatial.extent import Extent
+from dynaviz.spatial.window import Window
 from dynaviz.testing.world import moved, turn
 from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
 
@@ -317,6 +318,37 @@ def test_labels_do_not_depend_on_the_memory_layout_of_the_map():
     for s in scans:
         method.observe(s)
     np.testing.assert_array_equal(method.label(scans[0]).dynamic, run(scans).label(scans[0]).dynamic)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_labels_do_not_depend_on_the_parts_in_which_a_map_is_encoded(threads, monkeypatch):
+    scans = yard(3)
+    expected = [run(scans).label(s).reasons for s in scans]
+    monkeypatch.setattr("dynaviz_methods.beautymap.CHUNK", 997)
+    before = kernels.threads_in_use()
+    kernels.set_threads(threads)
+    try:
+        method = run(scans)
+    finally:
+        kernels.set_threads(before)
+    for s, reasons in zip(scans, expected, strict=True):
+        np.testing.assert_array_equal(method.label(s).reasons, reasons)
+
+
+def test_live_labels_are_those_of_a_run_over_the_scans_that_are_not_forgotten():
+    """The lowest x and y of the map, from which columns are counted, differ from scan to scan."""
+    scans = [scan(n, np.concatenate([s.points, [[-40 - 0.37 * n, -30 + 0.21 * n, 0]]])) for n, s in enumerate(yard(7))]
+    live, removed = BeautyMap(BeautyMapParams()), 0
+    live.begin(Context(Window(50.0)))
+    for n, s in enumerate(scans):
+        live.observe(s)
+        recent = scans[max(n - 3, 0) : n + 1]
+        offline = run(recent)
+        for each in recent:
+            np.testing.assert_array_equal(live.label(each).reasons, offline.label(each).reasons)
+        removed += live.label(s).dynamic.sum()
+        live.forget(n - 3)
+    assert removed > 50
 
 
 @pytest.mark.parametrize("values", [{"dis_range": 0.0}, {"xy_resolution": float("nan")}, {"h_res": -1.0}])
