@@ -7,15 +7,28 @@ from numba import njit, prange
 
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
+ONE = np.uint64(1)
+FIRST_SLOTS = 1024  # of a hash table that grows
+
 
 @njit(cache=True, nogil=True, inline="always")
-def _slot(slots, key):
-    """The slot of a key in a table whose size is a power of two, or the free slot for it."""
+def _slot(slots, cells, key):
+    """The slot of a key in a hash table of numbers of cells, or the free slot for it; its size is a power of two."""
     mask = len(slots) - 1
-    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(20)) & mask
-    while slots[s] >= 0 and slots[s] != key:
+    # The highest bits of the product depend on all of the key, x included.
+    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(44)) & mask
+    while slots[s] >= 0 and cells[slots[s]] != key:
         s = (s + 1) & mask
     return s
+
+
+@njit(cache=True, nogil=True)
+def _larger(slots, cells, count):
+    """A table of twice the size for the first ``count`` cells."""
+    larger = np.full(2 * len(slots), np.int32(-1))
+    for c in range(count):
+        larger[_slot(larger, cells, cells[c])] = c
+    return larger
 
 
 @njit(cache=True, nogil=True)
@@ -27,18 +40,13 @@ def _root(parent, i):
 
 
 @njit(cache=True, nogil=True)
-def _cells(points, chosen, size, tall):
-    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
+def _fill(points, chosen, size, tall, start, slots, mine, cells, count):
+    """Find the cells of chosen points from ``start`` on until half of the slots are taken; returns the next point.
 
-    Then the hash table of the cells: the keys by slot, and the numbers of the cells by slot.
+    And the number of cells.
     """
-    n, length = chosen.sum(), 16
-    while length < 2 * n:
-        length *= 2
-    slots, ranks = np.full(length, np.int64(-1)), np.empty(length, np.int64)
-    cells, count, mine = np.empty(n, np.int64), 0, np.full(len(points), np.int32(-1))
-    s, last = np.int64(0), np.int64(-1)
-    for i in range(len(points)):
+    c, last = np.int32(-1), np.int64(-1)
+    for i in range(start, len(points)):
         if not chosen[i]:
             continue
         x = np.int64(math.floor(points[i, 0] / size)) + REACH
@@ -46,12 +54,32 @@ def _cells(points, chosen, size, tall):
         z = np.int64(math.floor(points[i, 2] / tall)) + REACH
         key = x << X_SHIFT | y << Y_SHIFT | z
         if key != last:  # consecutive points often share a cell
-            s, last = _slot(slots, key), key
-        if slots[s] < 0:
-            slots[s], ranks[s], cells[count] = key, count, key
-            count += 1
-        mine[i] = ranks[s]
-    return mine, cells[:count], slots, ranks
+            s, last = _slot(slots, cells, key), key
+            c = slots[s]
+            if c < 0:
+                if 2 * count >= len(slots):
+                    return np.int64(i), count
+                c = np.int32(count)
+                slots[s], cells[count] = c, key
+                count += 1
+        mine[i] = c
+    return np.int64(len(points)), count
+
+
+@njit(cache=True, nogil=True)
+def _cells(points, chosen, size, tall):
+    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
+
+    Then the hash table of the cells: their numbers by slot, -1 in free slots. It grows with the number of cells, which
+    is far below that of points, so that it stays in the processor's cache.
+    """
+    slots, mine = np.full(FIRST_SLOTS, np.int32(-1)), np.full(len(points), np.int32(-1))
+    cells, place, count = np.empty(chosen.sum(), np.int64), np.int64(0), np.int64(0)
+    while True:
+        place, count = _fill(points, chosen, size, tall, place, slots, mine, cells, count)
+        if place == len(points):
+            return mine, cells[:count], slots
+        slots = _larger(slots, cells, count)
 
 
 @njit(cache=True, nogil=True)
@@ -67,14 +95,14 @@ def connect(points, chosen, size, tall):
         (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
-    mine, cells, slots, ranks = _cells(points, chosen, size, tall)
+    mine, cells, slots = _cells(points, chosen, size, tall)
     count, parent = len(cells), np.arange(len(cells))
     for c in range(count):
         for j in range(13):  # half of the 26 neighbours; the other half is covered from their side
             key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
-            s = _slot(slots, key)
-            if slots[s] >= 0:
-                a, b = _root(parent, c), _root(parent, ranks[s])
+            other = slots[_slot(slots, cells, key)]
+            if other >= 0:
+                a, b = _root(parent, c), _root(parent, other)
                 parent[max(a, b)] = min(a, b)
     names, objects = np.full(count, np.int32(-1)), 0
     for c in range(count):
@@ -90,7 +118,7 @@ def connect(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
-def evidence(objects, n, voxels, hits, passed, clear, votes):
+def evidence(objects, n, voxels, hits, passed, clear, between, after, votes):
     """Sum the evidence over the points of each of n objects.
 
     A voxel that was hit once and crossed by no other scan does not vote. The vote of the others, in thousandths of a
@@ -102,25 +130,28 @@ def evidence(objects, n, voxels, hits, passed, clear, votes):
         objects: (N,) int32, the object of each point, or -1.
         voxels: (N,) int64, the voxel of each point; points of objects must have one.
         hits, passed, clear: (blocks, 512) uint16, number of scans that hit, crossed, and saw clear each voxel.
+        between, after: (blocks, 8) uint64, bits of the voxels seen clear between two hits, and after the last hit.
         votes: maximum vote of a voxel, scans.
 
     Returns:
-        Four arrays (n,) int64: points, voting points, sum of votes, and points in voxels that were ever seen clear.
+        (6, n) int64: points, voting points, sum of votes, points in voxels that were ever seen clear, between two hits,
+        and after the last hit.
     """
-    size, having = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    sum_of_votes, touched = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    sums = np.zeros((n, 6), np.int64)
     for i in range(len(objects)):
-        k = objects[i]
-        if k >= 0:
-            block, place = voxels[i] >> 9, voxels[i] & 511
-            size[k] += 1
-            seen = np.int64(clear[block, place])
-            having[k] += hits[block, place] > 1 or passed[block, place] > 0
-            if seen:
-                touched[k] += 1
-                against = np.int64(hits[block, place]) + 3 * (np.int64(passed[block, place]) - seen)
-                sum_of_votes[k] += 1000 * min(seen, votes) * min(3 * seen, against) // against
-    return size, having, sum_of_votes, touched
+        if objects[i] < 0:
+            continue
+        k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
+        seen = np.int64(clear[block, place])
+        sums[k, 0] += 1
+        sums[k, 1] += hits[block, place] > 1 or passed[block, place] > 0
+        if seen:
+            against = np.int64(hits[block, place]) + 3 * (np.int64(passed[block, place]) - seen)
+            sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
+            sums[k, 3] += 1
+            sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
+            sums[k, 5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
+    return sums.T.copy()
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -133,36 +164,35 @@ def read(voxels, counts):
 
 
 @njit(cache=True, nogil=True)
-def trails(objects, n, places, since, last, proof):
-    """For each of n objects: its number of points at recent trails, and the maximum proof there.
+def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first):
+    """What was in the places of each of n objects, in earlier and later scans.
 
     Args:
         objects: (N,) int32, the object of each point, or -1.
         places: (N,) int64, the quarter column of each point.
-        since: first scan that counts as recent.
-        last: (all places,) int32, the last scan with a dynamic object in each place.
-        proof: (all places,) int32, number of scans in which that object was dynamic.
+        now: number of this scan.
+        lately, before: numbers of scans.
+        movers: (3, all places) int32: the last scan with a dynamic object in each place, the number of scans in which
+            that object was dynamic, and the first scan with one.
+        seen, dynamic, first: (all places,) int32: the last scan with points and with dynamic objects, over all scans,
+            and the first scan with points.
 
     Returns:
-        (n,) int64 and (n,) int32.
+        (4, n) int64: points where a dynamic object was at most ``lately`` scans ago, the maximum number of scans in
+        which it was dynamic, points where the last object ever seen is dynamic, in this scan or later, and points where
+        something was more than ``before`` scans before any dynamic object.
     """
-    count, most = np.zeros(n, np.int64), np.zeros(n, np.int32)
+    found = np.zeros((n, 4), np.int64)
     for i in range(len(objects)):
-        k = objects[i]
-        if k >= 0 and last[places[i]] >= since:
-            count[k] += 1
-            most[k] = max(most[k], proof[places[i]])
-    return count, most
-
-
-@njit(cache=True, nogil=True)
-def count(objects, n, chosen):
-    """(n,) int64: number of chosen points, (N,) bool, of each object."""
-    found = np.zeros(n, np.int64)
-    for i in range(len(objects)):
-        if objects[i] >= 0:
-            found[objects[i]] += chosen[i]
-    return found
+        if objects[i] < 0:
+            continue
+        k, place = objects[i], places[i]
+        if movers[0, place] >= now - lately:
+            found[k, 0] += 1
+            found[k, 1] = max(found[k, 1], movers[1, place])
+        found[k, 2] += dynamic[place] >= now and seen[place] <= dynamic[place] + lately
+        found[k, 3] += first[place] < movers[2, place] - before
+    return found.T.copy()
 
 
 @njit(cache=True, nogil=True)
@@ -191,11 +221,12 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
         voxels, hits, passed, clear, votes: as in ``evidence``.
 
     Returns:
-        Two arrays (N,) float64: mean vote of the points that vote, from 0 to 1, and mean evidence against votes of all
-        points, scans. Zero for points that are not chosen.
+        (N,) int32: the cell of each point, -1 for points that are not chosen.
+        Two arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1, and mean evidence
+        against votes of all points around it, scans.
     """
-    mine, cells, slots, ranks = _cells(points, chosen, size, tall)
-    count, sums = len(cells), np.zeros((len(cells), 4), np.int64)
+    mine, cells, slots = _cells(points, chosen, size, tall)
+    sums = np.zeros((len(cells), 4), np.int64)
     for i in range(len(points)):
         if mine[i] < 0:
             continue
@@ -207,49 +238,85 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
         own[1] += hit > 1 or crossed > 0
         own[2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
         own[3] += against
-    mean_vote, mean_against = np.zeros(len(points)), np.zeros(len(points))
-    around = np.zeros((count, 2))
-    for c in range(count):
-        total = np.zeros(4, np.int64)
+    mean_vote, mean_against = np.empty(len(cells)), np.empty(len(cells))
+    total = np.empty(4, np.int64)
+    for c in range(len(cells)):
+        total[:] = 0
         for j in range(27):
-            s = _slot(slots, cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1))
-            if slots[s] >= 0:
-                total += sums[ranks[s]]
-        around[c, 0] = total[2] / (1000 * votes * max(total[1], 1))
-        around[c, 1] = total[3] / (3 * total[0])
-    for i in range(len(points)):
-        if mine[i] >= 0:
-            mean_vote[i], mean_against[i] = around[mine[i]]
-    return mean_vote, mean_against
+            key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
+            other = slots[_slot(slots, cells, key)]
+            if other >= 0:
+                for k in range(4):
+                    total[k] += sums[other, k]
+        mean_vote[c] = total[2] / (1000 * votes * max(total[1], 1))
+        mean_against[c] = total[3] / (3 * total[0])
+    return mine, mean_vote, mean_against
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def outcomes(voxels, verdict, low, high, hits, passed, clear, votes, codes):
+    """(N,) uint8: the reason code of each point; low points get that of all low points.
+
+    Args:
+        voxels: (N,) int64, the voxel of each point, -1 for none.
+        verdict: (N,) uint8, the code that the point's object has for it, or 0.
+        low, high: (N,) bool.
+        hits, passed, clear: (blocks, 512) uint16, as in ``evidence``.
+        votes: number of scans that must have seen a voxel clear for its points to be alone.
+        codes: seven reason codes: of points never clear, of those too little clear, high, settled, alone, low and out
+            of reach. A later one overrules an earlier one; verdicts other than settled overrule the first five.
+    """
+    never, little, above, settled, alone, near_ground, out = codes
+    found = np.empty(len(voxels), np.uint8)
+    for i in prange(len(voxels)):
+        block, place = voxels[i] >> 9, voxels[i] & 511
+        if voxels[i] < 0:
+            found[i] = out
+        elif low[i]:
+            found[i] = near_ground
+        elif verdict[i] != 0 and verdict[i] != settled:
+            found[i] = verdict[i]
+        else:
+            seen = np.int64(clear[block, place])
+            if seen >= votes and 2 * seen > np.int64(hits[block, place]) + np.int64(passed[block, place]):
+                found[i] = alone
+            elif verdict[i] != 0:
+                found[i] = settled
+            elif high[i]:
+                found[i] = above
+            else:
+                found[i] = little if seen > 0 else never
+    return found
 
 
 @njit(cache=True, nogil=True)
-def in_or_next_to(points, chosen, cell):
+def in_or_next_to(points, chosen, among, cell):
     """(N,) bool: points in a cell, seen from above, that contains a chosen point or is adjacent to such a cell.
 
     Args:
         points: (N, 3) float32, metres.
-        chosen: (N,) bool.
+        chosen: (N,) bool; chosen points must be finite.
+        among: (N,) bool: the points in question, which must be finite; False for all others.
         cell: edge of a cell, metres.
     """
     found = np.zeros(len(points), np.bool_)
-    cells = np.empty((len(points), 2), np.int64)
+    cells, n = np.empty((chosen.sum(), 2), np.int64), 0
     low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])
     for i in range(len(points)):
         if chosen[i]:
             for axis in range(2):
                 k = np.int64(math.floor(points[i, axis] / cell))
-                cells[i, axis] = k
+                cells[n, axis] = k
                 low[axis], high[axis] = min(low[axis], k), max(high[axis], k)
-    if low[0] > high[0]:
+            n += 1
+    if n == 0:
         return found
     picture = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_)
+    for k in range(n):
+        x, y = cells[k, 0] - low[0], cells[k, 1] - low[1]
+        picture[x : x + 3, y : y + 3] = True
     for i in range(len(points)):
-        if chosen[i]:
-            x, y = cells[i, 0] - low[0], cells[i, 1] - low[1]
-            picture[x : x + 3, y : y + 3] = True
-    for i in range(len(points)):
-        if math.isfinite(points[i, 0]) and math.isfinite(points[i, 1]):
+        if among[i]:
             x = np.int64(math.floor(points[i, 0] / cell)) - low[0] + 1
             y = np.int64(math.floor(points[i, 1] / cell)) - low[1] + 1
             if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
@@ -258,42 +325,26 @@ def in_or_next_to(points, chosen, cell):
 
 
 @njit(cache=True, nogil=True)
-def local_level(points, chosen, height, cell, few):
-    """(N,) float32, metres: mean height of the chosen points in each point's square cell, seen from above.
+def local_level(points, chosen, wanted, height, cell, few):
+    """(N,) float32, metres: mean height of the chosen points in each wanted point's square cell, seen from above.
 
-    0 in cells with fewer than ``few`` chosen points, and for points that are not finite.
+    0 in cells with fewer than ``few`` chosen points, and for points that are not wanted.
 
     Args:
         points: (N, 3) float32, metres.
-        chosen: (N,) bool; chosen points must be finite.
+        chosen, wanted: (N,) bool; these points must be finite.
         height: (N,) float32, metres.
         cell: edge of a cell, metres.
         few: minimum number of points.
     """
-    keys, runs, last = np.full(len(points), np.int64(-1)), 0, np.int64(-1)
+    mine, cells, _ = _cells(points, chosen | wanted, cell, np.inf)
+    number, total = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64)
     for i in range(len(points)):
-        if math.isfinite(points[i, 0]) and math.isfinite(points[i, 1]):
-            x, y = math.floor(points[i, 0] / cell), math.floor(points[i, 1] / cell)
-            if max(abs(x), abs(y)) < REACH:
-                keys[i] = (np.int64(x) + REACH) << X_SHIFT | np.int64(y) + REACH
-                if chosen[i] and keys[i] != last:
-                    runs, last = runs + 1, keys[i]
-    length = 1024
-    while length < 2 * runs:
-        length *= 2
-    slots, number, total = np.full(length, np.int64(-1)), np.zeros(length, np.int64), np.zeros(length, np.int64)
+        if chosen[i]:
+            number[mine[i]] += 1
+            total[mine[i]] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
     level = np.zeros(len(points), np.float32)
-    for adds in (True, False):  # add the chosen points, then look up all points
-        s, last = np.int64(0), np.int64(-1)
-        for i in range(len(points)):
-            if keys[i] < 0 or (adds and not chosen[i]):
-                continue
-            if keys[i] != last:  # consecutive points often share a cell
-                s, last = _slot(slots, keys[i]), keys[i]
-            if adds:
-                slots[s] = last
-                number[s] += 1
-                total[s] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
-            elif slots[s] >= 0 and number[s] >= few:
-                level[i] = total[s] / (1e6 * number[s])
+    for i in range(len(points)):
+        if wanted[i] and number[mine[i]] >= few:
+            level[i] = total[mine[i]] / (1e6 * number[mine[i]])
     return level

@@ -46,17 +46,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool, Intp
 from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, read, voxels_of
+from dynaviz.spatial.blocks import VOXELS, voxels_of
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
 from dynaviz_methods.judgement import Judged, Measured
 from dynaviz_methods.lookups import known
-from dynaviz_methods.trails import LATELY, Trails
+from dynaviz_methods.trails import Trails
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
@@ -130,6 +130,7 @@ REASONS = (
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
     Reason("settled", "kept: rays stop at this part of a dynamic object", Cause.OCCUPIED),
 )
+BY_POINT = (NEVER_CLEAR, TOO_LITTLE, HIGH, SETTLED, ALONE, LOW, OUT_OF_REACH)  # of points whose object does not move
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
@@ -186,11 +187,10 @@ class SeeThrough:
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
         self._observed += 1
-        self._measured = self._measure(scan, points, voxels, places)
-        reasons = self._judge(self._measured, self._trails.observed)
-        up = (reasons != LOW) & (reasons != FOOT)
-        self._trails.observe(places[up], places[reasons == SEEN_THROUGH], now)
-        self._show(reasons, marks.blocks, crossed & ~hit, near)
+        measured = self._measured = self._measure(scan, points, voxels, places)
+        verdict = self._movement(measured, self._trails.observed)
+        self._trails.observe(places[~measured.low], places[verdict == SEEN_THROUGH], now)
+        self._show(measured, verdict, marks.blocks, crossed & ~hit, near)
 
     def label(self, scan: Scan) -> Labels:
         """Label the points of dynamic objects.
@@ -202,7 +202,7 @@ class SeeThrough:
             last = self._measured
             if last is None or last.index != scan.index:
                 last = self._measure(scan, *self._located(scan))
-            reasons = self._judge(last, self._trails.labelled)
+            reasons = self._outcomes(last, self._movement(last, self._trails.labelled))
             even, odd = np.append(reasons, np.zeros(len(reasons) & 1, np.uint8)).reshape(-1, 2).T
             self._reasons[scan.index] = even + 16 * odd
         pairs = self._reasons[scan.index]
@@ -230,57 +230,51 @@ class SeeThrough:
         return points, voxels, self._ground.quarters(voxels)
 
     def _measure(self, scan: Scan, points: F32, voxels: I64, places: I64) -> Measured:
-        """The height, object, counts and evidence of each point of an observed scan."""
-        params, counts = self.params, (self._hits, self._passed, self._clear)
+        """The height, object and evidence of each point of an observed scan."""
+        params, evidence = self.params, (self._hits, self._passed, self._clear, *self._order[1:], self.params.votes)
         height = self._ground.height(points, voxels, scan.position)
-        within, low = voxels >= 0, height <= params.ground_height
-        chosen = within & ~low & ~_high(height)
+        low = height <= params.ground_height
+        chosen = (voxels >= 0) & ~low & ~_high(height)
         objects, n = kernels.objects.connect(points, chosen, params.gap, TALL * params.gap)
-        votes = kernels.objects.evidence(objects, n, voxels, *counts, params.votes)
-        between, after = (kernels.objects.count(objects, n, read(bits, voxels)) for bits in self._order[1:])
-        hits, passed, clear = (kernels.objects.read(voxels, of) for of in counts)
-        found = (*votes, between, after), (hits, passed, clear)
-        return Measured(scan.index, points, voxels, places, height, objects, n, *found)
+        sums = kernels.objects.evidence(objects, n, voxels, *evidence)
+        return Measured(scan.index, points, voxels, places, height, low, objects, n, sums)
 
-    def _judge(self, measured: Measured, movers: I32) -> U8:
-        """Reason code of each point of an observed scan, (N,) uint8.
+    def _outcomes(self, measured: Measured, verdict: U8) -> U8:
+        """Reason code of each point of an observed scan, (N,) uint8."""
+        voxels, height, counts = measured.voxels, measured.height, (self._hits, self._passed, self._clear)
+        points = voxels, verdict, measured.low, _high(height)
+        reasons: U8 = kernels.objects.outcomes(*points, *counts, self.params.votes, BY_POINT)
+        under = self._under(measured, verdict)
+        feet = np.flatnonzero(under)
+        if not len(feet):
+            return reasons
+        hits, passed, clear = (kernels.objects.read(voxels[feet], of) for of in counts)
+        empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
+        stands_out = height[feet] - self._level(measured, under, under)[feet] > STANDS_OUT
+        reasons[feet[stands_out | empty]] = FOOT
+        return reasons
+
+    def _under(self, measured: Measured, verdict: U8) -> Bool:
+        """(N,) bool: low points in or next to a dynamic object."""
+        size = UNDER * self.params.resolution
+        under: Bool = kernels.objects.in_or_next_to(measured.points, REMOVED[verdict], measured.low, size)
+        return under
+
+    def _level(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
+        """(N,) float32, metres: height of the scan's own ground around the wanted points (N,); 0 if unknown."""
+        ground, height = measured.low & ~under & (measured.height > -PIT), measured.height
+        level: F32 = kernels.objects.local_level(measured.points, ground, wanted, height, LEVEL, LEAST)
+        return level
+
+    def _movement(self, measured: Measured, movers: I32) -> U8:
+        """(N,) uint8: why each point's object is dynamic, ``SETTLED`` for its settled parts, or 0.
 
         ``movers`` holds the positions of dynamic objects in earlier scans; those of this scan are added.
         """
-        params, now = self.params, self._number[measured.index]
-        points, voxels, height = measured.points, measured.voxels, measured.height
-        within, low = voxels >= 0, height <= params.ground_height
-        verdict = self._movement(measured, now, movers)
-        moves = REMOVED[verdict]
-
-        hits, passed, clear = measured.counts
-        reasons = np.where(clear > 0, TOO_LITTLE, NEVER_CLEAR).astype(np.uint8)
-        reasons[_high(height)] = HIGH
-        reasons[verdict == SETTLED] = SETTLED
-        reasons[(clear >= params.votes) & (2 * clear > hits + passed)] = ALONE
-        reasons[moves] = verdict[moves]
-        reasons[low] = LOW
-        under = low & kernels.objects.in_or_next_to(points, moves, UNDER * params.resolution)
-        level = kernels.objects.local_level(points, within & low & ~under & (height > -PIT), height, LEVEL, LEAST)
-        of_objects = measured.objects, self._weighed
-        self._judged = Judged(measured.index, height, *of_objects, verdict == SETTLED, under, level)
-        empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
-        reasons[under & ((height - level > STANDS_OUT) | empty)] = FOOT
-        reasons[~within] = OUT_OF_REACH
-        return reasons
-
-    def _movement(self, measured: Measured, now: int, movers: I32) -> U8:
-        """(N,) uint8: why each point's object is dynamic, ``SETTLED`` for its settled parts, or 0.
-
-        Adds positions of dynamic objects to ``movers``.
-        """
-        points, voxels, places = measured.points, measured.voxels, measured.places
+        now, places = self._number[measured.index], measured.places
         objects, n = measured.objects, measured.n
         size, having, votes, touched, between, after = measured.evidence
-        lately, proof = kernels.objects.trails(objects, n, places, now - LATELY, *movers[:2])
-        left = kernels.objects.count(objects, n, self._trails.left(places, now))
-        old = kernels.objects.count(objects, n, self._trails.old(places, movers))
-        self._weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
+        lately, proof, left, old = self._trails.around(objects, n, places, now, movers)
         verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
         reasons = verdict[:n]
         gone = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
@@ -292,29 +286,32 @@ class SeeThrough:
         reasons[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
         follows, by_point = (reasons > 0) & (reasons != WAITED), verdict[objects]
-        settled = np.zeros(len(objects), np.bool_)
         if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
-            vote = np.append(votes / (1000 * self.params.votes * np.maximum(having, 1)), 0.0)
-            settled = self._settled(points, by_point == SEEN_THROUGH, voxels, vote[objects])
-        kernels.objects.leave(np.where(settled, np.int32(-1), objects), follows, proven, places, now, *movers)
-        by_point[settled] = SETTLED
+            vote = votes / (1000 * self.params.votes * np.maximum(having, 1))
+            by_point[self._settled(measured, by_point == SEEN_THROUGH, vote)] = SETTLED
+        leaving = np.where(by_point == SETTLED, np.int32(-1), objects)
+        kernels.objects.leave(leaving, follows, proven, places, now, *movers)
+        weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
+        self._judged = Judged(measured, weighed, by_point)
         return by_point
 
-    def _settled(self, points: F32, seen: Bool, voxels: I64, vote: F64) -> Bool:
-        """(N,) bool: points in settled parts of objects seen through.
+    def _settled(self, measured: Measured, seen: Bool, vote: F64) -> Intp:
+        """Rows of the points in settled parts of objects seen through.
 
         The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
         of an object was seen through, the fewer hits and near hits it takes.
 
         Args:
-            points: (N, 3) float32, metres.
+            measured: the scan.
             seen: (N,) bool, points of objects seen through.
-            voxels: (N,) int64.
-            vote: (N,) float64, mean vote of each point's object, from 0 to 1.
+            vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
-        params, evidence = self.params, (voxels, self._hits, self._passed, self._clear, self.params.votes)
-        votes, against = kernels.objects.surroundings(points, seen, params.gap, TALL * params.gap, *evidence)
-        settled: Bool = seen & (votes <= UNSEEN) & (against * vote >= FIRM)
+        cells = self.params.gap, TALL * self.params.gap
+        evidence = measured.voxels, self._hits, self._passed, self._clear, self.params.votes
+        mine, votes, against = kernels.objects.surroundings(measured.points, seen, *cells, *evidence)
+        rows = np.flatnonzero(seen)
+        cell = mine[rows]
+        settled: Intp = rows[(votes[cell] <= UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)]
         return settled
 
     def halo(self) -> Halo:
@@ -331,16 +328,16 @@ class SeeThrough:
         quantities = tuple(Quantity(name, values, total=True) for name, values in counts.items())
         judged = self._judged
         rules: tuple[Rule, ...] = ()
-        if judged.index == asked.scan.index:
+        if judged.measured.index == asked.scan.index:
             rules = (*self._object_rules(asked, judged), *self._point_rules(asked, judged, hits, passed, clear))
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
 
     def _object_rules(self, asked: Asked, judged: Judged) -> tuple[Rule, ...]:
         """The rules that remove objects; points without an object have NaN."""
-        of = judged.objects[asked.rows]
+        of = judged.measured.objects[asked.rows]
         weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
         size, having, votes, touched, lately, proof, left, between, after, old = weighed
-        stays = Term("in a settled part of its object", judged.settled[asked.rows], "<", 1)
+        stays = Term("in a settled part of its object", judged.verdict[asked.rows] == SETTLED, "<", 1)
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = votes / (1000 * self.params.votes * having)
             earlier = np.where(mean > RARELY, 0.0, old)
@@ -381,7 +378,11 @@ class SeeThrough:
 
     def _point_rules(self, asked: Asked, judged: Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
         """The rules that remove single points: above the ground, and low under a dynamic object."""
-        height, under, level = (of[asked.rows] for of in (judged.height, judged.under, judged.level))
+        measured, under = judged.measured, self._under(judged.measured, judged.verdict)
+        wanted = np.zeros(len(under), np.bool_)
+        wanted[asked.rows] = measured.voxels[asked.rows] >= 0
+        level = self._level(measured, under, wanted)
+        height, under, level = (of[asked.rows] for of in (measured.height, under, level))
         limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
         above = Term("height above the ground", height, ">", limits[0], "m")
         scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
@@ -394,7 +395,7 @@ class SeeThrough:
             Rule("empty foot", (low, *empty)),
         )
 
-    def _show(self, reasons: U8, blocks: I32, through: U64, near: U64) -> None:
+    def _show(self, measured: Measured, verdict: U8, blocks: I32, through: U64, near: U64) -> None:
         wants, emit = self._probe.wants, self._probe.emit
         for name, bits in (("clear", through & ~near), ("passed", through & near)):
             if wants(name):
@@ -403,9 +404,9 @@ class SeeThrough:
                 count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))
         if wants("objects"):
-            emit("objects", PointClasses(CLASS[reasons]))
+            emit("objects", PointClasses(CLASS[self._outcomes(measured, verdict)]))
         if wants("low"):
-            emit("low", Mask((reasons == LOW) | (reasons == FOOT)))
+            emit("low", Mask(measured.low))
 
 
 def _high(height: F32) -> Bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.arrays import I32, I64, Bool
+from dynaviz import kernels
+from dynaviz.arrays import I32, I64
 
 LATELY = 3  # number of scans for which the position of a dynamic object is remembered
 BEFORE = 30  # number of scans before the first dynamic object: what was already in its place then stays there
@@ -42,16 +43,17 @@ class Trails:
         for first in (self._first, self.labelled[2], self.observed[2]):
             first[:-4].reshape(-1, 4)[columns] = NEVER
 
-    def left(self, places: I64, now: int) -> Bool:
-        """(N,) bool: whether the last object ever seen in each place is dynamic, in this scan or later."""
-        last = self._dynamic[places]
-        left: Bool = (last >= now) & (self._seen[places] <= last + LATELY)
-        return left
+    def around(self, objects: I32, n: int, places: I64, now: int, movers: I32) -> I64:
+        """(4, n) int64: what was in the places of each of n objects; see ``kernels/objects.py``.
 
-    def old(self, places: I64, movers: I32) -> Bool:
-        """(N,) bool: whether points were in each place more than ``BEFORE`` scans before the first of ``movers``."""
-        old: Bool = self._first[places] < movers[2][places] - BEFORE
-        return old
+        Args:
+            objects: (N,) int32, the object of each point, or -1; places: (N,) int64.
+            now: position of the scan.
+            movers: ``labelled`` or ``observed``.
+        """
+        over_all = self._seen, self._dynamic, self._first
+        found: I64 = kernels.objects.trails(objects, n, places, now, LATELY, BEFORE, movers, *over_all)
+        return found
 
 
 def _no_movers(places: int) -> I32:
