@@ -71,48 +71,61 @@ def grown(bits, sides, times):
     return here
 
 
+@njit(cache=True, nogil=True)
+def countable(blocks, bits, hits, passed):
+    """(B, 16) int64: the bits of voxels whose counts are below 65535; crossed voxels without those that are hit.
+
+    The arguments are those of ``count``, for which these are the bits once counts may be that high.
+    """
+    found = np.zeros_like(bits)
+    for r in range(len(blocks)):
+        for v in range(512):
+            w, bit = v >> 6, np.int64(1) << (v & 63)
+            if bits[r, 8 + w] & bit:
+                found[r, 8 + w] |= bit if hits[blocks[r], v] < MOST else 0
+            elif bits[r, w] & bit:
+                found[r, w] |= bit if passed[blocks[r], v] < MOST else 0
+    return found
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _add(counts, word):
-    """Add one to the counts (64,) whose bit is set; without branches, so that it is vectorised."""
+def _add(counts, block, w, word):
+    """Add one to the counts of a word's voxels whose bit is set; without branches, so that it is vectorised."""
     for v in range(64):
-        counts[v] += np.uint16(word >> np.uint64(v) & ONE & np.uint64(counts[v] < MOST))
+        counts[block, (w << 6) + v] += np.uint16(word >> np.uint64(v) & ONE)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count(blocks, crossed, hit, near, hits, passed, clear):
-    """Add one scan to the counts; they saturate at 65535.
+def count(blocks, bits, near, hits, passed, clear):
+    """Add one scan to the counts, which must be below 65535.
 
     A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as passed, and also as clear if no
     hit is near.
 
     Args:
-        blocks: (B,) int32, numbers of the scan's blocks.
-        crossed, hit, near: (B, 8) uint64, bits of the voxels crossed, hit, and near a hit.
-        hits, passed, clear: (all blocks + 1, 512) uint16, the counts.
+        blocks, bits: the marks of the scan, as from ``raycast.collect``.
+        near: (B, 8) uint64, bits of the voxels near a hit.
+        hits, passed, clear: (all blocks + 1, 512) uint16, the counts. Modified.
     """
     for r in prange(len(blocks)):
-        block = blocks[r]
         for w in range(8):
-            struck = hit[r, w]
-            through = crossed[r, w] & ~struck
+            hit = np.uint64(bits[r, 8 + w])
+            through = np.uint64(bits[r, w]) & ~hit
             free = through & ~near[r, w]
-            if struck:
-                _add(hits[block, w << 6 : (w << 6) + 64], struck)
+            if hit:
+                _add(hits, blocks[r], w, hit)
             if through:
-                crossings, clears = passed[block, w << 6 : (w << 6) + 64], clear[block, w << 6 : (w << 6) + 64]
-                for v in range(64):  # as in _add; what is not counted as passed is not counted as clear
-                    more = through >> np.uint64(v) & ONE & np.uint64(crossings[v] < MOST)
-                    crossings[v] += np.uint16(more)
-                    clears[v] += np.uint16(free >> np.uint64(v) & more)
+                _add(passed, blocks[r], w, through)
+            if free:
+                _add(clear, blocks[r], w, free)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def order(blocks, hit, clear, ever, between, after):
+def order(blocks, bits, near, ever, between, after):
     """Note the order in which voxels are hit and seen clear, one bit per voxel.
 
     Args:
-        blocks: (B,) int32, numbers of the scan's blocks.
-        hit, clear: (B, 8) uint64, bits of the voxels that the scan hits and sees clear.
+        blocks, bits, near: as for ``count``.
         ever: (all blocks + 1, 8) uint64, voxels that were ever hit. Modified.
         between: as ``ever``: voxels hit, then seen clear, then hit again. Modified.
         after: as ``ever``: voxels hit, and seen clear since their last hit. Modified.
@@ -120,6 +133,11 @@ def order(blocks, hit, clear, ever, between, after):
     for r in prange(len(blocks)):
         b = blocks[r]
         for w in range(8):
-            between[b, w] |= hit[r, w] & after[b, w]
-            after[b, w] = (after[b, w] | clear[r, w] & ever[b, w]) & ~hit[r, w]
-            ever[b, w] |= hit[r, w]
+            hit = np.uint64(bits[r, 8 + w])
+            free = np.uint64(bits[r, w]) & ~hit & ~near[r, w] & ever[b, w]
+            if hit:
+                between[b, w] |= hit & after[b, w]
+                after[b, w] &= ~hit
+                ever[b, w] |= hit
+            if free:
+                after[b, w] |= free

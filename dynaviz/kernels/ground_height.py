@@ -14,13 +14,36 @@ RISE = 3  # the ground is searched in this many layers above the first
 
 
 @njit(cache=True, nogil=True)
-def add(voxels, points, number, height):
-    """Add points (N, 3), in voxels (N,), to the layers (B, 8): their number, and the sum of their heights in mm."""
+def add(voxels, points, number, height, column, stale):
+    """Add points to the layers of blocks, and mark their columns as stale.
+
+    Args:
+        voxels: (N,) int64, the voxel of each point, -1 for none.
+        points: (N, 3) float32, metres.
+        number, height: (B, 8), number of points in each layer, and the sum of their heights in mm. Modified.
+        column: (B + 1,), the column of each block.
+        stale: (all columns + 1,) bool. Modified.
+    """
     for i in range(len(voxels)):
         if voxels[i] >= 0:
             block, layer = voxels[i] >> 9, voxels[i] & 7
             number[block, layer] += 1
             height[block, layer] += np.int64(np.round(np.float64(points[i, 2]) * 1000.0))  # integers: any order
+            stale[column[block]] = True
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def quarters(voxels, column):
+    """(N,) int64: four times the column that contains each voxel, plus the number of its quarter; the last is for -1.
+
+    Args:
+        voxels: (N,) int64, -1 for none.
+        column: (B + 1,), the column of each block; the last is for -1.
+    """
+    found = np.empty(len(voxels), np.int64)
+    for i in prange(len(voxels)):
+        found[i] = column[voxels[i] >> 9] << 2 | (voxels[i] >> 8 & 1) << 1 | voxels[i] >> 5 & 1
+    return found
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -61,14 +61,14 @@ class ClearGrid(BlockGrid):
         first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(which) != 0))[: len(keys)]
         return ((unpack(keys[first]) + 0.5) * self.resolution).astype(np.float32), places[which[first]]
 
-    def near(self, marks: Marks, hit: U64, times: int) -> U64:
+    def near(self, marks: Marks, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.
 
         The cubes extend into adjacent blocks only if these are marked, too.
         """
         sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
-        padded = np.zeros((len(hit) + 1, 8), np.uint64)
-        padded[:-1] = hit
+        padded = np.zeros((len(marks.blocks) + 1, 8), np.uint64)
+        padded[:-1] = marks.bits[:, 8:].view(np.uint64)
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
 

@@ -48,8 +48,8 @@ class GroundHeight:
             points: (N, 3) float32, metres, world frame.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
-        kernels.ground_height.add(voxels, kernels.as_readonly(points, np.float32), self._number, self._height)
-        self._stale[self._column[voxels >> 9]] = True
+        layers = self._number, self._height, self._column, self._stale
+        kernels.ground_height.add(voxels, kernels.as_readonly(points, np.float32), *layers)
 
     def height(self, points: F32, voxels: I64, position: F64) -> F32:
         """(N,) float32, metres: height of each point above the ground.
@@ -91,7 +91,7 @@ class GroundHeight:
 
     def quarters(self, voxels: I64) -> I64:
         """(N,) int64: number of the quarter column that contains each voxel; the last numbers are for voxels -1."""
-        quarters: I64 = self._column[voxels >> 9] * 4 + (voxels >> 8 & 1) * 2 + (voxels >> 5 & 1)
+        quarters: I64 = kernels.ground_height.quarters(voxels, self._column)
         return quarters
 
 

@@ -51,7 +51,7 @@ from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_aroun
 from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, voxels_of
+from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
 from dynaviz_methods.judgement import Judged, Measured
@@ -179,18 +179,19 @@ class SeeThrough:
         """Count the voxels that the scan hits, passes and sees clear, and judge it by the scans so far."""
         points, voxels, places = self._located(scan)
         marks = self._grid.mark_once(scan, voxels)
-        crossed, hit = (np.ascontiguousarray(half).view(np.uint64) for half in np.split(marks.bits, 2, axis=1))
-        near = self._grid.near(marks, hit, round(self.params.guard / self.params.resolution))
-        counts = (self._hits, self._passed, self._clear)
-        kernels.clearance.count(marks.blocks, crossed, hit, near, *counts)
-        kernels.clearance.order(marks.blocks, hit, crossed & ~hit & ~near, *self._order)
+        near = self._grid.near(marks, round(self.params.guard / self.params.resolution))
+        bits = marks.bits
+        if self._observed >= kernels.clearance.MOST:
+            bits = kernels.clearance.countable(marks.blocks, bits, self._hits, self._passed)
+        kernels.clearance.count(marks.blocks, bits, near, self._hits, self._passed, self._clear)
+        kernels.clearance.order(marks.blocks, marks.bits, near, *self._order)
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
         self._observed += 1
         measured = self._measured = self._measure(scan, points, voxels, places)
         verdict = self._movement(measured, self._trails.observed)
         self._trails.observe(places[~measured.low], places[verdict == SEEN_THROUGH], now)
-        self._show(measured, verdict, marks.blocks, crossed & ~hit, near)
+        self._show(measured, verdict, marks, near)
 
     def label(self, scan: Scan) -> Labels:
         """Label the points of dynamic objects.
@@ -395,11 +396,12 @@ class SeeThrough:
             Rule("empty foot", (low, *empty)),
         )
 
-    def _show(self, measured: Measured, verdict: U8, blocks: I32, through: U64, near: U64) -> None:
+    def _show(self, measured: Measured, verdict: U8, marks: Marks, near: U64) -> None:
         wants, emit = self._probe.wants, self._probe.emit
-        for name, bits in (("clear", through & ~near), ("passed", through & near)):
+        for name, among in (("clear", ~near), ("passed", near)):
             if wants(name):
-                voxels = voxels_of(blocks, bits.view(np.int64))
+                through = marks.bits[:, :8] & ~marks.bits[:, 8:]
+                voxels = voxels_of(marks.blocks, through & among.view(np.int64))
                 voxels = voxels[self._hits.ravel()[voxels] > 0]
                 count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))

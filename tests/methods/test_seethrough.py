@@ -249,14 +249,28 @@ def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
     points = ((np.argwhere(np.ones((24, 24, 24))) + 0.5) * 0.1).astype(np.float32)
     grid = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 0))), 0.1)
     voxels = grid.locate(points)
-    bits = np.zeros((len(grid), 8), np.uint64)
+    bits = np.zeros((len(grid), 16), np.int64)
     hit = voxels[world.ravel()]
-    np.bitwise_or.at(bits, (hit >> 9, hit >> 6 & 7), np.uint64(1) << (hit & 63).astype(np.uint64))
-    marks = Marks(np.arange(len(grid), dtype=np.int32), np.empty((0, 16), np.int64))
-    near = grid.near(marks, bits, times)
+    np.bitwise_or.at(bits, (hit >> 9, 8 + (hit >> 6 & 7)), np.int64(1) << (hit & 63))
+    near = grid.near(Marks(np.arange(len(grid), dtype=np.int32), bits), times)
     found = near[voxels >> 9, voxels >> 6 & 7] >> (voxels & 63).astype(np.uint64) & np.uint64(1)
     expected = ndimage.maximum_filter(world, 2 * times + 1, mode="constant").ravel()
     np.testing.assert_array_equal(found.astype(bool), expected)
+
+
+@pytest.mark.plain
+def test_counts_stop_at_their_maximum() -> None:
+    most = kernels.clearance.MOST
+    blocks, bits, near = np.zeros(1, np.int32), np.zeros((1, 16), np.int64), np.zeros((1, 8), np.uint64)
+    bits[0, 0], bits[0, 8] = 0b01111, 0b10001  # voxel 0 is hit, 1 to 3 are crossed, 4 is hit and crossed by none
+    near[0, 0] = 0b01000
+    hits, passed, clear = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, 7))
+    hits[0, 0] = passed[0, 2] = most
+    counted = kernels.clearance.countable(blocks, bits, hits, passed)
+    kernels.clearance.count(blocks, counted, near, hits, passed, clear)
+    assert hits[0, :5].tolist() == [most, most - 1, most - 1, most - 1, most]
+    assert passed[0, :5].tolist() == [most - 1, most, most, most, most - 1]
+    assert clear[0, :5].tolist() == [7, 8, 7, 7, 7], "what is not counted as passed is not counted as clear"
 
 
 @pytest.mark.plain
