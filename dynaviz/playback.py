@@ -70,6 +70,7 @@ def play_live(
     resolved = params.resolve(kind, preset, None, settings)
     sequence = suited(kind, resolved.params, sequence)
     options = Settings(reach) if kind.info.needs_map else Settings(reach, 0)  # nothing is revised here
+    period = 1 / sequence.sensor.rate if sequence.sensor.rate else PERIOD
     kernels.set_threads(threads)
     warm_up(kind, resolved.params, sequence.sensor, options)
     with contextlib.ExitStack() as stack:
@@ -82,7 +83,8 @@ def play_live(
             if serve:
                 inlet, address = stack.enter_context(serving(port))
                 announce(f"Watch it in a browser on this machine at {address}")
-            recording = LiveRecording(kind.info, sequence.name, None if out is None else Path(out), minutes, inlet)
+            folder = None if out is None else Path(out)
+            recording = LiveRecording(kind.info, sequence.name, folder, minutes, inlet, period)
             stack.callback(recording.close)
         session = LiveSession(kind(resolved.params), sequence.sensor, options, recording or SILENT)
         report = PlayReport(method, sequence.name, rate)
@@ -93,5 +95,4 @@ def play_live(
                 static_map = session.map() if recording.wants_map() else None
                 recording.show(played, len(report.dropped), static_map)
 
-        period = 1 / sequence.sensor.rate if sequence.sensor.rate else PERIOD
         return play(session, stream(sequence), report, shown, period=period)

@@ -26,21 +26,25 @@ from dynaviz.method import MethodInfo
 from dynaviz.online.player import Played
 from dynaviz.probe import State, Text, Value
 from dynaviz.scan import Outcome
-from dynaviz.viz import paths, viewer
+from dynaviz.viz import keys, paths, viewer
 from dynaviz.viz import states as drawing
 from dynaviz.viz.budget import Budget
-from dynaviz.viz.layout import blueprint, follow, solid
+from dynaviz.viz.layout import KEY_SHARE, blueprint, follow, solid
 from dynaviz.viz.scene import RINGS, TURN
 
 SEGMENT = 20.0  # seconds of a file of the rolling recording
-TRAIL = 5.0  # seconds: dynamic points and states of this time remain visible
+TRAIL = 5.0  # seconds: dynamic points of this time remain visible
 FLUSH = 0.5  # seconds between writes to the file
 STATE_POINTS = 8_000  # of each state and scan
 STATES_EVERY = 1.0  # seconds between pictures of states, which some methods need long to prepare
 KEPT_POINTS = 30_000  # static points drawn of each scan
 MAP_EVERY = 2.0  # seconds between pictures of the static map
-REMOVED, LATENCY, DROPPED = "world/removed_now", "live/latency_ms", "live/dropped_scans"
+TRACE_POINTS = 2_000  # dynamic points of each scan that remain visible
+REMOVED, TRACES = "world/removed_now", "world/removed_lately"
+LATENCY, DROPPED = "live/latency_ms", "live/dropped_scans"
 SUFFIX = ".rrd"
+SCAN_SHADE: colours.Colour = (200, 200, 208)  # brighter than the static map, which most of its points are in
+TITLE = f"scan (bright) in the static map (dark); dynamic points (pink), and those of the last {TRAIL:.0f} s (small)"
 
 
 class LiveRecording:
@@ -52,13 +56,16 @@ class LiveRecording:
         folder: for the rolling recording, or None.
         minutes: how much of the past the rolling recording keeps.
         port: of a viewer on this machine, or None.
+        period: seconds between scans.
 
     Raises:
         DataError: if the folder cannot be written.
     """
 
-    def __init__(self, info: MethodInfo, name: str, folder: Path | None, minutes: float, port: int | None) -> None:
-        self._info, self._name, self._folder, self._port = info, name, folder, port
+    def __init__(
+        self, info: MethodInfo, name: str, folder: Path | None, minutes: float, port: int | None, period: float
+    ) -> None:
+        self._info, self._name, self._folder, self._port, self._period = info, name, folder, port, period
         self._states = {state.name: state for state in info.emits}
         self._queue: list[tuple[State, Value]] = []
         self._segments: deque[Path] = deque()
@@ -142,9 +149,12 @@ class LiveRecording:
         T, kept = scan.T_world_sensor, np.flatnonzero(~dynamic & np.isfinite(scan.points).all(1))
         kept = kept[:: max(1, len(kept) // KEPT_POINTS)]
         reasons = [self._info.reasons[code].name for code in np.unique(played.labels.reasons[dynamic])]
-        shades = colours.BRIGHT[Outcome.STATIC_KEPT], colours.BRIGHT[Outcome.UNLABELLED_REMOVED]
+        shades = SCAN_SHADE, colours.BRIGHT[Outcome.UNLABELLED_REMOVED]
         yield paths.SENSOR, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
         yield paths.SCAN, rr.Points3D(scan.points[kept], colors=[shades[0]], radii=rr.Radius.ui_points(1.5))
+        traces = scan.points[dynamic][:: max(1, math.ceil(dynamic.sum() / TRACE_POINTS))]
+        shade = colours.FIRM[Outcome.UNLABELLED_REMOVED]
+        yield TRACES, rr.Points3D(traces, colors=[shade], radii=rr.Radius.ui_points(1.0))
         yield REMOVED, rr.Points3D(scan.points[dynamic], colors=[shades[1]], radii=rr.Radius.ui_points(3.0))
         yield LATENCY, rr.Scalars(1000 * played.seconds)
         yield DROPPED, rr.Scalars(dropped)
@@ -177,7 +187,7 @@ class LiveRecording:
         """A stream with what does not change: to a file, or to the viewer if there is no path."""
         number = path.stem if path else "live"
         stream = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()), send_properties=False)
-        layout = _layout(self._info)
+        layout = _layout(self._info, self._period)
         if path is not None:
             stream.save(str(path), default_blueprint=layout)
         else:
@@ -195,6 +205,8 @@ class LiveRecording:
         for state in self._states.values():
             if (context := drawing.legend(state)) is not None:
                 stream.log(paths.state(self._info.name, state), context, static=True)
+        for state in _shown(self._info):
+            stream.log(paths.key(self._info.name, state), keys.strip([state]), static=True)
         return stream
 
     def _flush(self) -> None:
@@ -208,30 +220,45 @@ class LiveRecording:
                 self._viewer = None
 
 
-def _layout(info: MethodInfo) -> Any:
+def _shown(info: MethodInfo) -> list[State]:
+    """The states that get a view."""
+    return [state for state in info.emits if issubclass(state.kind, paths.SOLID)]
+
+
+def _layout(info: MethodInfo, period: float) -> Any:
     """Left: the scan in the static map, with the dynamic points of the last seconds; below it the method's states."""
-    past = rrb.VisibleTimeRange(
-        paths.SENSOR_TIME,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    live = solid("live", [paths.MAP, paths.SCAN, REMOVED, paths.RINGS, paths.SENSOR], follow())
-    live.overrides = {f"/{REMOVED}": [past]}
-    tabs = [
-        solid(state.name, [paths.state(info.name, state), paths.MAP, paths.RINGS, paths.SENSOR], follow())
-        for state in info.emits
-        if issubclass(state.kind, paths.SOLID)
+    first, now = rrb.TimeRangeBoundary.cursor_relative, rrb.TimeRangeBoundary.cursor_relative()
+    # A range counts on its own timeline only; scans without stamps are on that of frames alone.
+    past = [
+        rrb.VisibleTimeRange(paths.FRAME, start=first(seq=-round(TRAIL / period)), end=now),
+        rrb.VisibleTimeRange(paths.SENSOR_TIME, start=first(seconds=-TRAIL), end=now),
     ]
+    drawn, trail = [paths.MAP, paths.SCAN, REMOVED, TRACES, paths.RINGS, paths.SENSOR], rrb.VisibleTimeRanges(past)
+    live = solid(TITLE, drawn, follow(), overrides={f"/{TRACES}": trail})
+    tabs = [_tab(info, state) for state in _shown(info)]
+    columns = rrb.TextLogColumns(timeline_columns=[paths.FRAME], text_log_columns=["Body"])
     numbers = rrb.Vertical(
-        rrb.TimeSeriesView(name="time per scan [ms]", origin="live", contents=[f"/{LATENCY}"]),
-        rrb.TimeSeriesView(name="dropped scans", origin="live", contents=[f"/{DROPPED}"]),
-        rrb.TimeSeriesView(name="dynamic points", origin=paths.REMOVED_POINTS),
-        rrb.TextLogView(name="log", origin=paths.LOG),
+        _curve("time per scan [ms]", LATENCY),
+        _curve("dropped scans", DROPPED),
+        _curve("dynamic points per scan", f"{paths.REMOVED_POINTS}/removed"),
+        rrb.TextLogView(name="log", origin=paths.LOG, columns=columns),
     )
     left = rrb.Vertical(live, rrb.Tabs(*tabs), row_shares=[3, 2]) if tabs else live
     layout = blueprint(rrb.Horizontal(left, numbers, column_shares=[3, 1]))
     layout.time_panel = rrb.TimePanel(state="collapsed", timeline=paths.FRAME, play_state="following")
     return layout
+
+
+def _tab(info: MethodInfo, state: State) -> Any:
+    """A state in the static map, above its key."""
+    path, key = paths.state(info.name, state), paths.key(info.name, state)
+    view = solid(state.name, [path, paths.MAP, paths.RINGS, paths.SENSOR], follow())
+    strip = rrb.Spatial2DView(name=keys.heading([state]), origin=key, background=[*colours.BACKGROUND, 255])
+    return rrb.Vertical(view, strip, name=state.name, row_shares=[KEY_SHARE, 1])
+
+
+def _curve(name: str, path: str) -> Any:
+    return rrb.TimeSeriesView(name=name, contents=[f"/{path}"], plot_legend=rrb.PlotLegend(visible=False))
 
 
 @contextlib.contextmanager
