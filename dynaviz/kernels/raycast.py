@@ -1,9 +1,12 @@
-"""Ray casting through a block grid, and the log-odds update.
+"""Ray casting through a block grid.
 
 A ray is traversed voxel by voxel (Amanatides and Woo 1987) in blocks that exist, and from border to border of blocks
 and super-blocks elsewhere. Its parameter ("time") is an integer, 0 at the sensor and ``ONE`` at the point, so n periods
 are exactly n times the period: leaps and single steps reach the same voxels. The two lowest bits of a time encode the
 axis, so no two borders have the same time; for borders at the same place z comes first, then y, then x.
+
+In live use, nearly all blocks around the sensor exist. There, voxels are marked at addresses that need no directory,
+and the marks are then moved to the blocks.
 """
 
 import math
@@ -11,10 +14,18 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from dynaviz.kernels import addresses
+
 REACH = 1 << 15  # voxels to each side of the world's origin
 ONE = 1 << 52
 END = ONE << 2 | 3  # after the last border, before anything beyond the point
 START = -(1 << 60)
+# Voxels up to these distances from a centre have addresses of their own; so do their blocks.
+NEAR_X, NEAR_Y, NEAR_Z = ((1 << bits - 1) - 8 for bits in addresses.EXTENTS)
+X, Y, Z = addresses.X, addresses.Y, addresses.Z
+ALL_X, ALL_Y, ALL_Z = X[-1], Y[-1], Z[-1]
+IN_X, IN_Y, IN_Z = addresses.IN_BLOCK
+ONE_BIT, SIX, SEVEN, NINE, LAST = (np.uint64(n) for n in (1, 6, 7, 9, 63))
 CHUNK = 512  # rays that a lane processes in turn, for load balance
 
 
@@ -63,17 +74,19 @@ def _slot(slots, owners, masks, used, block):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(o, e, base, shape, top, children, slots, owners, masks, used):
-    """Mark the voxels from that of o up to, but not including, that of e; both in voxels, within the grid's bounds."""
-    kx, sx, fx, px = _axis(o[0], e[0], 2)
-    ky, sy, fy, py = _axis(o[1], e[1], 1)
-    kz, sz, fz, pz = _axis(o[2], e[2], 0)
+def _walk(along_x, along_y, along_z, time, base, shape, top, children, slots, owners, masks, used):
+    """Mark the voxels of a ray within the grid's bounds from a time on, except that of its end."""
+    kx, sx, fx, px = along_x
+    ky, sy, fy, py = along_y
+    kz, sz, fz, pz = along_z
     kx, ky, kz = kx - (base[0] << 7), ky - (base[1] << 7), kz - (base[2] << 7)
 
-    j = ((kx >> 7) * shape[1] + (ky >> 7)) * shape[2] + (kz >> 7)
-    ux, uy, uz = fx + _ahead(kx, sx, 127) * px, fy + _ahead(ky, sy, 127) * py, fz + _ahead(kz, sz, 127) * pz
+    nx, ny, nz = _passed(time, fx, px), _passed(time, fy, py), _passed(time, fz, pz)
+    x, y, z = kx + sx * nx, ky + sy * ny, kz + sz * nz
+    j = ((x >> 7) * shape[1] + (y >> 7)) * shape[2] + (z >> 7)
+    ux, uy, uz = nx + _ahead(x, sx, 127), ny + _ahead(y, sy, 127), nz + _ahead(z, sz, 127)
+    ux, uy, uz = fx + ux * px, fy + uy * py, fz + uz * pz
     dx, dy = sx << 6, sy << 3  # steps of i
-    time = np.int64(START)
     while True:  # super-blocks
         until = min(min(ux, uy), min(uz, END))
         row = top[j]
@@ -140,8 +153,115 @@ def _inside(v, base, shape):
     return True
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _mark(at, bits, touched):
+    """Mark the voxel at an address."""
+    block = at >> NINE
+    bits[block, at >> SIX & SEVEN] |= ONE_BIT << (at & LAST)
+    touched[block] = True
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _moved(at, axis, step):
+    """The address one voxel along an axis, given by the bits of its indices.
+
+    The carry passes through the other bits, which are set (dilated integers, Raman and Wise 2008).
+    """
+    return ((at | ~axis) + step) & axis | at & ~axis
+
+
+@njit(cache=True, nogil=True)
+def _walk_near(along_x, along_y, along_z, until, bits, touched):
+    """Mark the voxels of a ray up to a time, except that of its end, at their addresses."""
+    kx, sx, ta, pa = along_x
+    ky, sy, tb, pb = along_y
+    kz, sz, tc, pc = along_z
+    at = X[kx & len(X) - 1] | Y[ky & len(Y) - 1] | Z[kz & len(Z) - 1]
+    a, da = ALL_X, X[1] if sx > 0 else ALL_X
+    b, db = ALL_Y, Y[1] if sy > 0 else ALL_Y
+    c, dc = ALL_Z, Z[1] if sz > 0 else ALL_Z
+    if pa > pc:  # c becomes the axis with the fewest borders
+        ta, pa, a, da, tc, pc, c, dc = tc, pc, c, dc, ta, pa, a, da
+    if pb > pc:
+        tb, pb, b, db, tc, pc, c, dc = tc, pc, c, dc, tb, pb, b, db
+    while True:
+        limit = min(tc, until)
+        t = min(ta, tb)
+        while t < limit:  # without branches, since the order of a and b cannot be predicted
+            _mark(at, bits, touched)
+            first = ta < tb
+            axis, step = a if first else b, da if first else db
+            ta += pa if first else 0
+            tb += 0 if first else pb
+            at = _moved(at, axis, step)
+            t = min(ta, tb)
+        if limit < END:
+            _mark(at, bits, touched)
+        if limit == until:
+            break
+        at = _moved(at, c, dc)
+        tc += pc
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _index(n, positions, middle):
+    """Index along an axis, from the world's origin, of block n of the addresses around block ``middle``."""
+    index, half = np.int64(0), np.int64(1) << len(positions) - 1
+    for bit in range(len(positions)):
+        index |= (n >> positions[bit] & 1) << bit
+    return middle + ((index - middle + half) & (2 * half - 1)) - half
+
+
+@njit(cache=True, nogil=True)
+def _centre(origins, per_metre):
+    """The voxel of the first origin that is within reach."""
+    for q in range(len(origins)):
+        x, y, z = origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre
+        if abs(x) < REACH and abs(y) < REACH and abs(z) < REACH:
+            return np.int64(math.floor(x)), np.int64(math.floor(y)), np.int64(math.floor(z))
+    return np.int64(0), np.int64(0), np.int64(0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _until(e, axes, centre):
+    """The time until which a ray stays where addresses around a voxel are unique; ``START`` if it starts elsewhere."""
+    until = np.int64(END)
+    for axis, near in ((0, NEAR_X), (1, NEAR_Y), (2, NEAR_Z)):
+        k, _, first, period = axes[axis]
+        borders = near - abs(k - centre[axis])
+        if borders <= 0:
+            return np.int64(START)
+        if abs(np.int64(math.floor(e[axis])) - centre[axis]) >= near and borders <= (END - first) // period:
+            until = min(until, first + borders * period)
+    return until
+
+
+@njit(cache=True, nogil=True)
+def _pour(centre, bits, touched, base, shape, top, children, slots, owners, masks, used):
+    """Move the marks at addresses around a voxel to the blocks that exist; returns the number of slots in use."""
+    for n in range(len(touched)):
+        if not touched[n]:
+            continue
+        touched[n] = False
+        x = _index(n, IN_X, centre[0] >> 3) - (base[0] << 4)
+        y = _index(n, IN_Y, centre[1] >> 3) - (base[1] << 4)
+        z = _index(n, IN_Z, centre[2] >> 3) - (base[2] << 4)
+        jx, jy, jz = x >> 4, y >> 4, z >> 4
+        if 0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]:
+            row = top[(jx * shape[1] + jy) * shape[2] + jz]
+            block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
+            if block:
+                slot, used = _slot(slots, owners, masks, used, block - 1)
+                for w in range(8):
+                    masks[slot, w] |= np.int64(bits[n, w])
+        bits[n] = 0
+    return used
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def mark(points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used):
+def mark(
+    points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, bits, touched
+):
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
 
     Args:
@@ -151,11 +271,14 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
         per_metre: voxels per metre.
         base, shape, top, children: the grid's directory.
         slots, owners, masks, used: the grid's scratch memory.
+        bits, touched: scratch memory for addresses (``addresses.memory``); without blocks, only the directory is used.
     """
     n, several = len(points), len(origins) > 1
+    centre = _centre(origins, per_metre)
     for lane in prange(len(used)):
         count = np.int64(0)
         mine, owned, own_masks = slots[lane], owners[lane], masks[lane]
+        own_bits, own_touched = bits[lane], touched[lane]
         for chunk in range(lane * CHUNK, n, len(used) * CHUNK):
             for p in range(chunk, min(chunk + CHUNK, n)):
                 q = p if several else 0
@@ -164,7 +287,12 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
                     continue
                 o = (origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre)
                 if casts[p] and _inside(o, base, shape):
-                    count = _walk(o, e, base, shape, top, children, mine, owned, own_masks, count)
+                    x, y, z = _axis(o[0], e[0], 2), _axis(o[1], e[1], 1), _axis(o[2], e[2], 0)
+                    until = _until(e, (x, y, z), centre) if len(own_touched) else np.int64(START)
+                    if until > START:
+                        _walk_near(x, y, z, until, own_bits, own_touched)
+                    if until < END:
+                        count = _walk(x, y, z, until, base, shape, top, children, mine, owned, own_masks, count)
                 if hits[p]:
                     x = np.int64(math.floor(e[0])) - (base[0] << 7)
                     y = np.int64(math.floor(e[1])) - (base[1] << 7)
@@ -174,7 +302,8 @@ def mark(points, origins, casts, hits, per_metre, base, shape, top, children, sl
                     if block:
                         slot, count = _slot(mine, owned, own_masks, count, block - 1)
                         own_masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
-        used[lane] = count
+        around = (base, shape, top, children)
+        used[lane] = _pour(centre, own_bits, own_touched, *around, mine, owned, own_masks, count)
 
 
 @njit(cache=True, nogil=True)
@@ -203,28 +332,3 @@ def collect(slots, owners, masks, used):
                         bits[n, w] |= masks[other, theirs, w]
             n += 1
     return blocks[:n], bits[:n]
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def update_log_odds(log_odds, ever, blocks, bits, miss, hit, low, high):
-    """Update each marked voxel once: add a miss and clamp, then a hit and clamp; record voxels ever crossed or hit.
-
-    Args:
-        log_odds: (all blocks + 1, 512) float32. Modified.
-        ever: (all blocks + 1, 16) int64, bits as from ``collect``. Modified.
-        blocks, bits: the marks of a scan, as from ``collect``.
-        miss, hit: increments, log-odds.
-        low, high: clamping thresholds, log-odds.
-    """
-    for n in prange(len(blocks)):
-        block = blocks[n]
-        for w in range(8):
-            crossed, struck = bits[n, w], bits[n, 8 + w]
-            ever[block, w] |= crossed
-            ever[block, 8 + w] |= struck
-            if crossed | struck:
-                values = log_odds[block, w << 6 : (w << 6) + 64]
-                for v in range(64):  # without branches, so that it is vectorised
-                    value = values[v]
-                    value = max(value + miss, low) if crossed >> v & 1 else value
-                    values[v] = min(value + hit, high) if struck >> v & 1 else value

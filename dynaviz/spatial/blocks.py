@@ -75,7 +75,9 @@ class BlockGrid:
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are filled in order, so rows that no scan needs never occupy physical memory.
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
-        self._scratch = (slots, owners, np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64))
+        masks, used = np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64)
+        self._scratch = (slots, owners, masks, used)
+        self._near = kernels.addresses.memory(lanes, blocks=kernels.addresses.BLOCKS if self._rolling else 0)
 
     def _cover(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
         """The blocks of an extent that is known, and their directory."""
@@ -196,7 +198,7 @@ class BlockGrid:
             kernels.as_readonly(scan.origins, np.float64),
             kernels.as_readonly(casts, np.bool_),
             kernels.as_readonly(hits, np.bool_),
-            *(self._per_metre, *self._place, *self._scratch),
+            *(self._per_metre, *self._place, *self._scratch, *self._near),
         )
         return Marks(*kernels.raycast.collect(*self._scratch))
 

@@ -43,7 +43,7 @@ class ClearGrid(BlockGrid):
             )
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
         ends = (kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64), every, every)
-        kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch))
+        kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch, *self._near))
         return Marks(*kernels.raycast.collect(*self._scratch))
 
     def _beyond(self, scan: Scan, voxels: I64) -> tuple[F32, F64]:

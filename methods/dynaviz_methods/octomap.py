@@ -164,7 +164,7 @@ class OctoMap:
         noise = self._find_noise(scan)
         ground = self._find_ground(scan, ~noise)
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
-        kernels.raycast.update_log_odds(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
+        kernels.log_odds.update(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
         if any(self._probe.wants(state.name) for state in STATES[:3]):
             self._show(marks)
 

@@ -121,3 +121,37 @@ def test_a_ray_of_kilometres_ends_in_its_voxel():
         goal = np.floor(point.astype(float) * 10).astype(int)
         assert np.abs(keys - goal).sum(1).min() == 1
         assert (np.abs(keys).sum(1) == 0).any()
+
+
+def with_addresses(grid: BlockGrid) -> BlockGrid:
+    """The grid, made to mark the surroundings of the sensor without its directory, as grids that roll do."""
+    grid._near = kernels.addresses.memory(kernels.threads_in_use())
+    return grid
+
+
+far = st.tuples(st.floats(-1200, 1200, width=32), st.floats(-1200, 1200, width=32), st.floats(-300, 300, width=32))
+
+
+@given(place, far, far, st.integers(1, 7))
+@settings(max_examples=100, deadline=None)
+def test_rays_cross_the_same_voxels_at_addresses_and_beyond(offset, end, other, step):
+    """Up to 504 voxels from the first origin, 120 in height, rays are marked at addresses."""
+    first = np.array([3000.3, -2000.5, 400.7])
+    origins = np.stack([first, first + offset])
+    ends = origins + np.array([end, other])
+    share = np.linspace(0, 1, 500)[::step, None]
+    cells = np.concatenate([o + share * (e - o) for o, e in zip(origins, ends, strict=True)]) * RESOLUTION / CELL
+    bounds = np.full(3, 600.0)
+    grid = BlockGrid(Extent(-bounds, bounds, np.unique(np.floor(cells).astype(np.int32), axis=0)), RESOLUTION)
+    scan = along(origins, ends)
+    expected = crossed(grid, scan)
+    assert crossed(with_addresses(grid), scan) == expected
+    assert not any(memory.any() for memory in grid._near)
+
+
+@pytest.mark.plain
+def test_short_rays_cross_the_same_voxels_at_addresses():
+    random = np.random.default_rng(2)
+    for _ in range(20):
+        scan = along(random.uniform(-150, 150, (1, 3)), random.uniform(-150, 150, (1, 3)))
+        assert crossed(with_addresses(everywhere(scan)), scan) == crossed(everywhere(scan), scan)

@@ -1,0 +1,42 @@
+"""Addresses of the voxels around a sensor, which need no directory.
+
+An address repeats every 1024 voxels along x and y, and every 256 along z. From the lowest bit on, it holds the index
+within a block of 8^3 voxels, as in ``blocks``; then the bits of the block's indices along z, y and x in turn, so that
+adjacent blocks share pages of memory.
+"""
+
+from itertools import count
+
+import numpy as np
+
+from dynaviz.arrays import U64, Bool
+
+EXTENTS = (10, 10, 8)  # along x, y and z: log2 of voxels
+BLOCKS = 1 << sum(EXTENTS) - 9
+
+
+def memory(lanes: int, blocks: int = BLOCKS) -> tuple[U64, Bool]:
+    """One bit per address, (lanes, blocks, 8), and one flag per block, (lanes, blocks); all unset."""
+    return np.zeros((lanes, blocks, 8), np.uint64), np.zeros((lanes, blocks), np.bool_)
+
+
+def _positions() -> list[list[int]]:
+    """The positions in an address, by axis, of the bits of an index, lowest first."""
+    positions, at = [[6, 7, 8], [3, 4, 5], [0, 1, 2]], count(9)
+    for n in range(3, max(EXTENTS)):
+        for axis in (2, 1, 0):
+            if n < EXTENTS[axis]:
+                positions[axis].append(next(at))
+    return positions
+
+
+def _spread(positions: list[int]) -> U64:
+    """(2^bits,) uint64: each index, its bits moved to their positions."""
+    index, spread = np.arange(1 << len(positions), dtype=np.uint64), np.zeros(1 << len(positions), np.uint64)
+    for n, at in enumerate(positions):
+        spread |= (index >> np.uint64(n) & np.uint64(1)) << np.uint64(at)
+    return spread
+
+
+X, Y, Z = (_spread(positions) for positions in _positions())
+IN_BLOCK = tuple(tuple(at - 9 for at in positions[3:]) for positions in _positions())  # in the numbers of blocks
