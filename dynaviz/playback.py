@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,8 @@ def play_live(
     out: str | os.PathLike[str] | None = None,
     minutes: float = 5.0,
     progress: Progress = silent,
-    announce: Any = print,
+    announce: Callable[[str], object] = print,
+    finished: Callable[[PlayReport], object] = lambda report: None,
 ) -> PlayReport:
     """Play a sequence to a method as a sensor would, and report how it kept up.
 
@@ -51,7 +52,8 @@ def play_live(
         out: folder of the rolling recording; None for none.
         minutes: how much of the past that recording keeps.
         progress: called with the number of scans so far.
-        announce: called with the address of the page.
+        announce: called with the address of the page, and with the report if playing is interrupted.
+        finished: called with the report after the last scan, while the page is still served.
 
     Raises:
         UsageError: for an invalid number or a method that cannot run live.
@@ -81,8 +83,9 @@ def play_live(
 
             inlet = viewer.open_window() if view else None
             if serve:
-                inlet, address = stack.enter_context(serving(port))
-                announce(f"Watch it in a browser on this machine at {address}")
+                inlet, lines = stack.enter_context(serving(port))
+                for line in lines:
+                    announce(line)
             folder = None if out is None else Path(out)
             recording = LiveRecording(kind.info, sequence.name, folder, minutes, inlet, period)
             stack.callback(recording.close)
@@ -95,4 +98,11 @@ def play_live(
                 static_map = session.map() if recording.wants_map() else None
                 recording.show(played, len(report.dropped), static_map)
 
-        return play(session, stream(sequence), report, shown, period=period)
+        try:
+            play(session, stream(sequence), report, shown, period=period)
+        except KeyboardInterrupt:
+            if report.latencies:
+                announce(str(report))
+            raise
+        finished(report)
+        return report

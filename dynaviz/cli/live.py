@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import shlex
+import sys
+import threading
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,6 +28,9 @@ from dynaviz.cli.options import (
     method_names,
     open_sequence,
 )
+
+if TYPE_CHECKING:
+    from dynaviz.online.player import PlayReport
 
 
 def add_to(app: typer.Typer) -> None:
@@ -91,8 +98,16 @@ def live(
         extrinsic=extrinsic,
         sensor=sensor,
     )
-    with progress(f"live {source}") as report:
-        played = play_live(
+    with contextlib.ExitStack() as bar:
+
+        def finished(played: PlayReport) -> None:
+            bar.close()
+            _report(played, json, out)
+            if serve and sys.stdin.isatty():
+                print("The page stays until you press Ctrl-C.", file=sys.stderr)
+                _wait()
+
+        play_live(
             sequence,
             method,
             rate=rate,
@@ -105,11 +120,21 @@ def live(
             port=port,
             out=out,
             minutes=minutes,
-            progress=report,
-            announce=show,
+            progress=bar.enter_context(progress(f"live {source}")),
+            announce=functools.partial(print, file=sys.stderr if str(json) == "-" else sys.stdout, flush=True),
+            finished=finished,
         )
+
+
+def _report(played: PlayReport, json: Path | None, out: Path | None) -> None:
     if print_json(played.to_dict(), json):
         return
     show(str(played))
     if out is not None:
         show(f"Open the last minutes with: rerun {shlex.quote(str(out))}/live-*.rrd, or {program()} view FILE")
+
+
+def _wait() -> None:
+    """Wait for Ctrl-C."""
+    with contextlib.suppress(KeyboardInterrupt):
+        threading.Event().wait()

@@ -134,7 +134,7 @@ def play(
     Args:
         session: labels the scans.
         scans: in the world frame, in the order of time.
-        report: with the names and the rate; filled and returned.
+        report: with the names and the rate; filled, also if playing is interrupted, and returned.
         shown: called after each labelled scan; its time counts, too.
         clock: real time by default.
         period: seconds between scans that have no stamps.
@@ -142,26 +142,28 @@ def play(
     clock = clock or WallClock()
     start = clock.now()
     asked = first = start
-    for frame, (due, scan, next_due) in enumerate(_scheduled(scans, report.rate, period)):
-        if report.rate > 0:
-            now = clock.now() - start
-            reading = min(clock.now() - asked, max(now - due, 0.0))
-            start, now = start + reading, now - reading
-            if now >= next_due:
-                report.dropped.append(frame)
-                asked = clock.now()
-                continue
-            if now < due:
-                clock.sleep(due - now)
-        began = clock.now()
-        labels = session.add(scan)
-        seconds = clock.now() - began
-        report.latencies.append(seconds)
-        report.points += len(labels)
-        report.dynamic += int(labels.dynamic.sum())
-        shown(Played(frame, scan, labels, seconds))
-        asked = clock.now()
-    report.seconds, report.restarts = clock.now() - first, session.restarts
+    try:
+        for frame, (due, scan, next_due) in enumerate(_scheduled(scans, report.rate, period)):
+            if report.rate > 0:
+                now = clock.now() - start
+                reading = min(clock.now() - asked, max(now - due, 0.0))
+                start, now = start + reading, now - reading
+                if now >= next_due:
+                    report.dropped.append(frame)
+                    asked = clock.now()
+                    continue
+                if now < due:
+                    clock.sleep(due - now)
+            began = clock.now()
+            labels = session.add(scan)
+            seconds = clock.now() - began
+            report.latencies.append(seconds)
+            report.points += len(labels)
+            report.dynamic += int(labels.dynamic.sum())
+            shown(Played(frame, scan, labels, seconds))
+            asked = clock.now()
+    finally:
+        report.seconds, report.restarts = clock.now() - first, session.restarts
     return report
 
 

@@ -31,6 +31,7 @@ from dynaviz.viz import states as drawing
 from dynaviz.viz.budget import Budget
 from dynaviz.viz.layout import KEY_SHARE, blueprint, follow, solid
 from dynaviz.viz.scene import RINGS, TURN
+from dynaviz.viz.view import tunnel, usable
 
 SEGMENT = 20.0  # seconds of a file of the rolling recording
 TRAIL = 5.0  # seconds: dynamic points of this time remain visible
@@ -126,9 +127,13 @@ class LiveRecording:
 
     def close(self) -> None:
         """Write everything, and leave the viewer open."""
-        for stream in self._streams:
-            stream.flush(timeout_sec=5.0)
-            stream.disconnect()
+        if self._viewer is not None:
+            with contextlib.suppress(RuntimeError):  # it was closed
+                self._viewer.flush(timeout_sec=5.0)
+            self._viewer.disconnect()
+        if self._file is not None:
+            self._file.flush(timeout_sec=5.0)
+            self._file.disconnect()
 
     @property
     def _draws(self) -> bool:
@@ -262,23 +267,33 @@ def _curve(name: str, path: str) -> Any:
 
 
 @contextlib.contextmanager
-def serving(port: int | None) -> Iterator[tuple[int, str]]:
-    """A viewer in a browser on this machine; yields the port for recordings and the address of the page.
+def serving(port: int | None) -> Iterator[tuple[int, tuple[str, str]]]:
+    """A viewer in a browser on this machine; yields the port for recordings, and what to announce.
 
     Args:
         port: of the page; that for recordings is the next one. None for any free ones.
+
+    Raises:
+        UsageError: if another program uses one of the ports.
+        DynavizError: if the viewer ends before it is ready.
     """
-    page, inlet = (viewer.free_port(), viewer.free_port()) if port is None else (port, port + 1)
+    page, inlet = (viewer.free_port(), viewer.free_port()) if port is None else usable(port)
     address = f"http://{viewer.HOME}:{page}/?url={quote(viewer.url(inlet), safe='')}"
     command = [
         viewer.program(), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}", f"--web-viewer-port={page}",
         "--server-memory-limit=1GB",
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as output, subprocess.Popen(command, stdout=output, stderr=output) as server:
+    with contextlib.ExitStack() as stack:
+        output = stack.enter_context(tempfile.TemporaryFile())
+        # In a session of its own: Ctrl-C ends the recording first, and then the viewer.
+        server = stack.enter_context(subprocess.Popen(command, stdout=output, stderr=output, start_new_session=True))
         try:
             viewer.wait_until_ready(server, inlet, output)
             if viewer.has_screen():
                 webbrowser.open(address)
-            yield inlet, address
+            yield inlet, (
+                f"Watch it in a browser on this machine at {address}",
+                f"From another machine, run '{tunnel(page, inlet)}' there and open the same address.",
+            )  # fmt: skip
         finally:
             server.terminate()

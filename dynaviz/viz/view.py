@@ -35,7 +35,7 @@ def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: 
     for file in files:
         viewable(file)
     if web:
-        _serve(files, *((viewer.free_port(), viewer.free_port()) if port is None else _checked(port)))
+        _serve(files, *((viewer.free_port(), viewer.free_port()) if port is None else usable(port)))
     else:
         viewer.open_window(*files)
 
@@ -47,8 +47,12 @@ def tunnel(page: int, recordings: int) -> str:
     return f"ssh {forwards} {user}@{socket.gethostname()}"
 
 
-def _checked(page: int) -> tuple[int, int]:
-    """The port of the page, and that of the recordings after it."""
+def usable(page: int) -> tuple[int, int]:
+    """The port of the page, and that of the recordings after it.
+
+    Raises:
+        UsageError: if another program uses one of them.
+    """
     for port in (page, page + 1):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
+from dynaviz import registry
 from dynaviz.errors import DataError, UsageError
 from dynaviz.method import Labels
 from dynaviz.online.player import PlayReport, play
@@ -125,6 +127,55 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
     assert report.dynamic == sum(int(online.labels[frame].sum()) for frame in range(5))
     assert len(report.latencies) == 5
     assert not report.dropped
+
+
+def test_an_interrupted_play_reports_what_was_played() -> None:
+    class Interrupted(Slow):
+        def add(self, scan: Scan) -> Labels:
+            if scan.index == 4:
+                raise KeyboardInterrupt
+            return super().add(scan)
+
+    clock, report = Simulated(), PlayReport("slow", "six", 1.0)
+    session: Any = Interrupted(clock, [0.05])
+    with pytest.raises(KeyboardInterrupt):
+        play(session, scans(6), report, clock=clock)
+    assert (len(report.latencies), report.seconds) == (4, pytest.approx(0.4))
+
+
+def test_the_view_shows_a_trail_of_dynamic_points_on_both_timelines() -> None:
+    from dynaviz.viz.live import TRACES, _layout
+
+    layout = _layout(registry.load("methods", "octomap").info, period=0.05)
+    view = layout.root_container.contents[0].contents[0]
+    ranges = view.visualizer_overrides[f"/{TRACES}"].ranges.as_arrow_array().to_pylist()
+    starts = {each["timeline"]: each["range"]["start"] for each in ranges}
+    assert starts == {"frame": -100, "sensor_time": -5 * 10**9}
+
+
+def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dynaviz.viz import viewer
+
+    announced: list[str] = []
+
+    def finished(report: PlayReport) -> None:
+        assert len(report.latencies) == 2
+        assert viewer.listens(page)
+        assert viewer.listens(page + 1)
+
+    page = next(port for port in range(20_000, 30_000, 10) if not viewer.listens(port) and not viewer.listens(port + 1))
+    monkeypatch.setattr(viewer, "has_screen", lambda: False)
+    scans_, options = InMemory(crossing(2)), {"rate": 0, "serve": True, "port": page}
+    play_live(scans_, "octomap", **options, announce=announced.append, finished=finished)
+    assert announced[0].startswith(f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?url=")
+    assert announced[1].startswith(f"From another machine, run 'ssh -L {page}:127.0.0.1:{page} ")
+    assert not viewer.listens(page)
+    for port in (page, page + 1):
+        with socket.socket() as taken:
+            taken.bind((viewer.HOME, port))
+            taken.listen()
+            with pytest.raises(UsageError, match=rf"--port {page}: port {port} cannot be used .* Give another one"):
+                play_live(scans_, "octomap", **options)
 
 
 def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
