@@ -26,16 +26,16 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
         rows[blocks[r]] = r + 1
     found = np.full((n, 6), np.int32(n))
     for r in prange(n):
-        for side in range(6):
-            step = 1 if side & 1 else -1
-            x = np.int64(keys[blocks[r], 0]) - (base[0] << 4) + (step if side >> 1 == 0 else 0)
-            y = np.int64(keys[blocks[r], 1]) - (base[1] << 4) + (step if side >> 1 == 1 else 0)
-            z = np.int64(keys[blocks[r], 2]) - (base[2] << 4) + (step if side >> 1 == 2 else 0)
-            if 0 <= x >> 4 < shape[0] and 0 <= y >> 4 < shape[1] and 0 <= z >> 4 < shape[2]:
+        for axis in range(3):
+            x = np.int64(keys[blocks[r], 0]) - (base[0] << 4) + (axis == 0)
+            y = np.int64(keys[blocks[r], 1]) - (base[1] << 4) + (axis == 1)
+            z = np.int64(keys[blocks[r], 2]) - (base[2] << 4) + (axis == 2)
+            if x >> 4 < shape[0] and y >> 4 < shape[1] and z >> 4 < shape[2]:
                 row = top[((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)]
                 block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
                 if block and rows[block - 1]:
-                    found[r, side] = rows[block - 1] - 1
+                    other = rows[block - 1] - 1
+                    found[r, 2 * axis + 1], found[other, 2 * axis] = other, r
     for r in prange(n):
         rows[blocks[r]] = 0
     return found

@@ -141,33 +141,67 @@ def lower(surface, step):
 
 @njit(cache=True, nogil=True)
 def spanned(voxels, column, columns):
-    """(2, 2) int64: lowest and highest key of the columns that contain voxels; lowest above highest if none."""
+    """Which columns contain voxels, (C + 1,) bool; and their lowest and highest keys, (2, 2) int64.
+
+    The last column is for voxels -1. Without others, the lowest key is above the highest.
+    """
+    seen = np.zeros(len(columns) + 1, np.bool_)
+    for i in range(len(voxels)):
+        seen[column[voxels[i] >> 9]] = True
     bounds = np.empty((2, 2), np.int64)
     bounds[0], bounds[1] = 1 << 40, -(1 << 40)
-    last = np.int64(-1)
-    for i in range(len(voxels)):
-        if voxels[i] >> 9 != last:  # consecutive points often share a block
-            last = voxels[i] >> 9
-            if last < 0:
-                continue
-            c = column[last]
+    for c in range(len(columns)):
+        if seen[c]:
             for axis in range(2):
                 bounds[0, axis] = min(bounds[0, axis], columns[c, axis])
                 bounds[1, axis] = max(bounds[1, axis], columns[c, axis])
-    return bounds
+    return seen, bounds
+
+
+@njit(cache=True, nogil=True)
+def surface(columns, floor, low, high):
+    """(X, Y) float64, metres: the floors (C,) of the columns from key ``low`` to key ``high``, infinite elsewhere."""
+    found = np.full((high[0] - low[0] + 1, high[1] - low[1] + 1), np.inf)
+    for c in range(len(columns)):
+        x, y = columns[c, 0] - low[0], columns[c, 1] - low[1]
+        if floor[c] < np.inf and 0 <= x < found.shape[0] and 0 <= y < found.shape[1]:
+            found[x, y] = floor[c]
+    return found
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def heights(points, voxels, column, columns, first, surface):
+def heights(points, voxels, column, columns, seen, first, surface):
     """(N,) float32, metres: height of points (N, 3) above a surface whose first cell is column ``first``.
 
-    Infinite for voxels -1, outside the surface, and where the surface is infinite.
+    Infinite for voxels -1, outside the surface, and where the surface is infinite. ``seen`` is that of ``spanned``.
     """
-    found = np.full(len(voxels), np.float32(np.inf))
-    for i in prange(len(voxels)):
-        if voxels[i] >= 0:
-            c = column[voxels[i] >> 9]
+    level = np.empty(len(columns) + 1)
+    level[len(columns)] = np.inf
+    for c in range(len(columns)):
+        if seen[c]:
             x, y = columns[c, 0] - first[0], columns[c, 1] - first[1]
-            if 0 <= x < surface.shape[0] and 0 <= y < surface.shape[1] and surface[x, y] < np.inf:
-                found[i] = points[i, 2] - surface[x, y]
+            inside = 0 <= x < surface.shape[0] and 0 <= y < surface.shape[1]
+            level[c] = surface[x, y] if inside else np.inf
+    found = np.empty(len(voxels), np.float32)
+    for i in prange(len(voxels)):
+        z = level[column[voxels[i] >> 9]]
+        found[i] = points[i, 2] - z if z < np.inf else np.inf
     return found
+
+
+@njit(cache=True, nogil=True)
+def stale_blocks(stale, column, exists, number):
+    """(K,) int64: existing blocks with points in stale columns.
+
+    Args:
+        stale: (all columns + 1,) bool.
+        column: (B + 1,), the column of each block.
+        exists: (B,) bool.
+        number: (B, 8), number of points in each layer.
+    """
+    found, n = np.empty(len(exists), np.int64), 0
+    for b in range(len(exists)):
+        if exists[b] and stale[column[b]] and number[b].any():
+            found[n] = b
+            n += 1
+    return found[:n].copy()

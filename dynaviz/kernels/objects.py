@@ -9,6 +9,10 @@ from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 ONE = np.uint64(1)
 FIRST_SLOTS = 1024  # of a hash table that grows
+# Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
+# columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
+COLUMNS = np.array([0, 1 << Y_SHIFT, (1 << X_SHIFT) - (1 << Y_SHIFT), 1 << X_SHIFT, (1 << X_SHIFT) + (1 << Y_SHIFT)])
+RUNS = np.stack([COLUMNS + [1, -1, -1, -1, -1], COLUMNS + 1], 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -95,15 +99,20 @@ def connect(points, chosen, size, tall):
         (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
-    mine, cells, slots = _cells(points, chosen, size, tall)
+    mine, cells, _ = _cells(points, chosen, size, tall)
     count, parent = len(cells), np.arange(len(cells))
-    for c in range(count):
-        for j in range(13):  # half of the 26 neighbours; the other half is covered from their side
-            key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
-            other = slots[_slot(slots, cells, key)]
-            if other >= 0:
-                a, b = _root(parent, c), _root(parent, other)
+    order = np.argsort(cells)
+    keys = cells[order]
+    for run in range(len(RUNS)):
+        at = 0
+        for c in range(count):
+            while at < count and keys[at] < keys[c] + RUNS[run, 0]:
+                at += 1
+            other = at
+            while other < count and keys[other] <= keys[c] + RUNS[run, 1]:
+                a, b = _root(parent, order[c]), _root(parent, order[other])
                 parent[max(a, b)] = min(a, b)
+                other += 1
     names, objects = np.full(count, np.int32(-1)), 0
     for c in range(count):
         root = _root(parent, c)
@@ -195,15 +204,24 @@ def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first
     return found.T.copy()
 
 
+@njit(cache=True, nogil=True, parallel=True)
+def spread(verdict, objects):
+    """(N,) uint8: the verdict (n,) on each point's object, (N,) int32; 0 for points without one, -1."""
+    found = np.empty(len(objects), np.uint8)
+    for i in prange(len(objects)):
+        found[i] = verdict[objects[i]] if objects[i] >= 0 else 0
+    return found
+
+
 @njit(cache=True, nogil=True)
-def leave(objects, moving, proven, places, now, last, proof, first):
+def leave(objects, moving, stays, proven, places, now, last, proof, first):
     """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several.
 
-    ``first`` keeps the first scan with such an object in each place.
+    Points that stay, (N,) bool, leave no mark. ``first`` keeps the first scan with such an object in each place.
     """
     for i in range(len(objects)):
         k = objects[i]
-        if k >= 0 and moving[k]:
+        if k >= 0 and moving[k] and not stays[i]:
             place = places[i]
             proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
             last[place] = now
@@ -337,14 +355,28 @@ def local_level(points, chosen, wanted, height, cell, few):
         cell: edge of a cell, metres.
         few: minimum number of points.
     """
-    mine, cells, _ = _cells(points, chosen | wanted, cell, np.inf)
-    number, total = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.int64)
+    level = np.zeros(len(points), np.float32)
+    low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])  # bounds of the cells with wanted points
+    for i in range(len(points)):
+        if wanted[i]:
+            for axis in range(2):
+                k = np.int64(math.floor(points[i, axis] / cell))
+                low[axis], high[axis] = min(low[axis], k), max(high[axis], k)
+    if low[0] > high[0]:
+        return level
+    number = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1), np.int64)
+    total = np.zeros(number.shape, np.int64)
     for i in range(len(points)):
         if chosen[i]:
-            number[mine[i]] += 1
-            total[mine[i]] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
-    level = np.zeros(len(points), np.float32)
+            x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
+            y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
+            if 0 <= x < number.shape[0] and 0 <= y < number.shape[1]:
+                number[x, y] += 1
+                total[x, y] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
     for i in range(len(points)):
-        if wanted[i] and number[mine[i]] >= few:
-            level[i] = total[mine[i]] / (1e6 * number[mine[i]])
+        if wanted[i]:
+            x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
+            y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
+            if number[x, y] >= few:
+                level[i] = total[x, y] / (1e6 * number[x, y])
     return level

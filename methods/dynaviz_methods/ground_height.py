@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, Intp
+from dynaviz.arrays import F32, F64, I32, I64
 from dynaviz.spatial.blocks import BlockGrid
 
 SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
@@ -64,19 +64,16 @@ class GroundHeight:
         """
         self._refresh()
         place = (voxels, self._column, self._columns)
-        low, high = kernels.ground_height.spanned(*place)
+        seen, (low, high) = kernels.ground_height.spanned(*place)
         middle = np.floor(position[:2] / self._edge).astype(np.int64)
         low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
         if (low > high).any():
             return np.full(len(points), np.inf, np.float32)
         near = self._between(low[0], high[0])
-        xy, floor = self._columns[near], self._floor[near]
-        inside = (xy[:, 1] >= low[1]) & (xy[:, 1] <= high[1])
-        surface = np.full(high - low + 1, np.inf)
-        surface[xy[inside, 0] - low[0], xy[inside, 1] - low[1]] = floor[inside]
+        surface = kernels.ground_height.surface(self._columns[near], self._floor[near], low, high)
         surface[kernels.ground_height.pits(surface, PIT)] = np.inf
         kernels.ground_height.lower(surface, self._step)
-        height: F32 = kernels.ground_height.heights(kernels.as_readonly(points, np.float32), *place, low, surface)
+        height: F32 = kernels.ground_height.heights(kernels.as_readonly(points, np.float32), *place, seen, low, surface)
         return height
 
     def _refresh(self) -> None:
@@ -85,8 +82,8 @@ class GroundHeight:
         kernels.ground_height.floors(stale, self._starts, self._blocks, self._number, self._height, self._floor)
         self._stale[:] = False
 
-    def _between(self, low: int, high: int) -> slice | Intp:
-        """The columns from one x to another, both included."""
+    def _between(self, low: int, high: int) -> slice:
+        """The columns from one x to another, both included, and maybe others."""
         return slice(*np.searchsorted(self._columns[:, 0], (low, high + 1)))
 
     def quarters(self, voxels: I64) -> I64:
@@ -133,11 +130,10 @@ class RollingGroundHeight(GroundHeight):
             watcher(columns[moved])
 
     def _refresh(self) -> None:
-        blocks = np.flatnonzero(self._stale[self._column[:-1]] & self._grid.existing())
-        blocks = blocks[self._number[blocks].any(1)]
+        blocks = kernels.ground_height.stale_blocks(self._stale, self._column, self._grid.existing(), self._number)
+        order = np.argsort((self._column[blocks] << 32) + self._grid.blocks[blocks, 2])
+        blocks = blocks[order]
         columns = self._column[blocks]
-        order = np.lexsort((self._grid.blocks[blocks, 2], columns))
-        blocks, columns = blocks[order], columns[order]
         firsts = np.flatnonzero(np.diff(columns, prepend=-1))
         floor = np.empty(len(firsts))
         layers = self._number[blocks], self._height[blocks]
@@ -146,6 +142,5 @@ class RollingGroundHeight(GroundHeight):
         self._floor[columns[firsts]] = floor
         self._stale[:] = False
 
-    def _between(self, low: int, high: int) -> Intp:
-        inside = (self._columns[:, 0] >= low) & (self._columns[:, 0] <= high) & (self._floor < np.inf)
-        return np.flatnonzero(inside)
+    def _between(self, low: int, high: int) -> slice:
+        return slice(None)

@@ -258,7 +258,8 @@ class SeeThrough:
     def _under(self, measured: Measured, verdict: U8) -> Bool:
         """(N,) bool: low points in or next to a dynamic object."""
         size = UNDER * self.params.resolution
-        under: Bool = kernels.objects.in_or_next_to(measured.points, REMOVED[verdict], measured.low, size)
+        moves = (verdict > 0) & (verdict != SETTLED)
+        under: Bool = kernels.objects.in_or_next_to(measured.points, moves, measured.low, size)
         return under
 
     def _level(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
@@ -276,8 +277,7 @@ class SeeThrough:
         objects, n = measured.objects, measured.n
         size, having, votes, touched, between, after = measured.evidence
         lately, proof, left, old = self._trails.around(objects, n, places, now, movers)
-        verdict = np.zeros(n + 1, np.uint8)  # the last entry is for points without an object
-        reasons = verdict[:n]
+        reasons = np.zeros(n, np.uint8)
         gone = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
         reasons[(2 * left > size) & gone] = WAITED
         rarely = votes <= 1000 * RARELY * self.params.votes * having
@@ -286,12 +286,11 @@ class SeeThrough:
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
         reasons[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
-        follows, by_point = (reasons > 0) & (reasons != WAITED), verdict[objects]
+        follows, by_point = (reasons > 0) & (reasons != WAITED), kernels.objects.spread(reasons, objects)
         if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
             vote = votes / (1000 * self.params.votes * np.maximum(having, 1))
             by_point[self._settled(measured, by_point == SEEN_THROUGH, vote)] = SETTLED
-        leaving = np.where(by_point == SETTLED, np.int32(-1), objects)
-        kernels.objects.leave(leaving, follows, proven, places, now, *movers)
+        kernels.objects.leave(objects, follows, by_point == SETTLED, proven, places, now, *movers)
         weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         self._judged = Judged(measured, weighed, by_point)
         return by_point
