@@ -81,6 +81,8 @@ def play_live(
             from dynaviz.viz import viewer
             from dynaviz.viz.live import LiveRecording, serving
 
+            if view and not viewer.has_screen():
+                raise UsageError("--view: there is no screen to open a viewer on. Use --serve for a browser")
             inlet = viewer.open_window() if view else None
             if serve:
                 inlet, lines = stack.enter_context(serving(port))

@@ -109,6 +109,12 @@ def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> N
         play_live(InMemory(crossing(1)), "dufomap", **options)
 
 
+def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dynaviz.viz.viewer.has_screen", lambda: False)
+    with pytest.raises(UsageError, match=r"--view: there is no screen to open a viewer on\. Use --serve for a browser"):
+        play_live(InMemory(crossing(1)), "octomap", view=True)
+
+
 def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from rerun.chunk import RrdReader
 
