@@ -12,7 +12,7 @@ FIRST_SLOTS = 1024  # of a hash table that grows
 # Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
 # columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
 COLUMNS = np.array([0, 1 << Y_SHIFT, (1 << X_SHIFT) - (1 << Y_SHIFT), 1 << X_SHIFT, (1 << X_SHIFT) + (1 << Y_SHIFT)])
-RUNS = np.stack([COLUMNS + [1, -1, -1, -1, -1], COLUMNS + 1], 1)
+RUNS = np.stack([COLUMNS + np.array([1, -1, -1, -1, -1]), COLUMNS + 1], 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -44,30 +44,35 @@ def _root(parent, i):
 
 
 @njit(cache=True, nogil=True)
-def _fill(points, chosen, size, tall, start, slots, mine, cells, count):
-    """Find the cells of chosen points from ``start`` on until half of the slots are taken; returns the next point.
+def _rows(chosen):
+    """Rows (K,) int64 of the chosen points; without branches, which would be unpredictable."""
+    rows, n = np.empty(len(chosen), np.int64), 0
+    for i in range(len(chosen)):
+        rows[n] = i
+        n += chosen[i]
+    return rows[:n]
 
-    And the number of cells.
+
+@njit(cache=True, nogil=True)
+def _fill(points, rows, size, tall, first, slots, mine, cells, count):
+    """Find the cells of points from the one in rows[first] on, until half of the slots are taken.
+
+    Returns the place in ``rows`` of the next point, and the number of cells.
     """
-    c, last = np.int32(-1), np.int64(-1)
-    for i in range(start, len(points)):
-        if not chosen[i]:
-            continue
+    for place in range(first, len(rows)):
+        i = rows[place]
         x = np.int64(math.floor(points[i, 0] / size)) + REACH
         y = np.int64(math.floor(points[i, 1] / size)) + REACH
         z = np.int64(math.floor(points[i, 2] / tall)) + REACH
         key = x << X_SHIFT | y << Y_SHIFT | z
-        if key != last:  # consecutive points often share a cell
-            s, last = _slot(slots, cells, key), key
-            c = slots[s]
-            if c < 0:
-                if 2 * count >= len(slots):
-                    return np.int64(i), count
-                c = np.int32(count)
-                slots[s], cells[count] = c, key
-                count += 1
-        mine[i] = c
-    return np.int64(len(points)), count
+        s = _slot(slots, cells, key)
+        if slots[s] < 0:
+            if 2 * count >= len(slots):
+                return np.int64(place), count
+            slots[s], cells[count] = count, key
+            count += 1
+        mine[i] = slots[s]
+    return np.int64(len(rows)), count
 
 
 @njit(cache=True, nogil=True)
@@ -77,11 +82,11 @@ def _cells(points, chosen, size, tall):
     Then the hash table of the cells: their numbers by slot, -1 in free slots. It grows with the number of cells, which
     is far below that of points, so that it stays in the processor's cache.
     """
-    slots, mine = np.full(FIRST_SLOTS, np.int32(-1)), np.full(len(points), np.int32(-1))
-    cells, place, count = np.empty(chosen.sum(), np.int64), np.int64(0), np.int64(0)
+    rows, slots, mine = _rows(chosen), np.full(FIRST_SLOTS, np.int32(-1)), np.full(len(points), np.int32(-1))
+    cells, place, count = np.empty(len(rows), np.int64), np.int64(0), np.int64(0)
     while True:
-        place, count = _fill(points, chosen, size, tall, place, slots, mine, cells, count)
-        if place == len(points):
+        place, count = _fill(points, rows, size, tall, place, slots, mine, cells, count)
+        if place == len(rows):
             return mine, cells[:count], slots
         slots = _larger(slots, cells, count)
 
@@ -147,9 +152,7 @@ def evidence(objects, n, voxels, hits, passed, clear, between, after, votes):
         and after the last hit.
     """
     sums = np.zeros((n, 6), np.int64)
-    for i in range(len(objects)):
-        if objects[i] < 0:
-            continue
+    for i in _rows(objects >= 0):
         k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
         seen = np.int64(clear[block, place])
         sums[k, 0] += 1
@@ -192,9 +195,7 @@ def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first
         something was more than ``before`` scans before any dynamic object.
     """
     found = np.zeros((n, 4), np.int64)
-    for i in range(len(objects)):
-        if objects[i] < 0:
-            continue
+    for i in _rows(objects >= 0):
         k, place = objects[i], places[i]
         if movers[0, place] >= now - lately:
             found[k, 0] += 1
@@ -240,11 +241,11 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
 
     Returns:
         (N,) int32: the cell of each point, -1 for points that are not chosen.
-        Two arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1, and mean evidence
-        against votes of all points around it, scans.
+        Three arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1; and of all points
+        around it, the mean evidence against votes, scans, and the share in voxels that were ever seen clear.
     """
     mine, cells, slots = _cells(points, chosen, size, tall)
-    sums = np.zeros((len(cells), 4), np.int64)
+    sums = np.zeros((len(cells), 5), np.int64)
     for i in range(len(points)):
         if mine[i] < 0:
             continue
@@ -256,19 +257,21 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
         own[1] += hit > 1 or crossed > 0
         own[2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
         own[3] += against
-    mean_vote, mean_against = np.empty(len(cells)), np.empty(len(cells))
-    total = np.empty(4, np.int64)
+        own[4] += seen > 0
+    mean_vote, mean_against, touched = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
+    total = np.empty(5, np.int64)
     for c in range(len(cells)):
         total[:] = 0
         for j in range(27):
             key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
             other = slots[_slot(slots, cells, key)]
             if other >= 0:
-                for k in range(4):
+                for k in range(5):
                     total[k] += sums[other, k]
         mean_vote[c] = total[2] / (1000 * votes * max(total[1], 1))
         mean_against[c] = total[3] / (3 * total[0])
-    return mine, mean_vote, mean_against
+        touched[c] = total[4] / total[0]
+    return mine, mean_vote, mean_against, touched
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -282,7 +285,8 @@ def outcomes(voxels, verdict, low, high, hits, passed, clear, votes, codes):
         hits, passed, clear: (blocks, 512) uint16, as in ``evidence``.
         votes: number of scans that must have seen a voxel clear for its points to be alone.
         codes: seven reason codes: of points never clear, of those too little clear, high, settled, alone, low and out
-            of reach. A later one overrules an earlier one; verdicts other than settled overrule the first five.
+            of reach. A later one overrules an earlier one, but high points are not alone; verdicts other than settled
+            overrule the first five.
     """
     never, little, above, settled, alone, near_ground, out = codes
     found = np.empty(len(voxels), np.uint8)
@@ -296,15 +300,27 @@ def outcomes(voxels, verdict, low, high, hits, passed, clear, votes, codes):
             found[i] = verdict[i]
         else:
             seen = np.int64(clear[block, place])
-            if seen >= votes and 2 * seen > np.int64(hits[block, place]) + np.int64(passed[block, place]):
+            if high[i]:
+                found[i] = above
+            elif seen >= votes and 2 * seen > np.int64(hits[block, place]) + np.int64(passed[block, place]):
                 found[i] = alone
             elif verdict[i] != 0:
                 found[i] = settled
-            elif high[i]:
-                found[i] = above
             else:
                 found[i] = little if seen > 0 else never
     return found
+
+
+@njit(cache=True, nogil=True)
+def _squares(points, rows, cell):
+    """The cells (K, 2) of some points, seen from above; and their lowest and highest indices, (2,) each."""
+    cells, low, high = np.empty((len(rows), 2), np.int64), np.array([REACH, REACH]), np.array([-REACH, -REACH])
+    for k in range(len(rows)):
+        for axis in range(2):
+            c = np.int64(math.floor(points[rows[k], axis] / cell))
+            cells[k, axis] = c
+            low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
+    return cells, low, high
 
 
 @njit(cache=True, nogil=True)
@@ -317,28 +333,19 @@ def in_or_next_to(points, chosen, among, cell):
         among: (N,) bool: the points in question, which must be finite; False for all others.
         cell: edge of a cell, metres.
     """
-    found = np.zeros(len(points), np.bool_)
-    cells, n = np.empty((chosen.sum(), 2), np.int64), 0
-    low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])
-    for i in range(len(points)):
-        if chosen[i]:
-            for axis in range(2):
-                k = np.int64(math.floor(points[i, axis] / cell))
-                cells[n, axis] = k
-                low[axis], high[axis] = min(low[axis], k), max(high[axis], k)
-            n += 1
-    if n == 0:
+    found, rows = np.zeros(len(points), np.bool_), _rows(chosen)
+    cells, low, high = _squares(points, rows, cell)
+    if len(rows) == 0:
         return found
     picture = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_)
-    for k in range(n):
+    for k in range(len(rows)):
         x, y = cells[k, 0] - low[0], cells[k, 1] - low[1]
         picture[x : x + 3, y : y + 3] = True
-    for i in range(len(points)):
-        if among[i]:
-            x = np.int64(math.floor(points[i, 0] / cell)) - low[0] + 1
-            y = np.int64(math.floor(points[i, 1] / cell)) - low[1] + 1
-            if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
-                found[i] = picture[x, y]
+    for i in _rows(among):
+        x = np.int64(math.floor(points[i, 0] / cell)) - low[0] + 1
+        y = np.int64(math.floor(points[i, 1] / cell)) - low[1] + 1
+        if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
+            found[i] = picture[x, y]
     return found
 
 
@@ -355,28 +362,20 @@ def local_level(points, chosen, wanted, height, cell, few):
         cell: edge of a cell, metres.
         few: minimum number of points.
     """
-    level = np.zeros(len(points), np.float32)
-    low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])  # bounds of the cells with wanted points
-    for i in range(len(points)):
-        if wanted[i]:
-            for axis in range(2):
-                k = np.int64(math.floor(points[i, axis] / cell))
-                low[axis], high[axis] = min(low[axis], k), max(high[axis], k)
-    if low[0] > high[0]:
+    level, rows = np.zeros(len(points), np.float32), _rows(wanted)
+    cells, low, high = _squares(points, rows, cell)
+    if len(rows) == 0:
         return level
     number = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1), np.int64)
     total = np.zeros(number.shape, np.int64)
-    for i in range(len(points)):
-        if chosen[i]:
-            x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
-            y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
-            if 0 <= x < number.shape[0] and 0 <= y < number.shape[1]:
-                number[x, y] += 1
-                total[x, y] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
-    for i in range(len(points)):
-        if wanted[i]:
-            x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
-            y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
-            if number[x, y] >= few:
-                level[i] = total[x, y] / (1e6 * number[x, y])
+    for i in _rows(chosen):
+        x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
+        y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
+        if 0 <= x < number.shape[0] and 0 <= y < number.shape[1]:
+            number[x, y] += 1
+            total[x, y] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
+    for k in range(len(rows)):
+        x, y = cells[k, 0] - low[0], cells[k, 1] - low[1]
+        if number[x, y] >= few:
+            level[rows[k]] = total[x, y] / (1e6 * number[x, y])
     return level

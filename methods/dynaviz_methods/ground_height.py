@@ -7,12 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64
+from dynaviz.arrays import F32, F64, I32, I64, Bool
 from dynaviz.spatial.blocks import BlockGrid
 
 SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
 WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
 PIT = 0.3  # metres: columns this far below most of those around them are reflections, not ground
+SWAY = 0.005  # radians: maximum error of a pose that lifts or lowers the ground far away
+SQUARE = 12.8  # metres: edge of the cells in which such an error is measured
+MANY = 10  # minimum number of points near the ground there
 
 
 class GroundHeight:
@@ -130,7 +133,8 @@ class RollingGroundHeight(GroundHeight):
             watcher(columns[moved])
 
     def _refresh(self) -> None:
-        blocks = kernels.ground_height.stale_blocks(self._stale, self._column, self._grid.existing(), self._number)
+        blocks = np.flatnonzero(self._grid.existing())
+        blocks = kernels.ground_height.stale_blocks(blocks, self._stale, self._column, self._number)
         order = np.argsort((self._column[blocks] << 32) + self._grid.blocks[blocks, 2])
         blocks = blocks[order]
         columns = self._column[blocks]
@@ -144,3 +148,25 @@ class RollingGroundHeight(GroundHeight):
 
     def _between(self, low: int, high: int) -> slice:
         return slice(None)
+
+
+def levelled(height: F32, points: F32, within: Bool, position: F64, low: float) -> F32:
+    """(N,) float32, metres: heights above the ground as the pose of one scan places it.
+
+    An error of the pose of 0.2 degrees lifts or lowers the ground by 0.2 m at 60 m. The mean height of the scan's own
+    points near the ground shows it.
+
+    Args:
+        height: (N,) float32, metres: heights above the ground of the map.
+        points: (N, 3) float32, metres, world frame.
+        within: (N,) bool: points to level; they must be finite.
+        position: (3,) float64, metres, world frame: position of the sensor.
+        low: metres: points at most this high are near the ground, if the pose is right.
+    """
+    offset = points - position.astype(np.float32)
+    sway = np.float32(SWAY) * np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    near = within & (height <= low + sway) & (height > -PIT - sway)
+    level = kernels.objects.local_level(points, near, near, height, SQUARE, MANY)[near]
+    found = height.copy()
+    found[near] -= np.clip(level, -sway[near], sway[near])
+    return found

@@ -9,6 +9,8 @@
                   are not low were seen last
     ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore cells far below those
                   around them, and cells without such neighbours; limit the slope to 0.2
+    level:        raise or lower the ground by the mean height of this scan's points near it in the same square of
+                  12.8 m, by at most 5 mm per metre of range: an error of a pose lifts the ground far away
     call a point low if it is at most ground_height above the ground, and high if it is more than 4.5 m above it
     for each scan again, in order
         objects:  join the points that are neither low nor high across gaps of up to about ``gap``
@@ -23,11 +25,12 @@
                   this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
                   exceed those between two hits by 7 in 100: a parked car that drives off
         settled:  keep the parts of dynamic objects that rays stop at while they pass through the rest: a wall that a
-                  walker touches
+                  walker touches; and those of objects that waited around which almost no point was ever seen clear
         feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
-        alone:    remove other points in voxels that at least ``votes`` scans saw clear, more than hit or passed them
+        alone:    remove other points, if not high, in voxels that at least ``votes`` scans saw clear, more than hit or
+                  passed them: rays pass between the leaves of a tree crown
     label the points of dynamic objects, their feet and points alone as dynamic
 
 Each voxel of an object is weak evidence; the mean over the object is strong. A ray crosses the voxels from the
@@ -53,7 +56,7 @@ from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
 from dynaviz_methods.clear_grid import ClearGrid
-from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight
+from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
 from dynaviz_methods.judgement import Judged, Measured
 from dynaviz_methods.lookups import known
 from dynaviz_methods.trails import Trails
@@ -66,6 +69,7 @@ LEFT = 0.07  # share of an object's points that must have been seen clear after 
 RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
 UNSEEN = 0.05  # maximum mean vote around a point of a settled part
 FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
+UNTOUCHED = 0.02  # maximum share of points seen clear around a point of a settled part of an object that waited
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
 STANDS_OUT = 0.03  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
@@ -234,6 +238,7 @@ class SeeThrough:
         """The height, object and evidence of each point of an observed scan."""
         params, evidence = self.params, (self._hits, self._passed, self._clear, *self._order[1:], self.params.votes)
         height = self._ground.height(points, voxels, scan.position)
+        height = levelled(height, points, voxels >= 0, scan.position, params.ground_height)
         low = height <= params.ground_height
         chosen = (voxels >= 0) & ~low & ~_high(height)
         objects, n = kernels.objects.connect(points, chosen, params.gap, TALL * params.gap)
@@ -289,29 +294,32 @@ class SeeThrough:
         follows, by_point = (reasons > 0) & (reasons != WAITED), kernels.objects.spread(reasons, objects)
         if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
             vote = votes / (1000 * self.params.votes * np.maximum(having, 1))
-            by_point[self._settled(measured, by_point == SEEN_THROUGH, vote)] = SETTLED
+            by_point[self._settled(measured, by_point, vote)] = SETTLED
         kernels.objects.leave(objects, follows, by_point == SETTLED, proven, places, now, *movers)
         weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         self._judged = Judged(measured, weighed, by_point)
         return by_point
 
-    def _settled(self, measured: Measured, seen: Bool, vote: F64) -> Intp:
-        """Rows of the points in settled parts of objects seen through.
+    def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
+        """Rows of the points in settled parts of objects that were seen through or waited.
 
         The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
-        of an object was seen through, the fewer hits and near hits it takes.
+        of an object was seen through, the fewer hits and near hits it takes. Hits do not show what stays of an object
+        that waited, because it was hit while it did; but once it is gone, most of it is seen clear.
 
         Args:
             measured: the scan.
-            seen: (N,) bool, points of objects seen through.
+            verdict: (N,) uint8, why each point's object is dynamic, or 0.
             vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
         cells = self.params.gap, TALL * self.params.gap
         evidence = measured.voxels, self._hits, self._passed, self._clear, self.params.votes
-        mine, votes, against = kernels.objects.surroundings(measured.points, seen, *cells, *evidence)
-        rows = np.flatnonzero(seen)
-        cell = mine[rows]
-        settled: Intp = rows[(votes[cell] <= UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)]
+        asked = (verdict == SEEN_THROUGH) | (verdict == WAITED)
+        mine, votes, against, touched = kernels.objects.surroundings(measured.points, asked, *cells, *evidence)
+        rows = np.flatnonzero(asked)
+        cell, waited = mine[rows], verdict[rows] == WAITED
+        stops = (votes[cell] <= UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
+        settled: Intp = rows[np.where(waited, touched[cell] <= UNTOUCHED, stops)]
         return settled
 
     def halo(self) -> Halo:
@@ -385,12 +393,13 @@ class SeeThrough:
         height, under, level = (of[asked.rows] for of in (measured.height, under, level))
         limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
         above = Term("height above the ground", height, ">", limits[0], "m")
+        below = Term("more than 4.5 m above the ground", _high(height), "<", 1)
         scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
         low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under), ">=", 1)
         sees = "scans that saw it clear"
         empty = (Term(sees, clear, ">=", EMPTY), Term(sees, clear, ">", hits), Term(sees, clear, ">", passed / 2))
         return (
-            Rule("alone", (above, scans, Term(sees, clear, ">", most))),
+            Rule("alone", (above, below, scans, Term(sees, clear, ">", most))),
             Rule("foot", (low, Term("height above the ground of this scan", height - level, ">", limits[1], "m"))),
             Rule("empty foot", (low, *empty)),
         )

@@ -23,7 +23,6 @@ from dynaviz_methods import trails
 from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
-    ALONE,
     FOLLOWED_ON,
     FOOT,
     HIGH,
@@ -126,7 +125,10 @@ def test_a_parked_car_that_drives_off_has_waited() -> None:
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
         codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
-        assert (codes[n : n + b][high] == WAITED).all(), "its voxels were seen clear too rarely for a majority"
+        away = scan.points[n : n + b, 1] < -0.3
+        waiting = codes[n : n + b]
+        assert (waiting[high & away] == WAITED).all(), "its voxels were seen clear too rarely for a majority"
+        assert (waiting[high & ~away] == SETTLED).all(), "in the last scan, the car is still there"
         assert not REMOVED[codes[n + b :]].any()
         assert not alone.label(scan).dynamic.any(), "it has not moved in these scans"
 
@@ -191,11 +193,21 @@ def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
     assert removed.mean() < 0.005
 
 
+def test_an_error_of_a_pose_lifts_the_ground_far_away() -> None:
+    """An error of 0.27 degrees lifts the ground at 50 m by 0.24 m; low points do not become objects."""
+    far, lift = plane(0.0, 4.0, 0.2) + np.array([50.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.24])
+    scans = [seen(k, GROUND, wall(), far + lift if k == 4 else far) for k in range(8)]
+    assert (running(scans).label(scans[4]).reasons[-len(far) :] == LOW).all()
+    near = GROUND[np.linalg.norm(GROUND[:, :2], axis=1) < 5] + lift
+    scans[4] = seen(4, near, wall(), far)
+    assert (running(scans).label(scans[4]).reasons[: len(near)] != LOW).all(), "5 mm per metre at most"
+
+
 def test_points_too_high_for_movers_are_kept() -> None:
     places = np.linspace(-4, 4, 12)
     scans = [seen(k, GROUND, wall(), block(7.0, y), block(7.0, y, low=4.8, high=5.6)) for k, y in enumerate(places)]
     codes = running(scans).label(scans[6]).reasons[len(GROUND) + len(wall()) + len(block(7.0, 0)) :]
-    assert np.isin(codes, (HIGH, ALONE)).all()
+    assert (codes == HIGH).all(), "even where they are seen clear"
 
 
 def test_reflections_below_the_ground_do_not_lower_it() -> None:

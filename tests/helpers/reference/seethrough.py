@@ -12,7 +12,7 @@ import numpy as np
 
 from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
-from dynaviz_methods.ground_height import PIT, SLOPE
+from dynaviz_methods.ground_height import MANY, PIT, SLOPE, SQUARE, SWAY
 from dynaviz_methods.seethrough import (
     EMPTY,
     FEW,
@@ -28,6 +28,7 @@ from dynaviz_methods.seethrough import (
     TALL,
     UNDER,
     UNSEEN,
+    UNTOUCHED,
     WAITED_FOR,
     SeeThroughParams,
 )
@@ -127,6 +128,7 @@ class Reference:
         surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
         ground = {i: surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
         height = {i: float(points[i, 2]) - g if g < np.inf else np.inf for i, g in ground.items()}
+        height = self.levelled(scan, height)
         up = [i for i in inside if not height[i] <= params.ground_height]
         dynamic = np.zeros(len(points), bool)
         whole: set[int] = set()
@@ -153,8 +155,8 @@ class Reference:
             follows = follows and not (rarely and 2 * old > len(members))
             gone = touched > WAITED_FOR * len(members) and after - between > LEFT * len(members)
             waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
-            if moves and movers is self.movers:
-                vote = votes / (1000 * params.votes * max(having, 1))
+            if movers is self.movers and (moves or not follows):
+                vote = votes / (1000 * params.votes * max(having, 1)) if moves else None
                 members = sorted(set(members) - self.settled(points, voxel, members, vote))
             if moves or follows or (waited and gone):
                 whole.update(members)
@@ -182,11 +184,18 @@ class Reference:
                 for b in (-1, 0, 1)
             )
         }
-        level = self.level(points, height, [i for i in inside if i not in up and i not in under and height[i] > -PIT])
+        level = self.level(
+            points, height, LEVEL, LEAST, [i for i in inside if i not in up and i not in under and height[i] > -PIT]
+        )
         for i in inside:
             k = voxel[i]
             near = self.passed[k] - self.clear[k]
-            if i in up and self.clear[k] >= params.votes and self.clear[k] > self.hits[k] + near:
+            if (
+                i in up
+                and not HIGHEST < height[i] < math.inf
+                and self.clear[k] >= params.votes
+                and self.clear[k] > self.hits[k] + near
+            ):
                 dynamic[i] = True
             empty = EMPTY <= self.clear[k] > max(self.hits[k], self.passed[k] / 2)
             if i in under and (height[i] - level(points[i]) > STANDS_OUT or empty):
@@ -194,16 +203,26 @@ class Reference:
         movers |= left
         return dynamic, {self.quarter(voxel[i]) for i in up}, moving
 
+    def levelled(self, scan: Scan, height: dict[int, float]) -> dict[int, float]:
+        """Heights above the ground, as the scan's points near the ground show it."""
+        sway = {i: SWAY * float(np.linalg.norm(scan.points[i] - scan.position)) for i in height}
+        top = self.params.ground_height
+        near = [i for i, h in height.items() if -PIT - sway[i] < h <= top + sway[i]]
+        level = self.level(scan.points, height, SQUARE, MANY, near)
+        return height | {i: height[i] - min(max(level(scan.points[i]), -sway[i]), sway[i]) for i in near}
+
     @staticmethod
-    def level(points: np.ndarray, height: dict[int, float], chosen: list[int]) -> Callable[[np.ndarray], float]:
+    def level(
+        points: np.ndarray, height: dict[int, float], edge: float, least: int, chosen: list[int]
+    ) -> Callable[[np.ndarray], float]:
         """The mean height of the chosen points in the cell of a point."""
         cells: dict[tuple[int, ...], list[float]] = {}
         for i in chosen:
-            cells.setdefault(tuple(math.floor(float(c) / LEVEL) for c in points[i, :2]), []).append(height[i])
+            cells.setdefault(tuple(math.floor(float(c) / edge) for c in points[i, :2]), []).append(height[i])
 
         def at(point: np.ndarray) -> float:
-            heights = cells.get(tuple(math.floor(float(c) / LEVEL) for c in point[:2]), [])
-            return sum(heights) / len(heights) if len(heights) >= LEAST else 0.0
+            heights = cells.get(tuple(math.floor(float(c) / edge) for c in point[:2]), [])
+            return sum(heights) / len(heights) if len(heights) >= least else 0.0
 
         return at
 
@@ -212,8 +231,8 @@ class Reference:
         last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
 
-    def settled(self, points: np.ndarray, voxel: dict[int, Key], members: list[int], vote: float) -> set[int]:
-        """The points of an object that rays stop at; ``vote`` is its mean vote, from 0 to 1."""
+    def settled(self, points: np.ndarray, voxel: dict[int, Key], members: list[int], vote: float | None) -> set[int]:
+        """The points of an object that rays stop at; ``vote`` is its mean vote, from 0 to 1, None if it waited."""
         by_cell = self.cells(points, members)
         found: set[int] = set()
         for place, inside in by_cell.items():
@@ -221,7 +240,8 @@ class Reference:
             having = sum(self.hits[k] > 1 or self.passed[k] > 0 for k in near)
             mean = sum(self.votes(k) for k in near) / (1000 * self.params.votes * max(having, 1))
             against = sum(self.hits[k] + 3 * (self.passed[k] - self.clear[k]) for k in near) / (3 * len(near))
-            if mean <= UNSEEN and against * vote >= FIRM:
+            touched = sum(self.clear[k] > 0 for k in near) / len(near)
+            if touched <= UNTOUCHED if vote is None else mean <= UNSEEN and against * vote >= FIRM:
                 found.update(inside)
         return found
 
