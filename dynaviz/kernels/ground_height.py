@@ -4,6 +4,8 @@ A column is 8 x 8 voxels wide, like a block; a layer is one voxel high. Blocks a
 column are consecutive.
 """
 
+import math
+
 import numpy as np
 from numba import njit, prange
 
@@ -11,6 +13,7 @@ LEAST = 3  # minimum number of points in a layer
 SHARE = 0.03  # minimum share of a column's points in a layer; reflections below the ground are fewer
 FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
 RISE = 3  # the ground is searched in this many layers above the first
+SQUARES = 64  # cells to each side of the sensor in which heights are levelled
 
 
 @njit(cache=True, nogil=True)
@@ -205,3 +208,47 @@ def stale_blocks(stale, column, exists, number):
             found[n] = b
             n += 1
     return found[:n].copy()
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def levelled(height, points, within, position, low, deep, sway, edge, many):
+    """(N,) float32, metres: heights less the mean height of the points near the ground in the same square cell.
+
+    Points are near the ground if their height is from -deep to low, both extended by ``sway`` times their distance
+    from the sensor, and levelled by at most that. Points more than ``SQUARES`` cells away stay as they are.
+
+    Args:
+        height: (N,) float32, metres.
+        points: (N, 3) float32, metres.
+        within: (N,) bool: points to level; they must be finite.
+        position: (3,) float64, metres: position of the sensor.
+        low, deep: metres.
+        sway: radians.
+        edge: edge of a cell, metres.
+        many: minimum number of points near the ground in a cell; others are not levelled.
+    """
+    wide = 2 * SQUARES + 1
+    west, south = math.floor(position[0] / edge) - SQUARES, math.floor(position[1] / edge) - SQUARES
+    cells, most = np.empty(len(points), np.int32), np.empty(len(points), np.float32)
+    for i in prange(len(points)):
+        cells[i] = -1
+        if within[i] and math.isfinite(height[i]):
+            dx, dy, dz = points[i, 0] - position[0], points[i, 1] - position[1], points[i, 2] - position[2]
+            most[i] = sway * math.sqrt(dx * dx + dy * dy + dz * dz)
+            if -deep - most[i] < height[i] <= low + most[i]:
+                x = np.int64(math.floor(points[i, 0] / edge) - west)
+                y = np.int64(math.floor(points[i, 1] / edge) - south)
+                if 0 <= x < wide and 0 <= y < wide:
+                    cells[i] = x * wide + y
+    number, total = np.zeros(wide * wide, np.int64), np.zeros(wide * wide, np.int64)
+    for i in range(len(points)):
+        if cells[i] >= 0:
+            number[cells[i]] += 1
+            total[cells[i]] += np.int64(np.float64(height[i]) * 1e6)  # integers: any order
+    found = np.empty(len(points), np.float32)
+    for i in prange(len(points)):
+        found[i] = height[i]
+        if cells[i] >= 0 and number[cells[i]] >= many:
+            level = total[cells[i]] / (1e6 * number[cells[i]])
+            found[i] -= np.float32(min(max(level, -most[i]), most[i]))
+    return found

@@ -158,15 +158,11 @@ def levelled(height: F32, points: F32, within: Bool, position: F64, low: float) 
 
     Args:
         height: (N,) float32, metres: heights above the ground of the map.
-        points: (N, 3) float32, metres, world frame.
+        points: (N, 3) float32, metres, world frame, read-only.
         within: (N,) bool: points to level; they must be finite.
         position: (3,) float64, metres, world frame: position of the sensor.
         low: metres: points at most this high are near the ground, if the pose is right.
     """
-    offset = points - position.astype(np.float32)
-    sway = np.float32(SWAY) * np.sqrt(np.einsum("ij,ij->i", offset, offset))
-    near = within & (height <= low + sway) & (height > -PIT - sway)
-    level = kernels.objects.local_level(points, near, near, height, SQUARE, MANY)[near]
-    found = height.copy()
-    found[near] -= np.clip(level, -sway[near], sway[near])
+    near = low, PIT, SWAY, SQUARE, MANY
+    found: F32 = kernels.ground_height.levelled(height, points, within, position, *near)
     return found
