@@ -193,21 +193,21 @@ def heights(points, voxels, column, columns, seen, first, surface):
 
 
 @njit(cache=True, nogil=True)
-def stale_blocks(stale, column, exists, number):
-    """(K,) int64: existing blocks with points in stale columns.
+def stale_blocks(blocks, stale, column, number):
+    """Those of some blocks (K,) int64 that contain points and are in stale columns.
 
     Args:
+        blocks: (K,) int64.
         stale: (all columns + 1,) bool.
         column: (B + 1,), the column of each block.
-        exists: (B,) bool.
         number: (B, 8), number of points in each layer.
     """
-    found, n = np.empty(len(exists), np.int64), 0
-    for b in range(len(exists)):
-        if exists[b] and stale[column[b]] and number[b].any():
+    found, n = np.empty(len(blocks), np.int64), 0
+    for b in blocks:
+        if stale[column[b]] and number[b].any():
             found[n] = b
             n += 1
-    return found[:n].copy()
+    return found[:n]
 
 
 @njit(cache=True, nogil=True, parallel=True)

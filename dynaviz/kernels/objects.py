@@ -45,8 +45,8 @@ def _root(parent, i):
 
 @njit(cache=True, nogil=True)
 def _rows(chosen):
-    """Rows (K,) int64 of the chosen points; without branches, which would be unpredictable."""
-    rows, n = np.empty(len(chosen), np.int64), 0
+    """Rows (K,) int32 of the chosen points; without branches, which would be unpredictable."""
+    rows, n = np.empty(len(chosen), np.int32), 0
     for i in range(len(chosen)):
         rows[n] = i
         n += chosen[i]
