@@ -291,7 +291,8 @@ class SeeThrough:
         dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
         reasons[dynamic] = SEEN_THROUGH
         proven = (proof + dynamic).astype(np.int32)
-        follows, by_point = (reasons > 0) & (reasons != WAITED), kernels.objects.spread(reasons, objects)
+        follows = (reasons > 0) & (reasons != WAITED)
+        by_point: U8 = kernels.objects.spread(reasons, objects)
         if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
             vote = votes / (1000 * self.params.votes * np.maximum(having, 1))
             by_point[self._settled(measured, by_point, vote)] = SETTLED
@@ -389,13 +390,12 @@ class SeeThrough:
         measured, under = judged.measured, self._under(judged.measured, judged.verdict)
         wanted = np.zeros(len(under), np.bool_)
         wanted[asked.rows] = measured.voxels[asked.rows] >= 0
-        level = self._level(measured, under, wanted)
-        height, under, level = (of[asked.rows] for of in (measured.height, under, level))
+        height, level = (of[asked.rows] for of in (measured.height, self._level(measured, under, wanted)))
         limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
         above = Term("height above the ground", height, ">", limits[0], "m")
         below = Term("more than 4.5 m above the ground", _high(height), "<", 1)
         scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
-        low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under), ">=", 1)
+        low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under[asked.rows]), ">=", 1)
         sees = "scans that saw it clear"
         empty = (Term(sees, clear, ">=", EMPTY), Term(sees, clear, ">", hits), Term(sees, clear, ">", passed / 2))
         return (
