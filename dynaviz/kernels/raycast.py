@@ -212,16 +212,6 @@ def _index(n, positions, middle):
     return middle + ((index - middle + half) & (2 * half - 1)) - half
 
 
-@njit(cache=True, nogil=True)
-def _centre(origins, per_metre):
-    """The voxel of the first origin that is within reach."""
-    for q in range(len(origins)):
-        x, y, z = origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre
-        if abs(x) < REACH and abs(y) < REACH and abs(z) < REACH:
-            return np.int64(math.floor(x)), np.int64(math.floor(y)), np.int64(math.floor(z))
-    return np.int64(0), np.int64(0), np.int64(0)
-
-
 @njit(cache=True, nogil=True, inline="always")
 def _until(e, axes, centre):
     """The time until which a ray stays where addresses around a voxel are unique; ``START`` if it starts elsewhere."""
@@ -236,31 +226,24 @@ def _until(e, axes, centre):
     return until
 
 
-@njit(cache=True, nogil=True)
-def _pour(centre, bits, touched, base, shape, top, children, slots, owners, masks, used):
-    """Move the marks at addresses around a voxel to the blocks that exist; returns the number of slots in use."""
-    for n in range(len(touched)):
-        if not touched[n]:
-            continue
-        touched[n] = False
-        x = _index(n, IN_X, centre[0] >> 3) - (base[0] << 4)
-        y = _index(n, IN_Y, centre[1] >> 3) - (base[1] << 4)
-        z = _index(n, IN_Z, centre[2] >> 3) - (base[2] << 4)
-        jx, jy, jz = x >> 4, y >> 4, z >> 4
-        if 0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]:
-            row = top[(jx * shape[1] + jy) * shape[2] + jz]
-            block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
-            if block:
-                slot, used = _slot(slots, owners, masks, used, block - 1)
-                for w in range(8):
-                    masks[slot, w] |= np.int64(bits[n, w])
-        bits[n] = 0
-    return used
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def mark(
-    points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, bits, touched
+    points,
+    origins,
+    casts,
+    hits,
+    per_metre,
+    base,
+    shape,
+    top,
+    children,
+    slots,
+    owners,
+    masks,
+    used,
+    centre,
+    bits,
+    touched,
 ):
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
 
@@ -271,10 +254,10 @@ def mark(
         per_metre: voxels per metre.
         base, shape, top, children: the grid's directory.
         slots, owners, masks, used: the grid's scratch memory.
+        centre: (3,) int64, voxel around which addresses are unique.
         bits, touched: scratch memory for addresses (``addresses.memory``); without blocks, only the directory is used.
     """
     n, several = len(points), len(origins) > 1
-    centre = _centre(origins, per_metre)
     for lane in prange(len(used)):
         count = np.int64(0)
         mine, owned, own_masks = slots[lane], owners[lane], masks[lane]
@@ -302,8 +285,34 @@ def mark(
                     if block:
                         slot, count = _slot(mine, owned, own_masks, count, block - 1)
                         own_masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
-        around = (base, shape, top, children)
-        used[lane] = _pour(centre, own_bits, own_touched, *around, mine, owned, own_masks, count)
+        used[lane] = count
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def gather(base, shape, top, children, slots, owners, masks, used, centre, bits, touched):
+    """Move the marks at addresses to the blocks that exist, each lane its own, and reset the memory for addresses.
+
+    Arguments are those of ``mark``.
+    """
+    for lane in prange(len(used)):
+        count = used[lane]
+        for n in range(touched.shape[1]):
+            if not touched[lane, n]:
+                continue
+            touched[lane, n] = False
+            x = _index(n, IN_X, centre[0] >> 3) - (base[0] << 4)
+            y = _index(n, IN_Y, centre[1] >> 3) - (base[1] << 4)
+            z = _index(n, IN_Z, centre[2] >> 3) - (base[2] << 4)
+            jx, jy, jz = x >> 4, y >> 4, z >> 4
+            if 0 <= jx < shape[0] and 0 <= jy < shape[1] and 0 <= jz < shape[2]:
+                row = top[(jx * shape[1] + jy) * shape[2] + jz]
+                block = children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]
+                if block:
+                    slot, count = _slot(slots[lane], owners[lane], masks[lane], count, block - 1)
+                    for w in range(8):
+                        masks[lane, slot, w] |= np.int64(bits[lane, n, w])
+            bits[lane, n] = 0
+        used[lane] = count
 
 
 @njit(cache=True, nogil=True)

@@ -1,23 +1,10 @@
-"""Hit, observed and void voxels of a scan in a block grid.
+"""Void voxels of a block grid: observed, not hit, and far enough from unobserved ones.
 
-A ray goes from the sensor to the centre of a voxel. It is traversed voxel by voxel (Amanatides and Woo 1987), and marks
-voxels only where the grid has a block. Times along it are integers, ``UNIT`` per edge of a voxel; their two lowest bits
-encode the axis, so no two borders have the same time: for borders at the same place x comes first, then y, then z.
-
-Scratch memory is that of ``dynaviz.spatial.blocks``: each lane has its own rows of 16 words, 8 for observed voxels and
-8 for hit voxels, which ``raycast.collect`` merges. Bit v of word w is voxel 64 w + v of a block.
+Bit v of word w is voxel 64 w + v of a block.
 """
-
-import math
 
 import numpy as np
 from numba import njit, prange
-
-REACH = 1 << 15  # voxels to each side of the world's origin
-UNIT = 1 << 40
-LONG = 1 << 17  # voxels: longer than any ray, and ten times this still fits in a time
-CHUNK = 256  # rays that a lane processes in turn, for load balance
-FULL = np.int64(-1)
 
 
 @njit(cache=True, nogil=True)
@@ -60,22 +47,6 @@ def remember(blocks, hit, observed, void, seen_free, crossed):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _axis(start, along, tie):
-    """First voxel, step, time of the first border, and period along one axis.
-
-    ``start`` is in voxels, ``along`` is a component of a unit vector.
-    """
-    k = np.int64(math.floor(start))
-    if along == 0.0:
-        return k, np.int64(1), np.int64(LONG * UNIT << 2 | tie), np.int64(0)
-    length = 1.0 / abs(along)
-    ahead = (k + 1 - start) if along > 0 else (start - k)
-    first = np.int64(min(ahead * length, 1.0 * LONG) * UNIT)
-    period = np.int64(min(length, 1.0 * LONG) * UNIT)
-    return k, np.int64(1 if along > 0 else -1), first << 2 | tie, period << 2
-
-
-@njit(cache=True, nogil=True, inline="always")
 def _block(x, y, z, shape, top, children):
     """The number of a block plus one, 0 if absent; x, y, z: blocks from the grid's first."""
     jx, jy, jz = x >> 4, y >> 4, z >> 4
@@ -83,194 +54,6 @@ def _block(x, y, z, shape, top, children):
         return np.int32(0)
     row = top[(jx * shape[1] + jy) * shape[2] + jz]
     return children[row, (x & 15) << 8 | (y & 15) << 4 | (z & 15)]  # row 0 is empty
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _slot(slots, owners, masks, used, block):
-    """The scratch memory of a block in this scan; allocated and cleared on first use."""
-    slot = slots[block]
-    if slot == 0:
-        used += 1
-        slot = used
-        slots[block] = slot
-        owners[slot] = block
-        masks[slot] = 0
-    return slot, used
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _direction(o, c):
-    """Unit vector from o to c, and their distance; a zero vector if both are equal."""
-    dx, dy, dz = c[0] - o[0], c[1] - o[1], c[2] - o[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if length == 0.0:
-        return (0.0, 0.0, 0.0), length
-    return (dx / length, dy / length, dz / length), length
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _within(o):
-    """Whether a position in voxels is finite and within reach."""
-    return abs(o[0]) < REACH and abs(o[1]) < REACH and abs(o[2]) < REACH
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _centre(voxel, blocks):
-    """The centre of a voxel, given by its number, in voxels from the world's origin."""
-    block, place = voxel >> 9, voxel & 511
-    x = (np.int64(blocks[block, 0]) << 3 | place >> 6) + 0.5
-    y = (np.int64(blocks[block, 1]) << 3 | (place >> 3 & 7)) + 0.5
-    z = (np.int64(blocks[block, 2]) << 3 | (place & 7)) + 0.5
-    return x, y, z
-
-
-@njit(cache=True, nogil=True)
-def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
-    """Mark the voxels from c to ``margin`` voxels towards o as hit, at most up to that of o."""
-    d, length = _direction(c, o)
-    x, sx, tx, px = _axis(c[0], d[0], 0)
-    y, sy, ty, py = _axis(c[1], d[1], 1)
-    z, sz, tz, pz = _axis(c[2], d[2], 2)
-    x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
-    end = np.int64(min(margin, length) * UNIT) << 2
-    while True:
-        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children)
-        if block:
-            slot, used = _slot(slots, owners, masks, used, block - 1)
-            masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
-        t = min(tx, min(ty, tz))
-        if t > end:
-            return used
-        if t == tx:
-            x, tx = x + sx, tx + px
-        elif t == ty:
-            y, ty = y + sy, ty + py
-        else:
-            z, tz = z + sz, tz + pz
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _passed(time, first, period):
-    """Number of borders of an axis at or before a time."""
-    return np.int64(0) if time < first else (time - first) // period + 1
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _is_full(mask):
-    """Whether all voxels of a block are marked as observed."""
-    return mask[0] & mask[1] & mask[2] & mask[3] & mask[4] & mask[5] & mask[6] & mask[7] == FULL
-
-
-@njit(cache=True, nogil=True)
-def _observe(o, c, beyond, base, shape, top, children, struck, hits, slots, owners, masks, used):
-    """Mark the voxels from o to the first hit one as observed, then until an axis is ``beyond`` voxels farther."""
-    d, length = _direction(o, c)
-    kx, sx, fx, px = _axis(o[0], d[0], 0)
-    ky, sy, fy, py = _axis(o[1], d[1], 1)
-    kz, sz, fz, pz = _axis(o[2], d[2], 2)
-    kx, ky, kz = kx - (base[0] << 7), ky - (base[1] << 7), kz - (base[2] << 7)
-    bx, by, bz = kx >> 3, ky >> 3, kz >> 3
-    # Times at which the ray leaves its block along each axis.
-    ux = fx + (7 - (kx & 7) if sx > 0 else kx & 7) * px
-    uy = fy + (7 - (ky & 7) if sy > 0 else ky & 7) * py
-    uz = fz + (7 - (kz & 7) if sz > 0 else kz & 7) * pz
-    i, tx, ty, tz = (kx & 7) << 6 | (ky & 7) << 3 | (kz & 7), fx, fy, fz
-    end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
-    time, here, stopped = np.int64(-1), True, False
-    dx, dy = sx << 6, sy << 3  # steps of i
-    while True:  # blocks
-        limit = min(min(ux, uy), min(uz, end))
-        block = _block(bx, by, bz, shape, top, children) - 1
-        marks = block >= 0
-        if marks and not struck[block]:
-            slot = slots[block]
-            marks = slot == 0 or not _is_full(masks[slot])
-        if marks:
-            if not here:  # after blocks that were skipped
-                nx, ny, nz = _passed(time, fx, px), _passed(time, fy, py), _passed(time, fz, pz)
-                tx, ty, tz = fx + nx * px, fy + ny * py, fz + nz * pz
-                i = (kx + sx * nx & 7) << 6 | (ky + sy * ny & 7) << 3 | (kz + sz * nz & 7)
-                here = True
-            slot, used = _slot(slots, owners, masks, used, block)
-            t = min(tx, min(ty, tz))
-            while True:  # voxels; without branches, since the order of axes cannot be predicted
-                bit = np.int64(1) << (i & 63)
-                masks[slot, i >> 6] |= bit
-                if hits[block, i >> 6] & bit:
-                    stopped = True
-                    break
-                if t >= limit:
-                    break
-                gx, gy = t == tx, t == ty
-                tx += px if gx else 0
-                ty += py if gy else 0
-                tz += 0 if gx or gy else pz
-                i += dx if gx else (dy if gy else sz)
-                t = min(tx, min(ty, tz))
-        else:
-            here = False
-        if stopped or limit == end:
-            break
-        time = limit
-        if limit == ux:
-            bx, ux, tx, i = bx + sx, ux + (px << 3), tx + px, i ^ 7 << 6
-        elif limit == uy:
-            by, uy, ty, i = by + sy, uy + (py << 3), ty + py, i ^ 7 << 3
-        else:
-            bz, uz, tz, i = bz + sz, uz + (pz << 3), tz + pz, i ^ 7
-    if not stopped:
-        return used
-
-    x, y, z = bx << 3 | i >> 6, by << 3 | (i >> 3 & 7), bz << 3 | (i & 7)
-    left_x, left_y, left_z = beyond, beyond, beyond
-    while length > 0.0 and min(left_x, min(left_y, left_z)) > 0:
-        t = min(tx, min(ty, tz))
-        if t == tx:
-            x, tx, left_x = x + sx, tx + px, left_x - 1
-        elif t == ty:
-            y, ty, left_y = y + sy, ty + py, left_y - 1
-        else:
-            z, tz, left_z = z + sz, tz + pz, left_z - 1
-        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children) - 1
-        if block >= 0:
-            slot, used = _slot(slots, owners, masks, used, block)
-            masks[slot, x & 7] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
-    return used
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slots, owners, masks, used):
-    """Mark voxels ``goals`` (G,) and those up to ``margin`` voxels in front of them as hit, from origins[starts]."""
-    for lane in prange(len(used)):
-        count = 0
-        for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
-            for g in range(chunk, min(chunk + CHUNK, len(goals))):
-                s = starts[g]
-                o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
-                if _within(o):
-                    lanes = (slots[lane], owners[lane], masks[lane])
-                    count = _hit(c, o, margin, base, shape, top, children, *lanes, count)
-        used[lane] = count
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def observe(
-    goals, starts, origins, beyond, struck, hits, blocks, base, shape, top, children, slots, owners, masks, used
-):
-    """Mark the voxels that rays to ``goals`` (G,) observe: up to the first hit voxel, and ``beyond`` voxels more.
-
-    ``hits`` (B, 8) are the bits of the hit voxels, ``struck`` (B,) bool are the blocks that contain any.
-    """
-    for lane in prange(len(used)):
-        count = 0
-        for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
-            for g in range(chunk, min(chunk + CHUNK, len(goals))):
-                s = starts[g]
-                o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
-                if _within(o):
-                    lanes = (slots[lane], owners[lane], masks[lane])
-                    count = _observe(o, c, beyond, base, shape, top, children, struck, hits, *lanes, count)
-        used[lane] = count
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.extent import CELL, Extent
@@ -193,13 +193,25 @@ class BlockGrid:
         """
         if self._rectangle is not None:
             casts = casts & self.reaching(scan.points, scan.origins)
-        kernels.raycast.mark(
-            kernels.as_readonly(scan.points, np.float32),
-            kernels.as_readonly(scan.origins, np.float64),
-            kernels.as_readonly(casts, np.bool_),
-            kernels.as_readonly(hits, np.bool_),
-            *(self._per_metre, *self._place, *self._scratch, *self._near),
-        )
+        ends = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.origins, np.float64)
+        which = kernels.as_readonly(casts, np.bool_), kernels.as_readonly(hits, np.bool_)
+        return self._cast(*ends, *which)
+
+    def _cast(self, ends: F32, origins: F64, casts: Bool, hits: Bool) -> Marks:
+        """Cast rays from origins (1 or N, 3) to ends (N, 3); see ``mark``."""
+        near = self._addresses(origins * self._per_metre)
+        kernels.raycast.mark(*(ends, origins, casts, hits, self._per_metre, *self._place, *self._scratch), *near)
+        return self._collected(near)
+
+    def _addresses(self, origins: F64) -> tuple[I64, U64, Bool]:
+        """Addresses around the first origin within reach, (1 or more, 3), voxels; and their scratch memory."""
+        within = origins[(np.abs(origins) < REACH).all(1)]  # also finite
+        centre: I64 = np.floor(within[0] if len(within) else np.zeros(3)).astype(np.int64)
+        return centre, *self._near
+
+    def _collected(self, near: tuple[I64, U64, Bool]) -> Marks:
+        """The marks that rays left in scratch memory, which is reset."""
+        kernels.raycast.gather(*self._place, *self._scratch, *near)
         return Marks(*kernels.raycast.collect(*self._scratch))
 
 

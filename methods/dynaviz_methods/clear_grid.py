@@ -42,9 +42,8 @@ class ClearGrid(BlockGrid):
                 origins if len(origins) == 1 else np.append(origins, of, 0),
             )
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
-        ends = (kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64), every, every)
-        kernels.raycast.mark(*ends, *(self._per_metre, *self._place, *self._scratch, *self._near))
-        return Marks(*kernels.raycast.collect(*self._scratch))
+        ends = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
+        return self._cast(*ends, every, every)
 
     def _beyond(self, scan: Scan, voxels: I64) -> tuple[F32, F64]:
         """Ends and origins, (K, 3) each, of rays that may cross blocks and end in voxels without one, one for each.

@@ -50,6 +50,7 @@ class VoidGrid(BlockGrid):
         self._struck = np.zeros(len(self) + 1, np.bool_)
         self._hits = np.zeros((len(self) + 1, 8), np.int64)
         self._rows = np.zeros(len(self) + 1, np.int32)
+        self._near_hits = np.zeros_like(self._near[0][0])  # at addresses, as in ``kernels.addresses``
 
     def see(self, scan: Scan, voxels: I64, integrated: Bool) -> VoidMarks:
         """Find the hit, observed and void voxels of a scan.
@@ -61,13 +62,15 @@ class VoidGrid(BlockGrid):
         """
         goals, starts, origins = self._rays(scan, voxels, integrated)
         place, scratch = (self._blocks, *self._place), self._scratch
-        kernels.voids.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
+        kernels.void_rays.hit(goals, starts, origins, self._hit_margin, *place, *scratch)
         struck, bits = kernels.raycast.collect(*scratch)
         self._struck[struck], self._hits[struck] = True, bits[:, 8:]
-        hits = self._struck, self._hits
-        kernels.voids.observe(goals, starts, origins, self._unknown_margin, *hits, *place, *scratch)
-        blocks, bits = kernels.raycast.collect(*scratch)
-        hit, observed = self._hits[blocks], bits[:, :8]
+        hits, near = (struck, self._struck, self._hits), self._addresses(origins)
+        rays = goals, starts, origins, self._unknown_margin
+        kernels.void_rays.observe(*rays, *hits, *place, *scratch, self._near_hits, *near)
+        marks = self._collected(near)
+        blocks, observed = marks.blocks, marks.bits[:, :8]
+        hit = self._hits[blocks]
         self._struck[struck], self._hits[struck] = False, 0
 
         self._rows[blocks] = np.arange(1, len(blocks) + 1, dtype=np.int32)
