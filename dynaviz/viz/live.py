@@ -191,7 +191,9 @@ class LiveRecording:
     def _started(self, path: Path | None) -> rr.RecordingStream:
         """A stream with what does not change: to a file, or to the viewer if there is no path."""
         number = path.stem if path else "live"
-        stream = rr.RecordingStream(paths.APPLICATION, recording_id=str(uuid.uuid4()), send_properties=False)
+        # The viewer keeps one layout per application: methods with other states need another.
+        application = f"{paths.APPLICATION} live {self._info.name}"
+        stream = rr.RecordingStream(application, recording_id=str(uuid.uuid4()), send_properties=False)
         layout = _layout(self._info, self._period)
         if path is not None:
             stream.save(str(path), default_blueprint=layout)

@@ -127,8 +127,11 @@ def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, mon
     report = play_live(sequence, "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=0.01)
     files = sorted((tmp_path / "live").glob("*.rrd"))
     assert [path.stem for path in files] == ["live-000002", "live-000003", "live-000004"]
-    entities = {str(chunk.entity_path) for chunk in RrdReader(files[-1]).stream()}
-    assert {"/world/scan", "/world/removed_now", "/world/map", "/world/dufomap/void", "/log"} <= entities
+    reader = RrdReader(files[-1])
+    assert [each.application_id for each in reader.recordings()] == ["dynaviz live dufomap"], "for its own layout"
+    entities = {str(chunk.entity_path) for chunk in reader.stream()}
+    shown = {"/world/scan", "/world/removed_now", "/world/removed_lately", "/world/map", "/world/dufomap/void", "/log"}
+    assert {*shown, "/dufomap/keys/void"} <= entities
     online = dv.run("dufomap", sequence, online=True)
     assert report.dynamic == sum(int(online.labels[frame].sum()) for frame in range(5))
     assert len(report.latencies) == 5
