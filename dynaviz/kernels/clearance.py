@@ -96,28 +96,28 @@ def _add(counts, block, w, word):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count(blocks, bits, near, hits, passed, clear):
+def count(blocks, bits, near, hits, passed, grazed):
     """Add one scan to the counts, which must be below 65535.
 
-    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as passed, and also as clear if no
-    hit is near.
+    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as passed, and also as grazed if a hit
+    is near. Otherwise the scan saw it clear, which most rays do in most voxels, so that is not counted.
 
     Args:
         blocks, bits: the marks of the scan, as from ``raycast.collect``.
         near: (B, 8) uint64, bits of the voxels near a hit.
-        hits, passed, clear: (all blocks + 1, 512) uint16, the counts. Modified.
+        hits, passed, grazed: (all blocks + 1, 512) uint16, the counts. Modified.
     """
     for r in prange(len(blocks)):
         for w in range(8):
             hit = np.uint64(bits[r, 8 + w])
             through = np.uint64(bits[r, w]) & ~hit
-            free = through & ~near[r, w]
+            grazing = through & near[r, w]
             if hit:
                 _add(hits, blocks[r], w, hit)
             if through:
                 _add(passed, blocks[r], w, through)
-            if free:
-                _add(clear, blocks[r], w, free)
+            if grazing:
+                _add(grazed, blocks[r], w, grazing)
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -132,7 +132,7 @@ def connect(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
-def evidence(objects, n, voxels, hits, passed, clear, between, after, votes):
+def evidence(objects, n, voxels, hits, passed, grazed, between, after, votes):
     """Sum the evidence over the points of each of n objects.
 
     A voxel that was hit once and crossed by no other scan does not vote. The vote of the others, in thousandths of a
@@ -143,7 +143,8 @@ def evidence(objects, n, voxels, hits, passed, clear, between, after, votes):
     Args:
         objects: (N,) int32, the object of each point, or -1.
         voxels: (N,) int64, the voxel of each point; points of objects must have one.
-        hits, passed, clear: (blocks, 512) uint16, number of scans that hit, crossed, and saw clear each voxel.
+        hits, passed, grazed: (blocks, 512) uint16, number of scans that hit each voxel, crossed it without a hit, and
+            crossed it near one. The others that crossed it saw it clear.
         between, after: (blocks, 8) uint64, bits of the voxels seen clear between two hits, and after the last hit.
         votes: maximum vote of a voxel, scans.
 
@@ -154,11 +155,12 @@ def evidence(objects, n, voxels, hits, passed, clear, between, after, votes):
     sums = np.zeros((n, 6), np.int64)
     for i in _rows(objects >= 0):
         k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
-        seen = np.int64(clear[block, place])
+        near = np.int64(grazed[block, place])
+        seen = passed[block, place] - near
         sums[k, 0] += 1
         sums[k, 1] += hits[block, place] > 1 or passed[block, place] > 0
         if seen:
-            against = np.int64(hits[block, place]) + 3 * (np.int64(passed[block, place]) - seen)
+            against = hits[block, place] + 3 * near
             sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
             sums[k, 3] += 1
             sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
@@ -230,14 +232,14 @@ def leave(objects, moving, stays, proven, places, now, last, proof, first):
 
 
 @njit(cache=True, nogil=True)
-def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes):
+def surroundings(points, chosen, size, tall, voxels, hits, passed, grazed, votes):
     """The evidence around each chosen point: in its cell and in the 26 cells around it.
 
     Args:
         points: (N, 3) float32, metres.
         chosen: (N,) bool; chosen points must be finite. Others are ignored.
         size, tall: edge of a cell in x and y, and in z, metres.
-        voxels, hits, passed, clear, votes: as in ``evidence``.
+        voxels, hits, passed, grazed, votes: as in ``evidence``.
 
     Returns:
         (N,) int32: the cell of each point, -1 for points that are not chosen.
@@ -250,8 +252,12 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
         if mine[i] < 0:
             continue
         block, place = voxels[i] >> 9, voxels[i] & 511
-        seen, hit, crossed = np.int64(clear[block, place]), np.int64(hits[block, place]), np.int64(passed[block, place])
-        against = hit + 3 * (crossed - seen)
+        hit, crossed, near = (
+            np.int64(hits[block, place]),
+            np.int64(passed[block, place]),
+            np.int64(grazed[block, place]),
+        )
+        seen, against = crossed - near, hit + 3 * near
         own = sums[mine[i]]
         own[0] += 1
         own[1] += hit > 1 or crossed > 0
@@ -275,14 +281,14 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, clear, votes)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, verdict, low, high, hits, passed, clear, votes, codes):
+def outcomes(voxels, verdict, low, high, hits, passed, grazed, votes, codes):
     """(N,) uint8: the reason code of each point; low points get that of all low points.
 
     Args:
         voxels: (N,) int64, the voxel of each point, -1 for none.
         verdict: (N,) uint8, the code that the point's object has for it, or 0.
         low, high: (N,) bool.
-        hits, passed, clear: (blocks, 512) uint16, as in ``evidence``.
+        hits, passed, grazed: (blocks, 512) uint16, as in ``evidence``.
         votes: number of scans that must have seen a voxel clear for its points to be alone.
         codes: seven reason codes: of points never clear, of those too little clear, high, settled, alone, low and out
             of reach. A later one overrules an earlier one, but high points are not alone; verdicts other than settled
@@ -299,7 +305,7 @@ def outcomes(voxels, verdict, low, high, hits, passed, clear, votes, codes):
         elif verdict[i] != 0 and verdict[i] != settled:
             found[i] = verdict[i]
         else:
-            seen = np.int64(clear[block, place])
+            seen = np.int64(passed[block, place]) - np.int64(grazed[block, place])
             if high[i]:
                 found[i] = above
             elif seen >= votes and 2 * seen > np.int64(hits[block, place]) + np.int64(passed[block, place]):

@@ -166,7 +166,7 @@ class SeeThrough:
         size = self.params.resolution
         self._ground = RollingGroundHeight(self._grid) if self._grid.rolls else GroundHeight(self._grid.blocks, size)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
-        self._hits, self._passed, self._clear = (
+        self._hits, self._passed, self._grazed = (
             self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3)
         )
         # One bit per voxel: ever hit; seen clear between two hits; seen clear after the last hit.
@@ -187,7 +187,7 @@ class SeeThrough:
         bits = marks.bits
         if self._observed >= kernels.clearance.MOST:
             bits = kernels.clearance.countable(marks.blocks, bits, self._hits, self._passed)
-        kernels.clearance.count(marks.blocks, bits, near, self._hits, self._passed, self._clear)
+        kernels.clearance.count(marks.blocks, bits, near, self._hits, self._passed, self._grazed)
         kernels.clearance.order(marks.blocks, marks.bits, near, *self._order)
         self._ground.add(points, voxels)
         now = self._number[scan.index] = self._observed
@@ -234,9 +234,14 @@ class SeeThrough:
         voxels = self._grid.locate(points)
         return points, voxels, self._ground.quarters(voxels)
 
+    def _scans(self, voxels: I64) -> tuple[I32, I32, I32]:
+        """The number of scans, (K,) int32 each, that hit, passed and saw clear each of some voxels (K,)."""
+        hits, passed, grazed = (kernels.objects.read(voxels, of) for of in (self._hits, self._passed, self._grazed))
+        return hits, passed, passed - grazed
+
     def _measure(self, scan: Scan, points: F32, voxels: I64, places: I64) -> Measured:
         """The height, object and evidence of each point of an observed scan."""
-        params, evidence = self.params, (self._hits, self._passed, self._clear, *self._order[1:], self.params.votes)
+        params, evidence = self.params, (self._hits, self._passed, self._grazed, *self._order[1:], self.params.votes)
         height = self._ground.height(points, voxels, scan.position)
         height = levelled(height, points, voxels >= 0, scan.position, params.ground_height)
         low = height <= params.ground_height
@@ -247,14 +252,14 @@ class SeeThrough:
 
     def _outcomes(self, measured: Measured, verdict: U8) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
-        voxels, height, counts = measured.voxels, measured.height, (self._hits, self._passed, self._clear)
+        voxels, height, counts = measured.voxels, measured.height, (self._hits, self._passed, self._grazed)
         points = voxels, verdict, measured.low, _high(height)
         reasons: U8 = kernels.objects.outcomes(*points, *counts, self.params.votes, BY_POINT)
         under = self._under(measured, verdict)
         feet = np.flatnonzero(under)
         if not len(feet):
             return reasons
-        hits, passed, clear = (kernels.objects.read(voxels[feet], of) for of in counts)
+        hits, passed, clear = self._scans(voxels[feet])
         empty = (clear >= EMPTY) & (clear > hits) & (2 * clear > passed)
         stands_out = height[feet] - self._level(measured, under, under)[feet] > STANDS_OUT
         reasons[feet[stands_out | empty]] = FOOT
@@ -314,7 +319,7 @@ class SeeThrough:
             vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
         cells = self.params.gap, TALL * self.params.gap
-        evidence = measured.voxels, self._hits, self._passed, self._clear, self.params.votes
+        evidence = measured.voxels, self._hits, self._passed, self._grazed, self.params.votes
         asked = (verdict == SEEN_THROUGH) | (verdict == WAITED)
         mine, votes, against, touched = kernels.objects.surroundings(measured.points, asked, *cells, *evidence)
         rows = np.flatnonzero(asked)
@@ -330,9 +335,7 @@ class SeeThrough:
     def evidence(self, asked: Asked) -> Evidence:
         """How often scans hit, passed and saw clear the points' voxels; and what is known about their objects."""
         voxels = self._grid.locate(asked.points)
-        hits, passed, clear = (
-            known(kernels.objects.read(voxels, of), voxels) for of in (self._hits, self._passed, self._clear)
-        )
+        hits, passed, clear = (known(scans, voxels) for scans in self._scans(voxels))
         counts = {"hit": hits, "passed": passed, "clear": clear}
         quantities = tuple(Quantity(name, values, total=True) for name, values in counts.items())
         judged = self._judged
@@ -411,7 +414,7 @@ class SeeThrough:
                 through = marks.bits[:, :8] & ~marks.bits[:, 8:]
                 voxels = voxels_of(marks.blocks, through & among.view(np.int64))
                 voxels = voxels[self._hits.ravel()[voxels] > 0]
-                count = self._clear.ravel()[voxels].astype(np.float32) if name == "clear" else None
+                count = self._scans(voxels)[2].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._grid.keys(voxels), self._grid.resolution, count))
         if wants("objects"):
             emit("objects", PointClasses(CLASS[self._outcomes(measured, verdict)]))

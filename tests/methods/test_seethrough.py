@@ -275,14 +275,14 @@ def test_counts_stop_at_their_maximum() -> None:
     most = kernels.clearance.MOST
     blocks, bits, near = np.zeros(1, np.int32), np.zeros((1, 16), np.int64), np.zeros((1, 8), np.uint64)
     bits[0, 0], bits[0, 8] = 0b01111, 0b10001  # voxel 0 is hit, 1 to 3 are crossed, 4 is hit and crossed by none
-    near[0, 0] = 0b01000
-    hits, passed, clear = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, 7))
-    hits[0, 0] = passed[0, 2] = most
+    near[0, 0] = 0b01100
+    hits, passed, grazed = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, 7))
+    hits[0, 0] = passed[0, 3] = most
     counted = kernels.clearance.countable(blocks, bits, hits, passed)
-    kernels.clearance.count(blocks, counted, near, hits, passed, clear)
+    kernels.clearance.count(blocks, counted, near, hits, passed, grazed)
     assert hits[0, :5].tolist() == [most, most - 1, most - 1, most - 1, most]
     assert passed[0, :5].tolist() == [most - 1, most, most, most, most - 1]
-    assert clear[0, :5].tolist() == [7, 8, 7, 7, 7], "what is not counted as passed is not counted as clear"
+    assert grazed[0, :5].tolist() == [7, 7, 8, 7, 7], "what is not counted as passed is not counted as grazed"
 
 
 @pytest.mark.plain
