@@ -158,7 +158,7 @@ def _observe_beyond(along_x, along_y, along_z, time, beyond, base, shape, top, c
 
 @njit(cache=True, nogil=True)
 def _observe(
-    along_x, along_y, along_z, time, end, beyond, base, shape, top, children, struck, hits, slots, owners, masks, used
+    along_x, along_y, along_z, time, end, beyond, struck, hits, base, shape, top, children, slots, owners, masks, used
 ):
     """Mark the voxels of a ray from a time on, up to the first hit one, and ``beyond`` voxels more."""
     kx, sx, fx, px = along_x
@@ -290,21 +290,23 @@ def _until(end, goal, axes, centre):
 
 
 @njit(cache=True, nogil=True)
-def _observe_all(o, c, beyond, centre, struck, hits, place, scratch, near, used):
+def _observe_all(o, c, beyond, centre, struck, hits, where, near, used):
     """Mark the voxels from o to the first hit one, at addresses as far as they reach, and ``beyond`` voxels more."""
+    base, shape, top, children, slots, owners, masks = where
+    grid, (near_hits, bits, touched) = (base, shape, top, children, slots, owners, masks), near
     d, length = _direction(o, c)
     x, y, z = _axis(o[0], d[0], 0), _axis(o[1], d[1], 1), _axis(o[2], d[2], 2)
     end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
-    until = _until(end, c, (x, y, z), centre) if len(near[0]) else np.int64(START)
+    until = _until(end, c, (x, y, z), centre) if len(touched) else np.int64(START)
     if length == 0.0:
         beyond = 0
     stopped, time = False, until
     if until > START:
-        stopped, time = _observe_near(x, y, z, until, *near)
+        stopped, time = _observe_near(x, y, z, until, near_hits, bits, touched)
     if stopped:
-        used = _observe_beyond(x, y, z, time, beyond, *place, *scratch, used)
+        used = _observe_beyond(x, y, z, time, beyond, *grid, used)
     elif time < end:
-        used = _observe(x, y, z, time, end, beyond, *place, struck, hits, *scratch, used)
+        used = _observe(x, y, z, time, end, beyond, struck, hits, *grid, used)
     return used
 
 
@@ -372,14 +374,14 @@ def observe(
         _place_hits(struck, blocks, hits, FULL, centre, near)
     for lane in prange(len(used)):
         count = np.int64(0)
-        place, mine = (base, shape, top, children), (slots[lane], owners[lane], masks[lane])
+        where = base, shape, top, children, slots[lane], owners[lane], masks[lane]
         own_near = near, bits[lane], touched[lane]
         for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
             for g in range(chunk, min(chunk + CHUNK, len(goals))):
                 s = starts[g]
                 o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
                 if _within(o):
-                    count = _observe_all(o, c, beyond, centre, has, hits, place, mine, own_near, count)
+                    count = _observe_all(o, c, beyond, centre, has, hits, where, own_near, count)
         used[lane] = count
     if len(near):
         _place_hits(struck, blocks, hits, np.int64(0), centre, near)
