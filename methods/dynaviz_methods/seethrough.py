@@ -310,8 +310,8 @@ class SeeThrough:
         """Rows of the points in settled parts of objects that were seen through or waited.
 
         The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
-        of an object was seen through, the fewer hits and near hits it takes. Hits do not show what stays of an object
-        that waited, because it was hit while it did; but once it is gone, most of it is seen clear.
+        of an object was seen through, the fewer hits and near hits it takes. An object that waited was hit while it
+        did, but once it is gone, most of it is seen clear.
 
         Args:
             measured: the scan.
@@ -354,16 +354,10 @@ class SeeThrough:
             mean = votes / (1000 * self.params.votes * having)
             earlier = np.where(mean > RARELY, 0.0, old)
             shares = {name: part / size for name, part in (("now", lately), ("later", left))}
-        moved = "share of its object where one moved "
+        gone, moved = after - between, "share of its object where one moved "
+        seen = (Term("mean vote of its object", mean, ">", self.params.share), Term("votes", having, ">=", FEW), stays)
         return (
-            Rule(
-                "seen through",
-                (
-                    Term("mean vote of its object", mean, ">", self.params.share),
-                    Term("votes", having, ">=", FEW),
-                    stays,
-                ),
-            ),
+            Rule("seen through", seen),
             Rule(
                 "followed",
                 (
@@ -380,9 +374,7 @@ class SeeThrough:
                 (
                     Term(f"{moved}last", shares["later"], ">", 0.5),
                     Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
-                    Term(
-                        "points seen clear after the last hit, less those hit again", after - between, ">", LEFT * size
-                    ),
+                    Term("points seen clear after the last hit, less those hit again", gone, ">", LEFT * size),
                     stays,
                 ),
             ),
