@@ -14,7 +14,8 @@ from numba import njit, prange
 
 TILE_ROWS, TILE_COLUMNS = 4, 8  # pixels per tile; the farthest range of a tile lets hidden blocks be skipped
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
-_ONE = np.uint64(1)
+_ONE, _TOP = np.uint64(1), np.uint64(56)
+_LOWEST, _TO_BYTE = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
 _F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _PI, _HALF_PI = np.float32(math.pi), np.float32(math.pi / 2)
 # arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
@@ -205,12 +206,13 @@ def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
 @njit(cache=True, nogil=True, inline="always")
 def _remember(flags, updated, near, observed):
     """Set and clear the bits of a block's voxels (8,) by flags (512,) as from ``_average``."""
+    eights = flags.view(np.uint64)
     for w in range(8):
         seen, close = np.uint64(0), np.uint64(0)
-        for v in range(64):
-            flag = np.uint64(flags[w << 6 | v])
-            seen |= (flag & _ONE) << np.uint64(v)
-            close |= (flag >> _ONE) << np.uint64(v)
+        for v in range(8):  # the product moves the lowest bits of eight flags to the highest byte
+            eight, shift = eights[w << 3 | v], np.uint64(v << 3)
+            seen |= (eight & _LOWEST) * _TO_BYTE >> _TOP << shift
+            close |= (eight >> _ONE & _LOWEST) * _TO_BYTE >> _TOP << shift
         updated[w] |= seen
         observed[w] |= seen
         near[w] = near[w] & ~seen | close

@@ -95,28 +95,32 @@ def _centre(voxel, blocks):
 
 
 @njit(cache=True, nogil=True)
-def _hit(c, o, margin, base, shape, top, children, slots, owners, masks, used):
-    """Mark the voxels from c to ``margin`` voxels towards o as hit, at most up to that of o."""
+def _hit(c, o, block, margin, base, shape, top, children, slots, owners, masks, used):
+    """Mark the voxels from c, in a block, to ``margin`` voxels towards o as hit, at most up to that of o."""
     d, length = _direction(c, o)
     x, sx, tx, px = _axis(c[0], d[0], 0)
     y, sy, ty, py = _axis(c[1], d[1], 1)
     z, sz, tz, pz = _axis(c[2], d[2], 2)
     x, y, z = x - (base[0] << 7), y - (base[1] << 7), z - (base[2] << 7)
     end = np.int64(min(margin, length) * UNIT) << 2
+    slot, used = _slot(slots, owners, masks, used, block)
     while True:
-        block = _block(x >> 3, y >> 3, z >> 3, shape, top, children)
-        if block:
-            slot, used = _slot(slots, owners, masks, used, block - 1)
+        if slot:
             masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
         t = min(tx, min(ty, tz))
         if t > end:
             return used
+        bx, by, bz = x >> 3, y >> 3, z >> 3
         if t == tx:
             x, tx = x + sx, tx + px
         elif t == ty:
             y, ty = y + sy, ty + py
         else:
             z, tz = z + sz, tz + pz
+        if x >> 3 != bx or y >> 3 != by or z >> 3 != bz:
+            other, slot = _block(x >> 3, y >> 3, z >> 3, shape, top, children), np.int32(0)
+            if other:
+                slot, used = _slot(slots, owners, masks, used, other - 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -230,16 +234,16 @@ def _moved(at, axis, step):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _observed(at, hits, bits, touched):
+def _observed(at, pairs, touched):
     """Mark the voxel at an address; returns whether it is hit."""
     block, word, bit = at >> NINE, at >> SIX & SEVEN, ONE_BIT << (at & LAST)
-    bits[block, word] |= bit
+    pairs[block, word, 0] |= bit
     touched[block] = True
-    return hits[block, word] & bit
+    return pairs[block, word, 1] & bit
 
 
 @njit(cache=True, nogil=True)
-def _observe_near(along_x, along_y, along_z, until, hits, bits, touched):
+def _observe_near(along_x, along_y, along_z, until, pairs, touched):
     """Mark the voxels of a ray at their addresses, up to the first hit one, or up to a time.
 
     Returns whether a voxel was hit, and the time of the border after it, or ``until``.
@@ -259,7 +263,7 @@ def _observe_near(along_x, along_y, along_z, until, hits, bits, touched):
         limit = min(tc, until)
         t = min(ta, tb)
         while t < limit:  # one branch, which is never taken but once: the order of a and b cannot be predicted
-            if _observed(at, hits, bits, touched):
+            if _observed(at, pairs, touched):
                 return True, t
             first = ta < tb
             axis, step = a if first else b, da if first else db
@@ -267,7 +271,7 @@ def _observe_near(along_x, along_y, along_z, until, hits, bits, touched):
             tb += 0 if first else pb
             at = _moved(at, axis, step)
             t = min(ta, tb)
-        if _observed(at, hits, bits, touched):
+        if _observed(at, pairs, touched):
             return True, min(t, tc)
         if limit == until:
             return False, until
@@ -293,7 +297,7 @@ def _until(end, goal, axes, centre):
 def _observe_all(o, c, beyond, centre, struck, hits, where, near, used):
     """Mark the voxels from o to the first hit one, at addresses as far as they reach, and ``beyond`` voxels more."""
     base, shape, top, children, slots, owners, masks = where
-    grid, (near_hits, bits, touched) = (base, shape, top, children, slots, owners, masks), near
+    grid, (pairs, touched) = (base, shape, top, children, slots, owners, masks), near
     d, length = _direction(o, c)
     x, y, z = _axis(o[0], d[0], 0), _axis(o[1], d[1], 1), _axis(o[2], d[2], 2)
     end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
@@ -302,7 +306,7 @@ def _observe_all(o, c, beyond, centre, struck, hits, where, near, used):
         beyond = 0
     stopped, time = False, until
     if until > START:
-        stopped, time = _observe_near(x, y, z, until, near_hits, bits, touched)
+        stopped, time = _observe_near(x, y, z, until, pairs, touched)
     if stopped:
         used = _observe_beyond(x, y, z, time, beyond, *grid, used)
     elif time < end:
@@ -321,12 +325,12 @@ def hit(goals, starts, origins, margin, blocks, base, shape, top, children, slot
                 o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
                 if _within(o):
                     lanes = (slots[lane], owners[lane], masks[lane])
-                    count = _hit(c, o, margin, base, shape, top, children, *lanes, count)
+                    count = _hit(c, o, goals[g] >> 9, margin, base, shape, top, children, *lanes, count)
         used[lane] = count
 
 
 @njit(cache=True, nogil=True)
-def _place_hits(struck, blocks, hits, mask, centre, near):
+def _place_hits(struck, blocks, hits, mask, centre, pairs):
     """Copy the masked bits of struck blocks (K,) to their addresses around a voxel, where they have some."""
     for block in struck:
         x, y, z = np.int64(blocks[block, 0]), np.int64(blocks[block, 1]), np.int64(blocks[block, 2])
@@ -334,7 +338,7 @@ def _place_hits(struck, blocks, hits, mask, centre, near):
         if abs(dx) < len(X) >> 4 and abs(dy) < len(Y) >> 4 and abs(dz) < len(Z) >> 4:
             at = X[x << 3 & len(X) - 1] | Y[y << 3 & len(Y) - 1] | Z[z << 3 & len(Z) - 1]
             for w in range(8):
-                near[at >> NINE, w] = np.uint64(hits[block, w] & mask)
+                pairs[at >> NINE, w, 1] = np.uint64(hits[block, w] & mask)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -355,9 +359,8 @@ def observe(
     owners,
     masks,
     used,
-    near,
+    pairs,
     centre,
-    bits,
     touched,
 ):
     """Mark the voxels that rays observe: up to the first hit voxel, and ``beyond`` voxels more.
@@ -367,21 +370,22 @@ def observe(
         beyond: voxels.
         struck: (K,) int32, blocks with hit voxels; has: (B,) bool, whether a block has any.
         hits: (B, 8) int64, bits of the hit voxels.
-        near: (addresses.BLOCKS, 8) uint64, scratch memory for hits at addresses.
-        centre, bits, touched: as in ``raycast.mark``.
+        pairs: (lanes, addresses.BLOCKS, 8, 2) uint64, scratch memory for addresses: words of observed voxels and of hit
+            voxels side by side, since each step reads both; without blocks, only the directory is used.
+        centre, touched: as in ``raycast.mark``.
     """
-    if len(near):
-        _place_hits(struck, blocks, hits, FULL, centre, near)
     for lane in prange(len(used)):
         count = np.int64(0)
+        if pairs.shape[1]:
+            _place_hits(struck, blocks, hits, FULL, centre, pairs[lane])
         where = base, shape, top, children, slots[lane], owners[lane], masks[lane]
-        own_near = near, bits[lane], touched[lane]
+        near = pairs[lane], touched[lane]
         for chunk in range(lane * CHUNK, len(goals), len(used) * CHUNK):
             for g in range(chunk, min(chunk + CHUNK, len(goals))):
                 s = starts[g]
                 o, c = (origins[s, 0], origins[s, 1], origins[s, 2]), _centre(goals[g], blocks)
                 if _within(o):
-                    count = _observe_all(o, c, beyond, centre, has, hits, where, own_near, count)
+                    count = _observe_all(o, c, beyond, centre, has, hits, where, near, count)
+        if pairs.shape[1]:
+            _place_hits(struck, blocks, hits, np.int64(0), centre, pairs[lane])
         used[lane] = count
-    if len(near):
-        _place_hits(struck, blocks, hits, np.int64(0), centre, near)

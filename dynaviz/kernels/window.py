@@ -59,10 +59,10 @@ def visit(points, origins, reach, per_metre, around, flags, mask, cells, count):
     for p in range(len(points)):
         q = p if several else 0
         dx, dy, dz = points[p, 0] - origins[q, 0], points[p, 1] - origins[q, 1], points[p, 2] - origins[q, 2]
-        length = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if not length < np.inf:
+        squared = dx * dx + dy * dy + dz * dz
+        if not squared < np.inf:
             continue
-        part = min(1.0, reach / length) if length > 0 else 1.0
+        part = 1.0 if squared <= reach * reach else reach / math.sqrt(squared)
         x = np.int64(math.floor((origins[q, 0] + part * dx) * per_metre))
         y = np.int64(math.floor((origins[q, 1] + part * dy) * per_metre))
         z = np.int64(math.floor((origins[q, 2] + part * dz) * per_metre))

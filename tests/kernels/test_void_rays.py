@@ -18,8 +18,7 @@ def grid_around(points) -> VoidGrid:
 
 def with_addresses(grid: VoidGrid) -> VoidGrid:
     """The grid, made to observe the surroundings of the sensor without its directory, as grids that roll do."""
-    grid._near = kernels.addresses.memory(kernels.threads_in_use())
-    grid._near_hits = np.zeros_like(grid._near[0][0])
+    grid._pair(*kernels.addresses.memory(kernels.threads_in_use()))
     return grid
 
 
@@ -41,4 +40,5 @@ def test_rays_observe_the_same_voxels_at_addresses_and_beyond(distance):
         grid = with_addresses(grid_around(along))
         for ours, expected in zip(seen(grid, scan), seen(grid_around(along), scan), strict=True):
             np.testing.assert_array_equal(ours, expected)
-        assert not any(memory.any() for memory in (grid._near_hits, *grid._near))
+        assert not grid._pairs.any()
+        assert not grid._near[1].any()
