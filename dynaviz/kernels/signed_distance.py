@@ -98,15 +98,57 @@ def image(pixels, ranges, rows, columns):
     return nearest, tiles
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_hidden(corner, edge, axes, view, image, truncation):
+    """Whether no pixel that shows a part of a block has a range that updates it; conservative.
+
+    The corners bound height and azimuth. The block's distance from the vertical axis is least on an edge, whose middle
+    is nearer than its ends by at most what half its length adds.
+    """
+    rows, columns = int(view[0]), int(view[1])
+    cx, cy = corner[0] + 0.5 * edge, corner[1] + 0.5 * edge
+    cz, squared = corner[2] + 0.5 * edge, 0.0
+    cx, cy = axes[0, 0] * cx + axes[0, 1] * cy + axes[0, 2] * cz, axes[1, 0] * cx + axes[1, 1] * cy + axes[1, 2] * cz
+    inner, outer, low, high, left, right = np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf
+    for n in range(8):
+        dx, dy, dz = corner[0] + (n >> 2) * edge, corner[1] + (n >> 1 & 1) * edge, corner[2] + (n & 1) * edge
+        x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
+        y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
+        z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+        inner, outer = min(inner, x * x + y * y), max(outer, x * x + y * y)
+        low, high = min(low, z), max(high, z)
+        tangent = (cx * y - cy * x) / (cx * x + cy * y)  # of the azimuth from the centre's
+        left, right = min(left, tangent), max(right, tangent)
+    if inner <= edge * edge:  # too close for these bounds
+        return False
+    inner, outer = math.sqrt(inner - 0.25 * edge * edge), math.sqrt(outer)
+    top, bottom = math.atan2(high, inner if high > 0 else outer), math.atan2(low, outer if low > 0 else inner)
+    row_from, row_to = int((view[2] - top) * view[3]) - 1, int((view[2] - bottom) * view[3]) + 2
+    row_from, row_to = max(row_from, 0), min(row_to, rows - 1)
+    azimuth = math.atan2(cy, cx) + math.pi
+    first, last = int((azimuth + math.atan(left)) * view[4]) - 1, int((azimuth + math.atan(right)) * view[4]) + 2
+    if (row_to - row_from + 1) * (last - first + 1) > 512:  # it is faster to look at the voxels
+        return False
+    for axis in range(3):
+        squared += max(corner[axis], -corner[axis] - edge, 0.0) ** 2
+    least = np.float32(max(math.sqrt(squared) - truncation - 1e-3, 1e-9))
+    for row in range(row_from, row_to + 1):
+        for column in range(first, last + 1):
+            at = column - columns if column >= columns else (column + columns if column < 0 else column)
+            if image[row * columns + at] >= least:
+                return False
+    return True
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def in_view(blocks, edge, position, axes, view, tiles, truncation):
+def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
     """(B,) bool: whether a block may contain voxels that the image updates; conservative.
 
     Args:
         blocks: (B, 3) int64, indices of the blocks from the world's origin.
         edge: edge of a block, metres.
         position, axes, view: as for ``pixels``.
-        tiles: as from ``image``.
+        tiles, image: as from ``image``.
         truncation: voxels up to this far behind a surface are updated, metres.
     """
     radius, seen = 0.8661 * edge, np.zeros(len(blocks), np.bool_)
@@ -147,7 +189,10 @@ def in_view(blocks, edge, position, axes, view, tiles, truncation):
                 # continue with the next tile; tiles restart at column 0
                 at = c % columns
                 c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
-        seen[b] = farthest > _F0 and r - radius <= farthest + truncation
+        if farthest > _F0 and r - radius <= farthest + truncation:
+            half_edge = 0.5 * edge
+            corner = (dx - half_edge, dy - half_edge, dz - half_edge)
+            seen[b] = not _is_hidden(corner, edge, axes, view, image, truncation)
     return seen
 
 

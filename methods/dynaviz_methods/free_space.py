@@ -196,7 +196,7 @@ class FreeSpace:
     def _visible(self, edge: float) -> I32:
         """Blocks that may contain voxels in view."""
         p, view = self._params, self._view.numbers
-        pose = self._position, self._axes, view, self._tiles, p.truncation
+        pose = self._position, self._axes, view, self._tiles, self.image.ravel(), p.truncation
         if self.grid.rolls:
             blocks = np.flatnonzero(self.grid.existing()).astype(np.int32)
             in_view: Bool = kernels.signed_distance.in_view(self._blocks[blocks], edge, *pose)
