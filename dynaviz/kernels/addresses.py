@@ -5,7 +5,9 @@ within a block of 8^3 voxels, as in ``blocks``; then the bits of the block's ind
 adjacent blocks share pages of memory.
 """
 
+import math
 from itertools import count
+from mmap import mmap
 
 import numpy as np
 
@@ -15,9 +17,18 @@ EXTENTS = (10, 10, 8)  # along x, y and z: log2 of voxels
 BLOCKS = 1 << sum(EXTENTS) - 9
 
 
-def memory(lanes: int, blocks: int = BLOCKS) -> tuple[U64, Bool]:
-    """One bit per address, (lanes, blocks, 8), and one flag per block, (lanes, blocks); all unset."""
-    return np.zeros((lanes, blocks, 8), np.uint64), np.zeros((lanes, blocks), np.bool_)
+def memory(lanes: int, blocks: int = BLOCKS, of_word: int = 1) -> tuple[U64, Bool]:
+    """Memory for marks at addresses, all unset.
+
+    It is mapped page by page as it is written. NumPy asks for pages of 2 MB, most of which would be empty.
+
+    Returns:
+        (lanes, blocks, 8, of_word) uint64: words of 64 bits, ``of_word`` for each.
+        (lanes, blocks) bool: whether a block has marks.
+    """
+    shape = lanes, blocks, 8, of_word
+    words = np.frombuffer(mmap(-1, max(8 * math.prod(shape), 1)), np.uint64, math.prod(shape)).reshape(shape)
+    return words, np.zeros((lanes, blocks), np.bool_)
 
 
 def _positions() -> list[list[int]]:

@@ -59,6 +59,8 @@ class BlockGrid:
         ValueError: if the resolution is not positive.
     """
 
+    _OF_WORD = 1  # number of kinds of marks at addresses
+
     def __init__(self, extent: Extent, resolution: float) -> None:
         if not resolution > 0:
             raise ValueError(f"resolution must be positive, not {resolution}")
@@ -77,7 +79,9 @@ class BlockGrid:
         slots, owners = np.zeros((lanes, rows), np.int32), np.empty((lanes, rows), np.int32)
         masks, used = np.empty((lanes, rows, 16), np.int64), np.zeros(lanes, np.int64)
         self._scratch = (slots, owners, masks, used)
-        self._near = kernels.addresses.memory(lanes, blocks=kernels.addresses.BLOCKS if self._rolling else 0)
+        near = kernels.addresses.BLOCKS if self._rolling else 0
+        self._words, touched = kernels.addresses.memory(lanes, near, self._OF_WORD)
+        self._near = self._words[..., 0], touched
 
     def _cover(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
         """The blocks of an extent that is known, and their directory."""

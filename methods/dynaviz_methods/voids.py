@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I32, I64, U64, Bool
+from dynaviz.arrays import F64, I32, I64, Bool
 from dynaviz.kernels.keys import REACH
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid
@@ -41,6 +41,8 @@ class VoidGrid(BlockGrid):
         unknown_margin: distance from unknown space within which no voxel is void, voxels.
     """
 
+    _OF_WORD = 2  # observed and hit voxels, next to each other
+
     def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
         # The largest distance from a point to a voxel that it hits, or that decides whether its own voxel is void.
         around = max(hit_margin, unknown_margin * resolution) + resolution
@@ -50,12 +52,6 @@ class VoidGrid(BlockGrid):
         self._struck = np.zeros(len(self) + 1, np.bool_)
         self._hits = np.zeros((len(self) + 1, 8), np.int64)
         self._rows = np.zeros(len(self) + 1, np.int32)
-        self._pair(*self._near)
-
-    def _pair(self, bits: U64, touched: Bool) -> None:
-        """Lay out the memory for addresses so that each word of observed voxels is followed by that of hit voxels."""
-        self._pairs = np.zeros((*bits.shape, 2), np.uint64)
-        self._near = self._pairs[..., 0], touched
 
     def see(self, scan: Scan, voxels: I64, integrated: Bool) -> VoidMarks:
         """Find the hit, observed and void voxels of a scan.
@@ -72,7 +68,7 @@ class VoidGrid(BlockGrid):
         self._struck[struck], self._hits[struck] = True, bits[:, 8:]
         hits, near = (struck, self._struck, self._hits), self._addresses(origins)
         rays = goals, starts, origins, self._unknown_margin
-        kernels.void_rays.observe(*rays, *hits, *place, *scratch, self._pairs, near[0], near[2])
+        kernels.void_rays.observe(*rays, *hits, *place, *scratch, self._words, near[0], near[2])
         marks = self._collected(near)
         blocks, observed = marks.blocks, marks.bits[:, :8]
         hit = self._hits[blocks]

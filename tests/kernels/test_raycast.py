@@ -125,7 +125,8 @@ def test_a_ray_of_kilometres_ends_in_its_voxel():
 
 def with_addresses(grid: BlockGrid) -> BlockGrid:
     """The grid, made to mark the surroundings of the sensor without its directory, as grids that roll do."""
-    grid._near = kernels.addresses.memory(kernels.threads_in_use())
+    words, touched = kernels.addresses.memory(kernels.threads_in_use())
+    grid._near = words[..., 0], touched
     return grid
 
 

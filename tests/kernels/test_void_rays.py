@@ -18,7 +18,8 @@ def grid_around(points) -> VoidGrid:
 
 def with_addresses(grid: VoidGrid) -> VoidGrid:
     """The grid, made to observe the surroundings of the sensor without its directory, as grids that roll do."""
-    grid._pair(*kernels.addresses.memory(kernels.threads_in_use()))
+    grid._words, touched = kernels.addresses.memory(kernels.threads_in_use(), of_word=2)
+    grid._near = grid._words[..., 0], touched
     return grid
 
 
@@ -40,5 +41,5 @@ def test_rays_observe_the_same_voxels_at_addresses_and_beyond(distance):
         grid = with_addresses(grid_around(along))
         for ours, expected in zip(seen(grid, scan), seen(grid_around(along), scan), strict=True):
             np.testing.assert_array_equal(ours, expected)
-        assert not grid._pairs.any()
+        assert not grid._words.any()
         assert not grid._near[1].any()
