@@ -99,8 +99,8 @@ def image(pixels, ranges, rows, columns):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _is_hidden(corner, edge, axes, view, image, truncation):
-    """Whether no pixel that shows a part of a block has a range that updates it; conservative.
+def _shown(corner, edge, axes, view, image, truncation):
+    """1 if a pixel that shows a part of a block may have a range that updates it, 0 if none has, -1 if undecided.
 
     The corners bound height and azimuth. The block's distance from the vertical axis is least on an edge, whose middle
     is nearer than its ends by at most what half its length adds.
@@ -120,15 +120,17 @@ def _is_hidden(corner, edge, axes, view, image, truncation):
         tangent = (cx * y - cy * x) / (cx * x + cy * y)  # of the azimuth from the centre's
         left, right = min(left, tangent), max(right, tangent)
     if inner <= edge * edge:  # too close for these bounds
-        return False
+        return -1
     inner, outer = math.sqrt(inner - 0.25 * edge * edge), math.sqrt(outer)
     top, bottom = math.atan2(high, inner if high > 0 else outer), math.atan2(low, outer if low > 0 else inner)
     row_from, row_to = int((view[2] - top) * view[3]) - 1, int((view[2] - bottom) * view[3]) + 2
     row_from, row_to = max(row_from, 0), min(row_to, rows - 1)
+    if row_from > row_to:
+        return 0
     azimuth = math.atan2(cy, cx) + math.pi
     first, last = int((azimuth + math.atan(left)) * view[4]) - 1, int((azimuth + math.atan(right)) * view[4]) + 2
-    if (row_to - row_from + 1) * (last - first + 1) > 512:  # it is faster to look at the voxels
-        return False
+    if (row_to - row_from + 1) * (last - first + 1) > 512:  # it is faster to look at tiles
+        return -1
     for axis in range(3):
         squared += max(corner[axis], -corner[axis] - edge, 0.0) ** 2
     least = np.float32(max(math.sqrt(squared) - truncation - 1e-3, 1e-9))
@@ -136,8 +138,8 @@ def _is_hidden(corner, edge, axes, view, image, truncation):
         for column in range(first, last + 1):
             at = column - columns if column >= columns else (column + columns if column < 0 else column)
             if image[row * columns + at] >= least:
-                return False
-    return True
+                return 1
+    return 0
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -162,6 +164,11 @@ def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
             continue
         if r <= 1.01 * radius:
             seen[b] = True
+            continue
+        corner = (dx - 0.5 * edge, dy - 0.5 * edge, dz - 0.5 * edge)
+        shown = _shown(corner, edge, axes, view, image, truncation)
+        if shown >= 0:
+            seen[b] = shown == 1
             continue
         x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
@@ -189,10 +196,7 @@ def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
                 # continue with the next tile; tiles restart at column 0
                 at = c % columns
                 c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
-        if farthest > _F0 and r - radius <= farthest + truncation:
-            half_edge = 0.5 * edge
-            corner = (dx - half_edge, dy - half_edge, dz - half_edge)
-            seen[b] = not _is_hidden(corner, edge, axes, view, image, truncation)
+        seen[b] = farthest > _F0 and r - radius <= farthest + truncation
     return seen
 
 
