@@ -50,4 +50,7 @@ def _spread(positions: list[int]) -> U64:
 
 
 X, Y, Z = (_spread(positions) for positions in _positions())
-IN_BLOCK = tuple(tuple(at - 9 for at in positions[3:]) for positions in _positions())  # in the numbers of blocks
+ALL_X, ALL_Y, ALL_Z = X[-1], Y[-1], Z[-1]
+IN_X, IN_Y, IN_Z = (tuple(at - 9 for at in positions[3:]) for positions in _positions())  # in the numbers of blocks
+ONE_BIT, SIX, SEVEN, NINE, LAST = (np.uint64(n) for n in (1, 6, 7, 9, 63))
+NEAR = tuple((1 << bits - 1) - 8 for bits in EXTENTS)  # up to so many voxels from a centre, voxels and blocks differ

@@ -45,10 +45,10 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
 def grown(bits, sides, times):
     """Dilate voxels (B + 1, 8) uint64 by cubes of edge 2 times + 1 voxels, one axis after another.
 
-    ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``.
+    ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``. The last row stands for absent ones.
     """
     n = len(sides)
-    here, there = bits.copy(), np.zeros_like(bits)
+    here, there = bits.copy(), bits.copy()
     for _ in range(times):
         for r in prange(n):
             for w in range(8):  # z: bits of a byte

@@ -14,18 +14,28 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from dynaviz.kernels import addresses
+from dynaviz.kernels.addresses import (
+    ALL_X,
+    ALL_Y,
+    ALL_Z,
+    IN_X,
+    IN_Y,
+    IN_Z,
+    LAST,
+    NEAR,
+    NINE,
+    ONE_BIT,
+    SEVEN,
+    SIX,
+    X,
+    Y,
+    Z,
+)
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 ONE = 1 << 52
 END = ONE << 2 | 3  # after the last border, before anything beyond the point
 START = -(1 << 60)
-# Voxels up to these distances from a centre have addresses of their own; so do their blocks.
-NEAR_X, NEAR_Y, NEAR_Z = ((1 << bits - 1) - 8 for bits in addresses.EXTENTS)
-X, Y, Z = addresses.X, addresses.Y, addresses.Z
-ALL_X, ALL_Y, ALL_Z = X[-1], Y[-1], Z[-1]
-IN_X, IN_Y, IN_Z = addresses.IN_BLOCK
-ONE_BIT, SIX, SEVEN, NINE, LAST = (np.uint64(n) for n in (1, 6, 7, 9, 63))
 CHUNK = 512  # rays that a lane processes in turn, for load balance
 
 
@@ -216,35 +226,21 @@ def _index(n, positions, middle):
 def _until(e, axes, centre):
     """The time until which a ray stays where addresses around a voxel are unique; ``START`` if it starts elsewhere."""
     until = np.int64(END)
-    for axis, near in ((0, NEAR_X), (1, NEAR_Y), (2, NEAR_Z)):
+    for axis in range(3):
         k, _, first, period = axes[axis]
-        borders = near - abs(k - centre[axis])
+        borders = NEAR[axis] - abs(k - centre[axis])
         if borders <= 0:
             return np.int64(START)
-        if abs(np.int64(math.floor(e[axis])) - centre[axis]) >= near and borders <= (END - first) // period:
+        if abs(np.int64(math.floor(e[axis])) - centre[axis]) >= NEAR[axis] and borders <= (END - first) // period:
             until = min(until, first + borders * period)
     return until
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def mark(
-    points,
-    origins,
-    casts,
-    hits,
-    per_metre,
-    base,
-    shape,
-    top,
-    children,
-    slots,
-    owners,
-    masks,
-    used,
-    centre,
-    bits,
+    points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
     touched,
-):
+):  # fmt: skip
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
 
     Args:

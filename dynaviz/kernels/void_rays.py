@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from dynaviz.kernels import addresses
+from dynaviz.kernels.addresses import ALL_X, ALL_Y, ALL_Z, LAST, NEAR, NINE, ONE_BIT, SEVEN, SIX, X, Y, Z
 
 REACH = 1 << 15  # voxels to each side of the world's origin
 UNIT = 1 << 40
@@ -22,11 +22,6 @@ LONG = 1 << 17  # voxels: longer than any ray, and ten times this still fits in 
 START = -1
 CHUNK = 256  # rays that a lane processes in turn, for load balance
 FULL = np.int64(-1)
-# Voxels up to these distances from a centre have addresses of their own; so do their blocks.
-NEAR_X, NEAR_Y, NEAR_Z = ((1 << bits - 1) - 8 for bits in addresses.EXTENTS)
-X, Y, Z = addresses.X, addresses.Y, addresses.Z
-ALL_X, ALL_Y, ALL_Z = X[-1], Y[-1], Z[-1]
-ONE_BIT, SIX, SEVEN, NINE, LAST = (np.uint64(n) for n in (1, 6, 7, 9, 63))
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -136,7 +131,7 @@ def _is_full(mask):
 
 
 @njit(cache=True, nogil=True)
-def _observe_beyond(along_x, along_y, along_z, time, beyond, base, shape, top, children, slots, owners, masks, used):
+def _observe_beyond(along_x, along_y, along_z, time, beyond, used, base, shape, top, children, slots, owners, masks):
     """Mark the voxels of a ray from the next border, at a time, until an axis is ``beyond`` voxels farther."""
     kx, sx, fx, px = along_x
     ky, sy, fy, py = along_y
@@ -162,7 +157,7 @@ def _observe_beyond(along_x, along_y, along_z, time, beyond, base, shape, top, c
 
 @njit(cache=True, nogil=True)
 def _observe(
-    along_x, along_y, along_z, time, end, beyond, struck, hits, base, shape, top, children, slots, owners, masks, used
+    along_x, along_y, along_z, time, end, beyond, struck, hits, used, base, shape, top, children, slots, owners, masks
 ):
     """Mark the voxels of a ray from a time on, up to the first hit one, and ``beyond`` voxels more."""
     kx, sx, fx, px = along_x
@@ -222,7 +217,7 @@ def _observe(
             bz, uz, tz, i = bz + sz, uz + (pz << 3), tz + pz, i ^ 7
     if stopped:
         used = _observe_beyond(
-            along_x, along_y, along_z, t, beyond, base, shape, top, children, slots, owners, masks, used
+            along_x, along_y, along_z, t, beyond, used, base, shape, top, children, slots, owners, masks
         )
     return used
 
@@ -283,12 +278,14 @@ def _observe_near(along_x, along_y, along_z, until, pairs, touched):
 def _until(end, goal, axes, centre):
     """The time until which a ray stays where addresses around a voxel are unique; ``START`` if it starts elsewhere."""
     until = end
-    for axis, near in ((0, NEAR_X), (1, NEAR_Y), (2, NEAR_Z)):
+    for axis in range(3):
         k, _, first, period = axes[axis]
-        borders = near - abs(k - centre[axis])
+        borders = NEAR[axis] - abs(k - centre[axis])
         if borders <= 0:
             return np.int64(START)
-        if abs(np.int64(math.floor(goal[axis])) - centre[axis]) >= near and borders <= (end - first) // max(period, 1):
+        if abs(np.int64(math.floor(goal[axis])) - centre[axis]) >= NEAR[axis] and borders <= (end - first) // max(
+            period, 1
+        ):
             until = min(until, first + borders * period)
     return until
 
@@ -296,8 +293,7 @@ def _until(end, goal, axes, centre):
 @njit(cache=True, nogil=True)
 def _observe_all(o, c, beyond, centre, struck, hits, where, near, used):
     """Mark the voxels from o to the first hit one, at addresses as far as they reach, and ``beyond`` voxels more."""
-    base, shape, top, children, slots, owners, masks = where
-    grid, (pairs, touched) = (base, shape, top, children, slots, owners, masks), near
+    pairs, touched = near
     d, length = _direction(o, c)
     x, y, z = _axis(o[0], d[0], 0), _axis(o[1], d[1], 1), _axis(o[2], d[2], 2)
     end = np.int64((length + 1.0) * UNIT) << 2 | 3  # the goal is hit, so the ray never gets farther
@@ -308,9 +304,9 @@ def _observe_all(o, c, beyond, centre, struck, hits, where, near, used):
     if until > START:
         stopped, time = _observe_near(x, y, z, until, pairs, touched)
     if stopped:
-        used = _observe_beyond(x, y, z, time, beyond, *grid, used)
+        used = _observe_beyond(x, y, z, time, beyond, used, *where)
     elif time < end:
-        used = _observe(x, y, z, time, end, beyond, struck, hits, *grid, used)
+        used = _observe(x, y, z, time, end, beyond, struck, hits, used, *where)
     return used
 
 
@@ -343,26 +339,9 @@ def _place_hits(struck, blocks, hits, mask, centre, pairs):
 
 @njit(cache=True, nogil=True, parallel=True)
 def observe(
-    goals,
-    starts,
-    origins,
-    beyond,
-    struck,
-    has,
-    hits,
-    blocks,
-    base,
-    shape,
-    top,
-    children,
-    slots,
-    owners,
-    masks,
-    used,
-    pairs,
-    centre,
-    touched,
-):
+    goals, starts, origins, beyond, struck, has, hits, blocks, base, shape, top, children, slots, owners, masks, used,
+    pairs, centre, touched,
+):  # fmt: skip
     """Mark the voxels that rays observe: up to the first hit voxel, and ``beyond`` voxels more.
 
     Args:

@@ -215,7 +215,8 @@ class BlockGrid:
 
     def _collected(self, near: tuple[I64, U64, Bool]) -> Marks:
         """The marks that rays left in scratch memory, which is reset."""
-        kernels.raycast.gather(*self._place, *self._scratch, *near)
+        if near[2].size:
+            kernels.raycast.gather(*self._place, *self._scratch, *near)
         return Marks(*kernels.raycast.collect(*self._scratch))
 
 

@@ -31,7 +31,7 @@ from dynaviz.viz import states as drawing
 from dynaviz.viz.budget import Budget
 from dynaviz.viz.layout import KEY_SHARE, blueprint, follow, solid
 from dynaviz.viz.scene import RINGS, TURN
-from dynaviz.viz.view import tunnel, usable
+from dynaviz.viz.view import ports, tunnel
 
 SEGMENT = 20.0  # seconds of a file of the rolling recording
 TRAIL = 5.0  # seconds: dynamic points of this time remain visible
@@ -279,7 +279,7 @@ def serving(port: int | None) -> Iterator[tuple[int, tuple[str, str]]]:
         UsageError: if another program uses one of the ports.
         DynavizError: if the viewer ends before it is ready.
     """
-    page, inlet = (viewer.free_port(), viewer.free_port()) if port is None else usable(port)
+    page, inlet = ports(port)
     address = f"http://{viewer.HOME}:{page}/?url={quote(viewer.url(inlet), safe='')}"
     command = [
         viewer.program(), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}", f"--web-viewer-port={page}",

@@ -35,7 +35,7 @@ def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: 
     for file in files:
         viewable(file)
     if web:
-        _serve(files, *((viewer.free_port(), viewer.free_port()) if port is None else usable(port)))
+        _serve(files, *ports(port))
     else:
         viewer.open_window(*files)
 
@@ -47,12 +47,14 @@ def tunnel(page: int, recordings: int) -> str:
     return f"ssh {forwards} {user}@{socket.gethostname()}"
 
 
-def usable(page: int) -> tuple[int, int]:
-    """The port of the page, and that of the recordings after it.
+def ports(page: int | None) -> tuple[int, int]:
+    """The port of the page, and that of the recordings: the next one. Any free ports if None.
 
     Raises:
         UsageError: if another program uses one of them.
     """
+    if page is None:
+        return viewer.free_port(), viewer.free_port()
     for port in (page, page + 1):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -74,12 +74,10 @@ class VoidGrid(BlockGrid):
         hit = self._hits[blocks]
         self._struck[struck], self._hits[struck] = False, 0
 
-        self._rows[blocks] = np.arange(1, len(blocks) + 1, dtype=np.int32)
-        adjacent = kernels.voids.sides(blocks, self._rows, *place)
-        self._rows[blocks] = 0
-        padded = np.zeros((len(blocks) + 1, 8), np.uint64)
-        padded[:-1] = observed.view(np.uint64)
-        known = kernels.voids.erode(padded, adjacent, self._unknown_margin)[:-1].view(np.int64)
+        sides = kernels.clearance.adjacent(blocks, self._rows, *place)
+        unknown = np.full((len(blocks) + 1, 8), ~np.uint64(0))  # like all voxels of absent blocks
+        unknown[:-1] = ~observed.view(np.uint64)
+        known = ~kernels.clearance.grown(unknown, sides, self._unknown_margin)[:-1].view(np.int64)
         return VoidMarks(blocks, hit, observed, known & ~hit)
 
     def _rays(self, scan: Scan, voxels: I64, integrated: Bool) -> tuple[I64, I64, F64]:
