@@ -1,7 +1,7 @@
 """All methods on many simulated scenes, with seeds that were not used to develop SeeThrough.
 
     python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished runs are kept
-    python benchmarks/many.py --real OUT [METHOD ...]         the same on 16 scenes with the effects of real scans
+    python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes with the effects of real scans
 
 Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
 OUT/many.md: the AA of each method on every scene, its distribution, and on how many scenes the method is first.
@@ -71,17 +71,17 @@ SCENES = (
     _of("vlp32c_poor_poses", "square_vlp32c", 30, 111, pose_noise=POOR),
 )
 _FRAMES = {
-    "hall_mid360_real": (50, 2),
-    "hall_vlp16_real": (50, 3),
-    "square_mid360_real": (40, 2),
-    "square_vlp32c_real": (15, 2),
-    "street_hdl64_real": (20, 3),
-    "street_vlp16_real": (40, 4),
+    "hall_mid360_real": (50, 3),
+    "hall_vlp16_real": (50, 4),
+    "square_mid360_real": (40, 3),
+    "square_vlp32c_real": (15, 3),
+    "street_hdl64_real": (20, 4),
+    "street_vlp16_real": (40, 5),
 }  # number of frames, and of scenes
 REAL = tuple(
     _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
     for preset, (frames, scenes) in _FRAMES.items()
-    for seed in range(100, 100 + scenes)
+    for seed in range(200, 200 + scenes)
 )
 
 
