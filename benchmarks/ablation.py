@@ -20,7 +20,7 @@ from dynaviz import api
 from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods import ground_height, seethrough, trails
+from dynaviz_methods import ground_height, judgement, seethrough, staying, trails
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
 CHOSEN = (
@@ -33,17 +33,21 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "feet above the map's ground, not the scan's": ({"seethrough.LEAST": 1 << 30}, ()),
     "no lone voxels": ({}, (ALONE,)),
     "no waiting rule": ({}, (WAITED,)),
-    "waiting objects may be hit again": ({"seethrough.LEFT": -1e9}, ()),
-    "no following": ({"seethrough.PROOF": 1 << 30}, ()),
-    "followed objects may be hit again": ({"seethrough.STAYS": 1.0}, ()),
+    "waiting objects may be hit again": ({"judgement.LEFT": -1e9}, ()),
+    "no following": ({"judgement.PROOF": 1 << 30}, ()),
+    "followed objects may be hit again": ({"judgement.STAYS": 1.0}, ()),
     "what was there before may follow": ({"trails.BEFORE": trails.NEVER}, ()),
-    "dynamic objects as a whole": ({"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0}, ()),
+    "objects with what stays": ({"staying.MANY": 1 << 30}, ()),
+    "dynamic objects as a whole": (
+        {"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0, "staying.MANY": 1 << 30},
+        (),
+    ),
     "objects that waited as a whole": ({"seethrough.UNTOUCHED": -1.0}, ()),
     "the map's ground far away, not the scan's": ({"ground_height.SWAY": 0.0}, ()),
     "feet up to 0.8 m away": ({"seethrough.UNDER": 4}, ()),
-    "neither following nor waiting": ({"seethrough.PROOF": 1 << 30}, (WAITED,)),
+    "neither following nor waiting": ({"judgement.PROOF": 1 << 30}, (WAITED,)),
     "no limit of height": ({"seethrough.HIGHEST": 1e9}, ()),
-    "no objects: lone voxels only": ({"seethrough.FEW": 1 << 30}, (WAITED,)),
+    "no objects: lone voxels only": ({"judgement.FEW": 1 << 30}, (WAITED,)),
     "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
 PARAMETERS = {
@@ -54,7 +58,7 @@ PARAMETERS = {
     "ground_height": (-100.0, 0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {"seethrough": seethrough, "ground_height": ground_height, "trails": trails}
+MODULES = {of.__name__.rpartition(".")[2]: of for of in (seethrough, judgement, staying, ground_height, trails)}
 
 
 def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:

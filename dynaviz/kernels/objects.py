@@ -76,7 +76,7 @@ def _fill(points, rows, size, tall, first, slots, mine, cells, count):
 
 
 @njit(cache=True, nogil=True)
-def _cells(points, chosen, size, tall):
+def cells_of(points, chosen, size, tall):
     """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
 
     Then the hash table of the cells: their numbers by slot, -1 in free slots. It grows with the number of cells, which
@@ -104,7 +104,7 @@ def connect(points, chosen, size, tall):
         (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
-    mine, cells, _ = _cells(points, chosen, size, tall)
+    mine, cells, _ = cells_of(points, chosen, size, tall)
     count, parent = len(cells), np.arange(len(cells))
     order = np.argsort(cells)
     keys = cells[order]
@@ -149,18 +149,19 @@ def evidence(objects, n, voxels, hits, passed, grazed, between, after, votes):
         votes: maximum vote of a voxel, scans.
 
     Returns:
-        (6, n) int64: points, voting points, sum of votes, points in voxels that were ever seen clear, between two hits,
-        and after the last hit.
+        (7, n) int64: points, voting points, sum of votes, points in voxels that were ever seen clear, between two hits,
+        and after the last hit, and the evidence against votes, thirds of a scan.
     """
-    sums = np.zeros((n, 6), np.int64)
+    sums = np.zeros((n, 7), np.int64)
     for i in _rows(objects >= 0):
         k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
         near = np.int64(grazed[block, place])
         seen = passed[block, place] - near
         sums[k, 0] += 1
+        against = hits[block, place] + 3 * near
         sums[k, 1] += hits[block, place] > 1 or passed[block, place] > 0
+        sums[k, 6] += against
         if seen:
-            against = hits[block, place] + 3 * near
             sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
             sums[k, 3] += 1
             sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
@@ -246,7 +247,7 @@ def surroundings(points, chosen, size, tall, voxels, hits, passed, grazed, votes
         Three arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1; and of all points
         around it, the mean evidence against votes, scans, and the share in voxels that were ever seen clear.
     """
-    mine, cells, slots = _cells(points, chosen, size, tall)
+    mine, cells, slots = cells_of(points, chosen, size, tall)
     sums = np.zeros((len(cells), 5), np.int64)
     for i in range(len(points)):
         if mine[i] < 0:

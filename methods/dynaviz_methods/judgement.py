@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dynaviz.arrays import F32, I32, I64, U8, Bool
+import numpy as np
+
+from dynaviz.arrays import F32, I32, I64, U8, Bool, Intp
+from dynaviz.evidence import Rule, Term
+
+FEW = 3  # minimum number of voting points of a dynamic object
+PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
+STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
+WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
+LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
+RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,8 +26,8 @@ class Measured:
         points: (N, 3) float32, metres; voxels: (N,) int64, -1 for none; places: (N,) int64, quarter columns.
         height: (N,) float32, metres above the ground; infinite if unknown. low: (N,) bool, near the ground.
         objects: (N,) int32, the object of each point, -1 for none; n: their number.
-        evidence: (6, n) int64, by object: points, voting points, sum of votes, points seen clear, points seen clear
-            between two hits, points seen clear after the last hit.
+        evidence: (7, n) int64, by object: points, voting points, sum of votes, points seen clear, points seen clear
+            between two hits, points seen clear after the last hit, evidence against votes.
     """
 
     index: int
@@ -37,12 +47,74 @@ class Judged:
 
     Attributes:
         measured: the scan.
-        weighed: (10, objects) int64: points, voting points, sum of votes, points seen clear, points where an object
-            moved lately, scans in which that one moved, points where the last object moved, points seen clear between
-            two hits, points seen clear after the last hit, points where something was before any object moved.
+        weighed: (10, objects) int64, without the parts that stay: points, voting points, sum of votes, points seen
+            clear, points where an object moved lately, scans in which that one moved, points where the last object
+            moved, points seen clear between two hits, points seen clear after the last hit, points where something was
+            before any object moved.
         verdict: (N,) uint8: why each point's object is dynamic, or that the point is in a settled part; 0 otherwise.
     """
 
     measured: Measured
     weighed: I64
     verdict: U8
+
+
+def verdicts(weighed: I64, votes: int, share: float) -> tuple[Bool, Bool, Bool]:
+    """Which objects waited, which are followed, and which are dynamic by their votes, (objects,) bool each.
+
+    Args:
+        weighed: as in ``Judged``.
+        votes: maximum vote of a voxel, scans.
+        share: mean vote above which an object is dynamic, from 0 to 1.
+    """
+    size, having, voted, touched, lately, proof, left, between, after, old = weighed
+    waited = (2 * left > size) & (touched > WAITED_FOR * size) & (after - between > LEFT * size)
+    rarely = voted <= 1000 * RARELY * votes * having
+    came = (touched > 0) & (between <= STAYS * touched) & ~((2 * old > size) & rarely)
+    followed = (2 * lately > size) & (proof >= PROOF) & came
+    seen = (voted > 1000 * share * votes * having) & (having >= FEW)
+    return waited, followed, seen
+
+
+def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: float) -> tuple[Rule, ...]:
+    """The rules that remove objects, for the points in some rows; points without an object have NaN.
+
+    Args:
+        judged: the scan.
+        rows: (K,) rows of points.
+        settled: (K,) bool, whether they are in settled parts of their objects.
+        votes, share: as in ``verdicts``.
+    """
+    of = judged.measured.objects[rows]
+    weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
+    size, having, voted, touched, lately, proof, left, between, after, old = weighed
+    stays = Term("in a settled part of its object", settled, "<", 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = voted / (1000 * votes * having)
+        earlier = np.where(mean > RARELY, 0.0, old)
+        shares = {name: part / size for name, part in (("now", lately), ("later", left))}
+    gone, moved = after - between, "share of its object where one moved "
+    seen = (Term("mean vote of its object", mean, ">", share), Term("votes", having, ">=", FEW), stays)
+    return (
+        Rule("seen through", seen),
+        Rule(
+            "followed",
+            (
+                Term(f"{moved}lately", shares["now"], ">", 0.5),
+                Term("scans in which that moved", proof, ">=", PROOF),
+                Term("points of its object seen clear", touched, ">", 0),
+                Term("of these, hit before and after", between, "<=", STAYS * touched),
+                Term("points of its object where something was before any moved", earlier, "<=", size / 2),
+                stays,
+            ),
+        ),
+        Rule(
+            "waited",
+            (
+                Term(f"{moved}last", shares["later"], ">", 0.5),
+                Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
+                Term("points seen clear after the last hit, less those hit again", gone, ">", LEFT * size),
+                stays,
+            ),
+        ),
+    )

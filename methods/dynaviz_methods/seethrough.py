@@ -24,9 +24,13 @@
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
                   this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
                   exceed those between two hits by 7 in 100: a parked car that drives off
-        settled:  keep the parts of dynamic objects that rays stop at while they pass through the rest: a wall that a
-                  walker touches; and those of objects that waited around which almost no point was ever seen clear
-        feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
+        staying:  in dynamic objects, and where one was dynamic lately, look for connected cells with a mean vote of at
+                  most 0.05. If almost no point of such a part was ever seen clear, and something was in its places
+                  before any dynamic object and 4 scans later, then it stays: judge the rest of the object without it
+        settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
+                  wall that a walker touches; and those of objects that waited around which almost no point was ever
+                  seen clear
+        feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
         alone:    remove other points, if not high, in voxels that at least ``votes`` scans saw clear, more than hit or
@@ -44,6 +48,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -55,28 +60,22 @@ from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
+from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
-from dynaviz_methods.judgement import Judged, Measured
+from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, verdicts
 from dynaviz_methods.lookups import known
 from dynaviz_methods.trails import Trails
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
-PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
-STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
-WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
-LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
-RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
-UNSEEN = 0.05  # maximum mean vote around a point of a settled part
 FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
 UNTOUCHED = 0.02  # maximum share of points seen clear around a point of a settled part of an object that waited
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
-STANDS_OUT = 0.03  # metres above the ground of this scan
+STANDS_OUT = 0.04  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-FEW = 3  # minimum number of voting points of a dynamic object
 OBJECT = 30.0  # metres
 
 
@@ -241,13 +240,13 @@ class SeeThrough:
 
     def _measure(self, scan: Scan, points: F32, voxels: I64, places: I64) -> Measured:
         """The height, object and evidence of each point of an observed scan."""
-        params, evidence = self.params, (self._hits, self._passed, self._grazed, *self._order[1:], self.params.votes)
+        params = self.params
         height = self._ground.height(points, voxels, scan.position)
         height = levelled(height, points, voxels >= 0, scan.position, params.ground_height)
         low = height <= params.ground_height
         chosen = (voxels >= 0) & ~low & ~_high(height)
         objects, n = kernels.objects.connect(points, chosen, params.gap, TALL * params.gap)
-        sums = kernels.objects.evidence(objects, n, voxels, *evidence)
+        sums = self._tally(voxels, objects, n)
         return Measured(scan.index, points, voxels, places, height, low, objects, n, sums)
 
     def _outcomes(self, measured: Measured, verdict: U8) -> U8:
@@ -283,28 +282,57 @@ class SeeThrough:
 
         ``movers`` holds the positions of dynamic objects in earlier scans; those of this scan are added.
         """
-        now, places = self._number[measured.index], measured.places
-        objects, n = measured.objects, measured.n
-        size, having, votes, touched, between, after = measured.evidence
-        lately, proof, left, old = self._trails.around(objects, n, places, now, movers)
-        reasons = np.zeros(n, np.uint8)
-        gone = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
-        reasons[(2 * left > size) & gone] = WAITED
-        rarely = votes <= 1000 * RARELY * self.params.votes * having
-        came = (touched > 0) & (between <= STAYS * touched) & ~((2 * old > size) & rarely)
-        reasons[(2 * lately > size) & (proof >= PROOF) & came] = FOLLOWED_ON
-        dynamic = (votes > 1000 * self.params.share * self.params.votes * having) & (having >= FEW)
-        reasons[dynamic] = SEEN_THROUGH
-        proven = (proof + dynamic).astype(np.int32)
-        follows = (reasons > 0) & (reasons != WAITED)
+        now, objects, labels = self._number[measured.index], measured.objects, movers is self._trails.labelled
+        weighed, reasons = self._judge(measured, objects, measured.evidence, now, movers)
+        stays = self._staying(measured, weighed, reasons, now, movers) if labels else np.empty(0, np.intp)
+        if len(stays):
+            objects = objects.copy()
+            objects[stays] = -1
+            sums = self._tally(measured.voxels, objects, measured.n)
+            weighed, reasons = self._judge(measured, objects, sums, now, movers)
         by_point: U8 = kernels.objects.spread(reasons, objects)
-        if movers is self._trails.labelled:  # labels; a mark of a mover in the scans so far may be too large
-            vote = votes / (1000 * self.params.votes * np.maximum(having, 1))
+        if labels:  # a mark of a mover in the scans so far may be too large
+            vote = weighed[2] / (1000 * self.params.votes * np.maximum(weighed[1], 1))
             by_point[self._settled(measured, by_point, vote)] = SETTLED
-        kernels.objects.leave(objects, follows, by_point == SETTLED, proven, places, now, *movers)
-        weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
+            by_point[stays] = SETTLED * (reasons[measured.objects[stays]] > 0)
+        follows = (reasons > 0) & (reasons != WAITED)
+        proven = (weighed[5] + (reasons == SEEN_THROUGH)).astype(np.int32)
+        kernels.objects.leave(objects, follows, by_point == SETTLED, proven, measured.places, now, *movers)
         self._judged = Judged(measured, weighed, by_point)
         return by_point
+
+    def _tally(self, voxels: I64, groups: I32, n: int) -> I64:
+        """(7, n) int64: the evidence of n groups of points; see ``kernels/objects.py``."""
+        counts = self._hits, self._passed, self._grazed, *self._order[1:], self.params.votes
+        sums: I64 = kernels.objects.evidence(groups, n, voxels, *counts)
+        return sums
+
+    def _judge(self, measured: Measured, objects: I32, evidence: I64, now: int, movers: I32) -> tuple[I64, U8]:
+        """What is known about each object, as in ``Judged``, and why it is dynamic, (n,) uint8, or 0."""
+        size, having, votes, touched, between, after, _ = evidence
+        lately, proof, left, old = self._trails.around(objects, measured.n, measured.places, now, movers)
+        weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
+        waited, followed, seen = verdicts(weighed, self.params.votes, self.params.share)
+        reasons = np.zeros(measured.n, np.uint8)
+        reasons[waited], reasons[followed] = WAITED, FOLLOWED_ON
+        reasons[seen] = SEEN_THROUGH
+        return weighed, reasons
+
+    def _staying(self, measured: Measured, weighed: I64, reasons: U8, now: int, movers: I32) -> Intp:
+        """Rows of the points that stay, of objects that are dynamic or where one was dynamic lately."""
+        wanted = (reasons > 0) | ((weighed[4] > 0) & (weighed[5] >= PROOF))
+        if not wanted.any() or now + staying.LATER >= self._observed:
+            return np.empty(0, np.intp)
+        rules = staying.UNTOUCHED, staying.EARLIER, staying.UNTOUCHED_FOLLOWED, staying.EARLIER_FOLLOWED
+        limits = np.where(reasons == FOLLOWED_ON, [rules[2:3], rules[3:]], [rules[:1], rules[1:2]])
+        limits[1, reasons == WAITED] = 0  # it was always there
+        objects = np.where(np.append(wanted, False)[measured.objects], measured.objects, np.int32(-1))
+        cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels)
+
+        def spans(parts: I32, n: int) -> I64:
+            return self._trails.spans(parts, n, measured.places, now, movers)
+
+        return staying.staying(measured.points, objects, cells, self.params.votes, limits, tally, spans)
 
     def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
         """Rows of the points in settled parts of objects that were seen through or waited.
@@ -324,7 +352,7 @@ class SeeThrough:
         mine, votes, against, touched = kernels.objects.surroundings(measured.points, asked, *cells, *evidence)
         rows = np.flatnonzero(asked)
         cell, waited = mine[rows], verdict[rows] == WAITED
-        stops = (votes[cell] <= UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
+        stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
         settled: Intp = rows[np.where(waited, touched[cell] <= UNTOUCHED, stops)]
         return settled
 
@@ -341,44 +369,10 @@ class SeeThrough:
         judged = self._judged
         rules: tuple[Rule, ...] = ()
         if judged.measured.index == asked.scan.index:
-            rules = (*self._object_rules(asked, judged), *self._point_rules(asked, judged, hits, passed, clear))
+            settled = judged.verdict[asked.rows] == SETTLED
+            of_objects = object_rules(judged, asked.rows, settled, self.params.votes, self.params.share)
+            rules = (*of_objects, *self._point_rules(asked, judged, hits, passed, clear))
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
-
-    def _object_rules(self, asked: Asked, judged: Judged) -> tuple[Rule, ...]:
-        """The rules that remove objects; points without an object have NaN."""
-        of = judged.measured.objects[asked.rows]
-        weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
-        size, having, votes, touched, lately, proof, left, between, after, old = weighed
-        stays = Term("in a settled part of its object", judged.verdict[asked.rows] == SETTLED, "<", 1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = votes / (1000 * self.params.votes * having)
-            earlier = np.where(mean > RARELY, 0.0, old)
-            shares = {name: part / size for name, part in (("now", lately), ("later", left))}
-        gone, moved = after - between, "share of its object where one moved "
-        seen = (Term("mean vote of its object", mean, ">", self.params.share), Term("votes", having, ">=", FEW), stays)
-        return (
-            Rule("seen through", seen),
-            Rule(
-                "followed",
-                (
-                    Term(f"{moved}lately", shares["now"], ">", 0.5),
-                    Term("scans in which that moved", proof, ">=", PROOF),
-                    Term("points of its object seen clear", touched, ">", 0),
-                    Term("of these, hit before and after", between, "<=", STAYS * touched),
-                    Term("points of its object where something was before any moved", earlier, "<=", size / 2),
-                    stays,
-                ),
-            ),
-            Rule(
-                "waited",
-                (
-                    Term(f"{moved}last", shares["later"], ">", 0.5),
-                    Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
-                    Term("points seen clear after the last hit, less those hit again", gone, ">", LEFT * size),
-                    stays,
-                ),
-            ),
-        )
 
     def _point_rules(self, asked: Asked, judged: Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
         """The rules that remove single points: above the ground, and low under a dynamic object."""

@@ -55,6 +55,21 @@ class Trails:
         found: I64 = kernels.objects.trails(objects, n, places, now, LATELY, BEFORE, movers, *over_all)
         return found
 
+    def spans(self, parts: I32, n: int, places: I64, now: int, movers: I32) -> I64:
+        """(2, n) int64: the scans for which something is in the places of each of n parts, summed over their points.
+
+        First those before the first dynamic object there, at most until now; then those after now.
+
+        Args:
+            parts: (N,) int32, the part of each point, or -1; places, now, movers: as in ``around``.
+        """
+        rows = np.flatnonzero(parts >= 0)
+        where = places[rows]
+        earlier = np.minimum(movers[2, where], now) - self._first[where]
+        later = self._seen[where] - now
+        sums = [np.bincount(parts[rows], scans, n) for scans in (earlier, later)]
+        return np.array(sums, np.float64).astype(np.int64)
+
 
 def _no_movers(places: int) -> I32:
     return np.tile(np.array([[-LATELY - 1], [0], [NEVER]], np.int32), places)

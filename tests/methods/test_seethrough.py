@@ -19,7 +19,7 @@ from dynaviz.scan import Label, Scan
 from dynaviz.spatial.blocks import Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
-from dynaviz_methods import trails
+from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.seethrough import (
@@ -77,7 +77,8 @@ def seen(frame: int, *things: np.ndarray) -> Scan:
 GROUND = plane(-1, 13, 0.1)
 
 
-def test_labels_match_the_reference() -> None:
+def test_labels_match_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(staying, "MANY", 2)  # the scans are thin
     thin = [dataclasses.replace(scan, points=scan.points[::7], labels=None, origins=None) for scan in crossing(9)]
     reference, method = Reference(COARSE), running(thin, COARSE)
     for scan in thin:
@@ -173,6 +174,28 @@ def test_parts_of_a_dynamic_object_that_rays_stop_at_are_kept() -> None:
     away = (post[:, 2] > 0.25) & (post[:, 1] > 5.1)
     assert (static[away] == SETTLED).all(), "the post touches the mover in the last scan"
     assert REMOVED[moving].mean() > 0.9
+
+
+def test_what_is_there_before_and_after_a_mover_touches_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A post that a walker touches and leaves; evidence against its votes alone does not settle it."""
+    monkeypatch.setattr(seethrough, "FIRM", 1e9)
+    post = block(7.0, 1.1, high=1.7, wide=0.5)
+    scans = [seen(k, GROUND, wall(), block(7.0, y), post) for k, y in enumerate(np.linspace(-4.0, 0.0, 12))]
+    scans += [seen(k, GROUND, wall(), block(7.0, y), post) for k, y in enumerate(np.linspace(-0.4, -4.0, 10), 12)]
+    n, touching = len(GROUND) + len(wall()), 11
+    removed = {}
+    for most in (staying.MANY, 1 << 30):
+        monkeypatch.setattr(staying, "MANY", most)
+        method = running(scans)
+        labels = [method.label(scan) for scan in scans]
+        removed[most] = [
+            codes.dynamic[n:][scan.points[n:, 2] > 0.25] for codes, scan in zip(labels, scans, strict=True)
+        ]
+    post_up = (post[:, 2] > 0.25).sum()
+    kept, whole = removed[20][touching], removed[1 << 30][touching]
+    assert whole[-post_up:].mean() > 0.9, "without the rule it is removed with the walker"
+    assert kept[-post_up:].mean() < 0.1
+    assert kept[:-post_up].all(), "the walker is removed"
 
 
 def test_stray_returns_far_below_the_ground_do_not_lower_it_either() -> None:

@@ -12,26 +12,22 @@ import numpy as np
 
 from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
+from dynaviz_methods import staying
 from dynaviz_methods.ground_height import MANY, PIT, SLOPE, SQUARE, SWAY
+from dynaviz_methods.judgement import FEW, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
-    FEW,
     FIRM,
     HIGHEST,
     LEAST,
-    LEFT,
     LEVEL,
-    PROOF,
-    RARELY,
     STANDS_OUT,
-    STAYS,
     TALL,
     UNDER,
-    UNSEEN,
     UNTOUCHED,
-    WAITED_FOR,
     SeeThroughParams,
 )
+from dynaviz_methods.staying import UNSEEN
 from dynaviz_methods.trails import BEFORE, LATELY
 from helpers.reference.octomap import Key, key, walk
 
@@ -136,29 +132,14 @@ class Reference:
         left: dict[tuple[int, int], tuple[int, int, int]] = {}
         reachable = [i for i in up if not HIGHEST < height[i] < math.inf]
         for members in self.objects(points, reachable):
-            votes = sum(self.votes(voxel[i]) for i in members)
-            having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in members)
-            trail = [movers.get(self.quarter(voxel[i]), (-99, 0, math.inf)) for i in members]
-            recent = [proof for last, proof, _ in trail if last >= now - LATELY]
-            places = [self.quarter(voxel[i]) for i in members]
-            old = sum(
-                self.first.get(place, math.inf) < first - BEFORE
-                for place, (_, _, first) in zip(places, trail, strict=True)
-            )
-            proof = max(recent, default=0)
-            touched = sum(self.clear[voxel[i]] > 0 for i in members)
-            moves = votes > 1000 * params.share * params.votes * having and having >= FEW
-            between = sum(voxel[i] in self.between for i in members)
-            after = sum(voxel[i] in self.after for i in members)
-            follows = 2 * len(recent) > len(members) and proof >= PROOF and touched > 0 and between <= STAYS * touched
-            rarely = votes <= 1000 * RARELY * params.votes * having
-            follows = follows and not (rarely and 2 * old > len(members))
-            gone = touched > WAITED_FOR * len(members) and after - between > LEFT * len(members)
-            waited = 2 * sum(self.left(self.quarter(voxel[i]), now) for i in members) > len(members)
+            verdict = self.verdict(voxel, members, now, movers)
+            if movers is self.movers:
+                members = sorted(set(members) - self.staying(points, voxel, members, verdict, now))
+                verdict = self.verdict(voxel, members, now, movers)
+            moves, follows, waited, proof, mean = verdict
             if movers is self.movers and (moves or not follows):
-                vote = votes / (1000 * params.votes * max(having, 1)) if moves else None
-                members = sorted(set(members) - self.settled(points, voxel, members, vote))
-            if moves or follows or (waited and gone):
+                members = sorted(set(members) - self.settled(points, voxel, members, mean if moves else None))
+            if moves or follows or waited:
                 whole.update(members)
             if moves:
                 moving.update(self.quarter(voxel[i]) for i in members)
@@ -230,6 +211,63 @@ class Reference:
         """Whether the last object seen in a place is dynamic, in this scan or later."""
         last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
+
+    def verdict(
+        self, voxel: dict[int, Key], members: list[int], now: int, movers: dict
+    ) -> tuple[bool, bool, bool, int, float]:
+        """Whether an object moves, follows and waited; the number of scans in which one moved there; its mean vote."""
+        params, inside = self.params, [voxel[i] for i in members]
+        votes = sum(map(self.votes, inside))
+        having = sum(self.hits[k] > 1 or self.passed[k] > 0 for k in inside)
+        trail = [movers.get(self.quarter(k), (-99, 0, math.inf)) for k in inside]
+        recent = [proof for last, proof, _ in trail if last >= now - LATELY]
+        old = sum(
+            self.first.get(self.quarter(k), math.inf) < first - BEFORE
+            for k, (_, _, first) in zip(inside, trail, strict=True)
+        )
+        proof = max(recent, default=0)
+        touched = sum(self.clear[k] > 0 for k in inside)
+        moves = votes > 1000 * params.share * params.votes * having and having >= FEW
+        between, after = (sum(k in of for k in inside) for of in (self.between, self.after))
+        follows = 2 * len(recent) > len(inside) and proof >= PROOF and touched > 0 and between <= STAYS * touched
+        rarely = votes <= 1000 * RARELY * params.votes * having
+        follows = follows and not (rarely and 2 * old > len(inside))
+        gone = touched > WAITED_FOR * len(inside) and after - between > LEFT * len(inside)
+        waited = 2 * sum(self.left(self.quarter(k), now) for k in inside) > len(inside)
+        return moves, follows, waited and gone, proof, votes / (1000 * params.votes * max(having, 1))
+
+    def staying(
+        self,
+        points: np.ndarray,
+        voxel: dict[int, Key],
+        members: list[int],
+        verdict: tuple[bool, bool, bool, int, float],
+        now: int,
+    ) -> set[int]:
+        """The points of parts that nothing passes, and that are there before and after the movers."""
+        moves, follows, waited, proof, _ = verdict
+        if not (moves or follows or waited or proof >= PROOF):
+            return set()
+        followed = follows and not moves
+        untouched = staying.UNTOUCHED_FOLLOWED if followed else staying.UNTOUCHED
+        age = staying.EARLIER_FOLLOWED if followed else 0 if waited and not moves else staying.EARLIER
+        stopping = []
+        for inside in self.cells(points, members).values():
+            having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in inside)
+            if sum(self.votes(voxel[i]) for i in inside) <= 1000 * UNSEEN * self.params.votes * max(having, 1):
+                stopping += inside
+        found: set[int] = set()
+        for part in self.objects(points, stopping):
+            inside, places = [voxel[i] for i in part], [self.quarter(voxel[i]) for i in part]
+            against = sum(self.hits[k] + 3 * (self.passed[k] - self.clear[k]) for k in inside)
+            touched = sum(self.clear[k] > 0 for k in inside)
+            earlier = sum(min(self.movers.get(q, (0, 0, now))[2], now) - self.first[q] for q in places)
+            later = sum(self.seen[q] - now for q in places)
+            n = len(part)
+            stays = touched <= untouched * n and earlier >= age * n and later >= staying.LATER * n
+            if stays and n > staying.MANY and against >= 3 * n:
+                found.update(part)
+        return found
 
     def settled(self, points: np.ndarray, voxel: dict[int, Key], members: list[int], vote: float | None) -> set[int]:
         """The points of an object that rays stop at; ``vote`` is its mean vote, from 0 to 1, None if it waited."""
