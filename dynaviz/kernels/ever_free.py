@@ -144,8 +144,11 @@ def spread(bits, neighbours):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def release(active, neighbours, updated, clear, free, new, lanes):
-    """Set voxels ever-free that are updated and clear, and whose 26 neighbours are clear; ``new`` (A, 8) are these."""
+def release(active, neighbours, updated, clear, free, revoked, new, lanes):
+    """Set voxels ever-free that are updated and clear, and whose 26 neighbours are clear; ``new`` (A, 8) are these.
+
+    They no longer count as ``revoked``.
+    """
     for lane in prange(lanes):
         blocked = np.empty(8, np.uint64)
         for a in range(lane, len(active), lanes):
@@ -158,10 +161,11 @@ def release(active, neighbours, updated, clear, free, new, lanes):
                 for w in range(8):
                     new[a, w] &= ~blocked[w]
                     free[b, w] |= new[a, w]
+                    revoked[b, w] &= ~new[a, w]
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def revoke(blocks, neighbours, reached, free, lost, lanes):
+def revoke(blocks, neighbours, reached, free, revoked, lost, lanes):
     """Revoke ever-free voxels that reach the occupancy limit, and their 26 neighbours; ``lost`` (A, 8) are these."""
     for lane in prange(lanes):
         spread = np.empty(8, np.uint64)
@@ -171,3 +175,4 @@ def revoke(blocks, neighbours, reached, free, lost, lanes):
             for w in range(8):
                 lost[a, w] = free[b, w] & spread[w]
                 free[b, w] &= ~spread[w]
+                revoked[b, w] |= lost[a, w]

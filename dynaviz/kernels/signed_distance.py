@@ -143,19 +143,21 @@ def _shown(corner, edge, axes, view, image, truncation):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
-    """(B,) bool: whether a block may contain voxels that the image updates; conservative.
+def in_view(blocks, chosen, edge, position, axes, view, tiles, image, truncation):
+    """(K,) bool: whether a block may contain voxels that the image updates; conservative.
 
     Args:
         blocks: (B, 3) int64, indices of the blocks from the world's origin.
+        chosen: (K,) int32, rows of ``blocks``.
         edge: edge of a block, metres.
         position, axes, view: as for ``pixels``.
         tiles, image: as from ``image``.
         truncation: voxels up to this far behind a surface are updated, metres.
     """
-    radius, seen = 0.8661 * edge, np.zeros(len(blocks), np.bool_)
+    radius, seen = 0.8661 * edge, np.zeros(len(chosen), np.bool_)
     highest, columns = tiles.max(), int(view[1])
-    for b in prange(len(blocks)):
+    for n in prange(len(chosen)):
+        b = chosen[n]
         dx = (blocks[b, 0] + 0.5) * edge - position[0]
         dy = (blocks[b, 1] + 0.5) * edge - position[1]
         dz = (blocks[b, 2] + 0.5) * edge - position[2]
@@ -163,12 +165,12 @@ def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
         if r - radius > highest + truncation:
             continue
         if r <= 1.01 * radius:
-            seen[b] = True
+            seen[n] = True
             continue
         corner = (dx - 0.5 * edge, dy - 0.5 * edge, dz - 0.5 * edge)
         shown = _shown(corner, edge, axes, view, image, truncation)
         if shown >= 0:
-            seen[b] = shown == 1
+            seen[n] = shown == 1
             continue
         x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
@@ -196,7 +198,7 @@ def in_view(blocks, edge, position, axes, view, tiles, image, truncation):
                 # continue with the next tile; tiles restart at column 0
                 at = c % columns
                 c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
-        seen[b] = farthest > _F0 and r - radius <= farthest + truncation
+        seen[n] = farthest > _F0 and r - radius <= farthest + truncation
     return seen
 
 

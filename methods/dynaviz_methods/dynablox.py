@@ -17,7 +17,7 @@ Schmid et al. 2023, as the benchmark runs it. The algorithm, online:
 
 Consecutive means at most temporal_buffer frames apart. Points closer than min_range or farther than max_range, points
 that are not finite, and points more than 32768 voxels from the world's origin are ignored and kept. Labels are decided
-when a scan is observed, and stored with three bits per point.
+when a scan is observed, and stored with four bits per point.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read
+from dynaviz_methods.codes import pack, unpack
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 from dynaviz_methods.lookups import around, known
 
@@ -179,7 +180,7 @@ class Dynablox:
         """Allocate the map where points will lie."""
         self._probe = context.probe
         self._map = FreeSpace(context.extent, self.params, view_of(self.params, context.sensor))
-        self._reasons: dict[int, U8] = {}  # by scan index: three bits per point, packed
+        self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
         removed = (FREE, BESIDE) if self.params.clusters else (FREE, FREE_SMALL, FREE_LARGE)
         self._removed = np.isin(np.arange(len(REASONS)), removed)
 
@@ -188,15 +189,14 @@ class Dynablox:
         inside = self._map.look(scan)
         voxels = np.where(inside, self._map.locate(scan.points), -1)
         reasons = self._judge(scan, inside, voxels)
-        self._reasons[scan.index] = np.packbits(reasons[:, None] >> np.arange(3, dtype=np.uint8) & 1)
+        self._reasons[scan.index] = pack(reasons)
         new, lost = self._map.learn(voxels)
         self._map.integrate()
         self._show(reasons, voxels, new, lost)
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose voxel was ever-free when the scan was observed, or whose cluster is dynamic."""
-        bits = np.unpackbits(self._reasons[scan.index], count=3 * len(scan)).reshape(-1, 3)
-        reasons = bits @ np.array([1, 2, 4], np.uint8)
+        reasons = unpack(self._reasons[scan.index], len(scan))
         return Labels(self._removed[reasons], reasons)
 
     def forget(self, index: int) -> None:

@@ -115,7 +115,8 @@ class FreeSpace:
             points: (N, 3) float32, metres, world frame.
         """
         voxels = self.grid.locate(points)
-        voxels[self._outer[voxels // VOXELS]] = -1
+        if not self.grid.rolls:
+            voxels[self._outer[voxels // VOXELS]] = -1
         return voxels
 
     def distances(self, voxels: I64) -> F64:
@@ -154,15 +155,13 @@ class FreeSpace:
         )
         inner = now[self._inner[now]]
         new, lost = np.zeros((len(inner), 8), np.uint64), np.zeros((0, 8), np.uint64)
-        k.release(inner, self.neighbours, self._updated, self._clear, self.free, new, lanes)
+        k.release(inner, self.neighbours, self._updated, self._clear, self.free, self.revoked, new, lanes)
         reaching = active[reached]
         losing = self._union(self.neighbours[reaching]) if len(reaching) else reaching
         if len(losing):
             lost = np.zeros((len(losing), 8), np.uint64)
-            k.revoke(losing, self.neighbours, self._reached, self.free, lost, lanes)
+            k.revoke(losing, self.neighbours, self._reached, self.free, self.revoked, lost, lanes)
             self._reached[reaching] = 0
-        self.revoked[inner] &= ~new
-        self.revoked[losing] |= lost
         self._hit[now] = 0
         self._updated[now] = 0
         self._seen = [*self._seen, now][-p.burn_in - 1 :]
@@ -199,13 +198,14 @@ class FreeSpace:
         pose = self._position, self._axes, view, self._tiles, self.image.ravel(), p.truncation
         if self.grid.rolls:
             blocks = np.flatnonzero(self.grid.existing()).astype(np.int32)
-            in_view: Bool = kernels.signed_distance.in_view(self._blocks[blocks], edge, *pose)
+            in_view: Bool = kernels.signed_distance.in_view(self._blocks, blocks, edge, *pose)
             return blocks[in_view]
         reach = float(self._tiles.max()) + p.truncation + edge
         ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
         first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
-        seen: Bool = kernels.signed_distance.in_view(self._blocks[first:last], edge, *pose)
-        return (int(first) + np.flatnonzero(seen)).astype(np.int32)
+        near = np.arange(first, last, dtype=np.int32)
+        seen: Bool = kernels.signed_distance.in_view(self._blocks, near, edge, *pose)
+        return near[seen]
 
     def _union(self, *blocks: I32) -> I32:
         """The union of several lists of blocks, sorted; -1 is ignored."""

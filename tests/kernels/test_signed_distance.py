@@ -36,7 +36,9 @@ def test_blocks_out_of_view_have_no_voxels_that_the_image_updates(seed):
     ranges = np.where(random.random((ROWS, COLUMNS)) < 0.1, 0, np.kron(coarse, np.ones((4, 16)))).astype(np.float32)
     pixels = np.arange(ROWS * COLUMNS, dtype=np.int32)
     image, tiles = kernels.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
-    seen = kernels.signed_distance.in_view(blocks, 8 * SIZE, position, axes, VIEW, tiles, image, TRUNCATION)
+    seen = kernels.signed_distance.in_view(
+        blocks, np.arange(len(blocks)), 8 * SIZE, position, axes, VIEW, tiles, image, TRUNCATION
+    )
     changes = updated(blocks, position, axes, image).any(1)
     assert not (changes & ~seen).any()
     assert (seen & ~changes).sum() < 0.5 * (~changes).sum()

@@ -291,9 +291,9 @@ def test_states_are_those_declared_and_match_the_map(room_scans):
         assert keys == {tuple(k) for k in intruded.keys.tolist()}
 
 
-def test_three_bits_per_point_are_stored(room_scans):
+def test_four_bits_per_point_are_stored(room_scans):
     method = run(room_scans)
-    assert sum(kept.nbytes for kept in method._reasons.values()) == sum(-(-3 * len(s) // 8) for s in room_scans)
+    assert sum(kept.nbytes for kept in method._reasons.values()) == sum((len(s) + 1) // 2 for s in room_scans)
 
 
 def test_the_view_is_that_of_the_sensor_by_default():
