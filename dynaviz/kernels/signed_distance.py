@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-TILE_ROWS, TILE_COLUMNS = 4, 8  # pixels per tile; the farthest range of a tile lets hidden blocks be skipped
+WIDTHS = 6  # powers of two, from 1: numbers of columns over which the farthest range lets hidden blocks be skipped
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 _ONE, _TOP = np.uint64(1), np.uint64(56)
 _LOWEST, _TO_BYTE = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
@@ -40,6 +40,12 @@ def _angle(y, x):
     p = _HALF_PI - p if b > a else p
     p = _PI - p if x < _F0 else p
     return -p if y < _F0 else p
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _is_near_integer(x):
+    """Whether the error of an angle in float32 could change the integer part of a number of pixels."""
+    return abs(x - math.floor(x + 0.5)) < 0.01
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -70,80 +76,96 @@ def pixels(points, position, axes, nearest, farthest, view):
         x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
         z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-        row = math.floor((view[2] - math.atan2(z, math.hypot(x, y))) * view[3] + 0.5)
+        flat = math.sqrt(x * x + y * y)
+        row = (view[2] - _angle(np.float32(z), np.float32(flat))) * view[3] + 0.5
+        if _is_near_integer(row):
+            row = (view[2] - math.atan2(z, flat)) * view[3] + 0.5
         if 0 <= row < rows:
-            column = math.floor((math.atan2(y, x) + math.pi) * view[4] + 0.5) % columns
-            found[i] = row * columns + column
+            column = (_angle(np.float32(y), np.float32(x)) + math.pi) * view[4] + 0.5
+            if _is_near_integer(column):
+                column = (math.atan2(y, x) + math.pi) * view[4] + 0.5
+            found[i] = int(row) * columns + int(column) % columns
     return found, ranges, inside
 
 
 @njit(cache=True, nogil=True)
 def image(pixels, ranges, rows, columns):
-    """The range image and its tiles.
-
-    Returns:
-        (rows * columns,) float32, metres: nearest range in each pixel, 0 if empty.
-        (tile rows, tile columns) float32, metres: farthest of these ranges in each tile.
-    """
+    """(rows * columns,) float32, metres: nearest range in each pixel, 0 if empty."""
     nearest = np.zeros(rows * columns, np.float32)
     for i in range(len(pixels)):
         p = pixels[i]
         if p >= 0 and (nearest[p] == _F0 or ranges[i] < nearest[p]):
             nearest[p] = ranges[i]
-    tiles = np.zeros((-(-rows // TILE_ROWS), -(-columns // TILE_COLUMNS)), np.float32)
-    for row in range(rows):
-        for column in range(columns):
-            r, c = row // TILE_ROWS, column // TILE_COLUMNS
-            tiles[r, c] = max(tiles[r, c], nearest[row * columns + column])
-    return nearest, tiles
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def farthest(image, rows, columns):
+    """(WIDTHS, rows * columns) float32, metres: the farthest range in each pixel and its 2^k - 1 next ones, by k."""
+    table = np.empty((WIDTHS, rows * columns), np.float32)
+    table[0] = image
+    for k in range(1, WIDTHS):
+        shift = (1 << k - 1) % columns
+        for row in range(rows):
+            before, here = table[k - 1, row * columns : (row + 1) * columns], row * columns
+            for column in range(columns - shift):
+                table[k, here + column] = max(before[column], before[column + shift])
+            for column in range(columns - shift, columns):
+                table[k, here + column] = max(before[column], before[column + shift - columns])
+    return table
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _direction(y, x):
+    return float(_angle(np.float32(y), np.float32(x)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _shown(corner, edge, axes, view, image, truncation):
-    """1 if a pixel that shows a part of a block may have a range that updates it, 0 if none has, -1 if undecided.
+def _shown(corner, edge, corners, axes, view, table, truncation):
+    """Whether a pixel that shows a part of a block may have a range that updates it.
 
     The corners bound height and azimuth. The block's distance from the vertical axis is least on an edge, whose middle
     is nearer than its ends by at most what half its length adds.
     """
     rows, columns = int(view[0]), int(view[1])
-    cx, cy = corner[0] + 0.5 * edge, corner[1] + 0.5 * edge
-    cz, squared = corner[2] + 0.5 * edge, 0.0
-    cx, cy = axes[0, 0] * cx + axes[0, 1] * cy + axes[0, 2] * cz, axes[1, 0] * cx + axes[1, 1] * cy + axes[1, 2] * cz
-    inner, outer, low, high, left, right = np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf
+    x0 = axes[0, 0] * corner[0] + axes[0, 1] * corner[1] + axes[0, 2] * corner[2]
+    y0 = axes[1, 0] * corner[0] + axes[1, 1] * corner[1] + axes[1, 2] * corner[2]
+    z0 = axes[2, 0] * corner[0] + axes[2, 1] * corner[1] + axes[2, 2] * corner[2]
+    cx, cy = x0 + 0.5 * corners[0, 7], y0 + 0.5 * corners[1, 7]
+    inner, outer, low, high, left, right, squared = np.inf, 0.0, np.inf, -np.inf, np.inf, -np.inf, 0.0
     for n in range(8):
-        dx, dy, dz = corner[0] + (n >> 2) * edge, corner[1] + (n >> 1 & 1) * edge, corner[2] + (n & 1) * edge
-        x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
-        y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
-        z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+        x, y, z = x0 + corners[0, n], y0 + corners[1, n], z0 + corners[2, n]
         inner, outer = min(inner, x * x + y * y), max(outer, x * x + y * y)
         low, high = min(low, z), max(high, z)
         tangent = (cx * y - cy * x) / (cx * x + cy * y)  # of the azimuth from the centre's
         left, right = min(left, tangent), max(right, tangent)
     if inner <= edge * edge:  # too close for these bounds
-        return -1
+        return True
     inner, outer = math.sqrt(inner - 0.25 * edge * edge), math.sqrt(outer)
-    top, bottom = math.atan2(high, inner if high > 0 else outer), math.atan2(low, outer if low > 0 else inner)
+    top, bottom = _direction(high, inner if high > 0 else outer), _direction(low, outer if low > 0 else inner)
     row_from, row_to = int((view[2] - top) * view[3]) - 1, int((view[2] - bottom) * view[3]) + 2
-    row_from, row_to = max(row_from, 0), min(row_to, rows - 1)
-    if row_from > row_to:
-        return 0
-    azimuth = math.atan2(cy, cx) + math.pi
-    first, last = int((azimuth + math.atan(left)) * view[4]) - 1, int((azimuth + math.atan(right)) * view[4]) + 2
-    if (row_to - row_from + 1) * (last - first + 1) > 512:  # it is faster to look at tiles
-        return -1
+    azimuth = _direction(cy, cx) + math.pi
+    first = int((azimuth + _direction(left, 1.0)) * view[4]) - 1
+    last = int((azimuth + _direction(right, 1.0)) * view[4]) + 2
     for axis in range(3):
         squared += max(corner[axis], -corner[axis] - edge, 0.0) ** 2
     least = np.float32(max(math.sqrt(squared) - truncation - 1e-3, 1e-9))
-    for row in range(row_from, row_to + 1):
-        for column in range(first, last + 1):
-            at = column - columns if column >= columns else (column + columns if column < 0 else column)
-            if image[row * columns + at] >= least:
-                return 1
-    return 0
+    k = 0
+    while k < WIDTHS - 1 and 2 << k <= last - first + 1:
+        k += 1
+    for row in range(max(row_from, 0), min(row_to, rows - 1) + 1):
+        column = first
+        while column <= last:
+            at = min(column, last + 1 - (1 << k))
+            at = at - columns if at >= columns else (at + columns if at < 0 else at)
+            if table[k, row * columns + at] >= least:
+                return True
+            column += 1 << k
+    return False
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def in_view(blocks, chosen, edge, position, axes, view, tiles, image, truncation):
+def in_view(blocks, chosen, edge, position, axes, view, table, truncation):
     """(K,) bool: whether a block may contain voxels that the image updates; conservative.
 
     Args:
@@ -151,54 +173,27 @@ def in_view(blocks, chosen, edge, position, axes, view, tiles, image, truncation
         chosen: (K,) int32, rows of ``blocks``.
         edge: edge of a block, metres.
         position, axes, view: as for ``pixels``.
-        tiles, image: as from ``image``.
+        table: as from ``farthest``.
         truncation: voxels up to this far behind a surface are updated, metres.
     """
-    radius, seen = 0.8661 * edge, np.zeros(len(chosen), np.bool_)
-    highest, columns = tiles.max(), int(view[1])
+    radius, highest, seen = 0.8661 * edge, table[0].max(), np.zeros(len(chosen), np.bool_)
+    corners = np.empty((3, 8))  # metres, sensor axes: from the first corner of a block
+    for n in range(8):
+        for axis in range(3):
+            sides = axes[axis, 0] * (n >> 2) + axes[axis, 1] * (n >> 1 & 1) + axes[axis, 2] * (n & 1)
+            corners[axis, n] = sides * edge
     for n in prange(len(chosen)):
         b = chosen[n]
-        dx = (blocks[b, 0] + 0.5) * edge - position[0]
-        dy = (blocks[b, 1] + 0.5) * edge - position[1]
-        dz = (blocks[b, 2] + 0.5) * edge - position[2]
-        r = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if r - radius > highest + truncation:
-            continue
-        if r <= 1.01 * radius:
-            seen[n] = True
-            continue
-        corner = (dx - 0.5 * edge, dy - 0.5 * edge, dz - 0.5 * edge)
-        shown = _shown(corner, edge, axes, view, image, truncation)
-        if shown >= 0:
-            seen[n] = shown == 1
-            continue
-        x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
-        y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
-        z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-        half, elevation = math.asin(radius / r) + 1e-4, math.atan2(z, math.hypot(x, y))
-        row_from = math.floor((view[2] - elevation - half) * view[3]) - 1
-        row_to = math.floor((view[2] - elevation + half) * view[3]) + 1
-        if row_to < 0 or row_from >= view[0]:
-            continue
-        row_from, row_to = max(row_from, 0), min(row_to, int(view[0]) - 1)
-        steep, width = abs(elevation) + half, columns // 2
-        if steep < 1.5:  # half the width, in columns, of a cone with the angle ``half`` at that elevation
-            sine = math.sin(half) / math.cos(steep)
-            if sine < 1:
-                width = min(width, int(math.asin(sine) * view[4]) + 2)
-        column = int((math.atan2(y, x) + math.pi) * view[4]) % columns
-        farthest = _F0
-        first, last = column - width, column + width
-        for r0 in range(row_from // TILE_ROWS, row_to // TILE_ROWS + 1):
-            c = first
-            while True:
-                farthest = max(farthest, tiles[r0, c % columns // TILE_COLUMNS])
-                if c >= last:
-                    break
-                # continue with the next tile; tiles restart at column 0
-                at = c % columns
-                c = min(c + min(TILE_COLUMNS - at % TILE_COLUMNS, columns - at), last)
-        seen[n] = farthest > _F0 and r - radius <= farthest + truncation
+        x, y, z = (
+            blocks[b, 0] * edge - position[0],
+            blocks[b, 1] * edge - position[1],
+            blocks[b, 2] * edge - position[2],
+        )
+        if (
+            math.sqrt((x + 0.5 * edge) ** 2 + (y + 0.5 * edge) ** 2 + (z + 0.5 * edge) ** 2)
+            <= radius + highest + truncation
+        ):
+            seen[n] = _shown((x, y, z), edge, corners, axes, view, table, truncation)
     return seen
 
 
@@ -238,10 +233,18 @@ def _project(corner, offsets, n, view, ranges, pixel):
         pixel[i] = np.int32(p)
 
 
+@njit(cache=True, nogil=True)
+def _updates(depths, ranges, n, trunc):
+    """Whether the image updates any of n voxels."""
+    count = np.int32(0)
+    for i in range(n):
+        count += np.int32((depths[i] > _F0) & (depths[i] - ranges[i] >= -trunc))
+    return count > 0
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
     """Update n voxels; flags: bit 0 is set if the image updates it, bit 1 if its distance is then under ``below``."""
-    any_updated = False
     for i in range(n):
         depth, old, mass = depths[i], distance[i], np.float32(weight[i])
         behind = depth - ranges[i]
@@ -250,8 +253,6 @@ def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
         distance[i] = mean if seen else old
         weight[i] += np.uint16(seen & (weight[i] < most))
         flags[i] = np.uint8(seen) | np.uint8(seen & (mean < below)) << np.uint8(1)
-        any_updated |= seen
-    return any_updated
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -312,9 +313,10 @@ def integrate(
                 _project(corner, some, n, view, ranges, pixel)
             for i in range(n):
                 depths[i] = image[pixel[i]] if pixel[i] >= 0 else _F0
-            own, heavy = distance[start : start + n], weight[start : start + n]
-            if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags):
+            if not _updates(depths, ranges, n, trunc):
                 continue
+            own, heavy = distance[start : start + n], weight[start : start + n]
+            _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags)
             if n < 512:
                 marks[:] = 0
                 for i in range(n):

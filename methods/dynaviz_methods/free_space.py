@@ -175,7 +175,7 @@ class FreeSpace:
         pixels, ranges, inside = kernels.signed_distance.pixels(
             scan.points, self._position, self._axes, p.min_range, farthest, self._view.numbers
         )
-        image, self._tiles = kernels.signed_distance.image(pixels, ranges, self._view.rows, self._view.columns)
+        image = kernels.signed_distance.image(pixels, ranges, self._view.rows, self._view.columns)
         self.image = image.reshape(self.image.shape)
         within: Bool = inside
         return within
@@ -194,17 +194,18 @@ class FreeSpace:
 
     def _visible(self, edge: float) -> I32:
         """Blocks that may contain voxels in view."""
-        p, view = self._params, self._view.numbers
-        pose = self._position, self._axes, view, self._tiles, self.image.ravel(), p.truncation
+        p, view, k = self._params, self._view, kernels.signed_distance
+        farthest = k.farthest(self.image.ravel(), view.rows, view.columns)
+        pose = self._position, self._axes, view.numbers, farthest, p.truncation
         if self.grid.rolls:
             blocks = np.flatnonzero(self.grid.existing()).astype(np.int32)
-            in_view: Bool = kernels.signed_distance.in_view(self._blocks, blocks, edge, *pose)
+            in_view: Bool = k.in_view(self._blocks, blocks, edge, *pose)
             return blocks[in_view]
-        reach = float(self._tiles.max()) + p.truncation + edge
+        reach = float(self.image.max()) + p.truncation + edge
         ends = np.floor((self._position[0] + np.array((-reach, reach + edge))) / edge)
         first, last = np.searchsorted(self._blocks[:, 0], ends)  # blocks are sorted by x first
         near = np.arange(first, last, dtype=np.int32)
-        seen: Bool = kernels.signed_distance.in_view(self._blocks, near, edge, *pose)
+        seen: Bool = k.in_view(self._blocks, near, edge, *pose)
         return near[seen]
 
     def _union(self, *blocks: I32) -> I32:

@@ -35,10 +35,19 @@ def test_blocks_out_of_view_have_no_voxels_that_the_image_updates(seed):
     coarse = np.exp(random.uniform(np.log(2), np.log(30), (8, 32)))  # metres: surfaces near and far
     ranges = np.where(random.random((ROWS, COLUMNS)) < 0.1, 0, np.kron(coarse, np.ones((4, 16)))).astype(np.float32)
     pixels = np.arange(ROWS * COLUMNS, dtype=np.int32)
-    image, tiles = kernels.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
+    image = kernels.signed_distance.image(pixels, ranges.ravel(), ROWS, COLUMNS)
+    table = kernels.signed_distance.farthest(image, ROWS, COLUMNS)
     seen = kernels.signed_distance.in_view(
-        blocks, np.arange(len(blocks)), 8 * SIZE, position, axes, VIEW, tiles, image, TRUNCATION
+        blocks, np.arange(len(blocks)), 8 * SIZE, position, axes, VIEW, table, TRUNCATION
     )
     changes = updated(blocks, position, axes, image).any(1)
     assert not (changes & ~seen).any()
     assert (seen & ~changes).sum() < 0.5 * (~changes).sum()
+
+
+@pytest.mark.parametrize("columns", [1, 5, 40])
+def test_the_farthest_ranges_of_the_next_pixels_wrap_around(columns):
+    image = np.random.default_rng(0).random((3, columns)).astype(np.float32)
+    table = kernels.signed_distance.farthest(image.ravel(), 3, columns).reshape(-1, 3, columns)
+    for k, found in enumerate(table):
+        np.testing.assert_array_equal(found, np.max([np.roll(image, -n, axis=1) for n in range(1 << k)], axis=0))
