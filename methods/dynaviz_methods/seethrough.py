@@ -286,9 +286,10 @@ class SeeThrough:
         weighed, reasons = self._judge(measured, objects, measured.evidence, now, movers)
         stays = self._staying(measured, weighed, reasons, now, movers) if labels else np.empty(0, np.intp)
         if len(stays):
-            objects = objects.copy()
-            objects[stays] = -1
-            sums = self._tally(measured.voxels, objects, measured.n)
+            parts = np.full_like(objects, -1)
+            parts[stays] = objects[stays]
+            objects = np.where(parts < 0, objects, np.int32(-1))
+            sums = measured.evidence - self._tally(measured.voxels, parts, measured.n)
             weighed, reasons = self._judge(measured, objects, sums, now, movers)
         by_point: U8 = kernels.objects.spread(reasons, objects)
         if labels:  # a mark of a mover in the scans so far may be too large
