@@ -10,7 +10,7 @@ from dynaviz.arrays import U8
 def pack(codes: U8) -> U8:
     """Pack codes (N,) uint8 from 0 to 15, two per byte: ((N + 1) // 2,) uint8."""
     even, odd = np.append(codes, np.zeros(len(codes) & 1, np.uint8)).reshape(-1, 2).T
-    packed: U8 = even | odd << 4
+    packed: U8 = even | odd << np.uint8(4)
     return packed
 
 

@@ -119,19 +119,20 @@ class DufoMap:
 
     def observe(self, scan: Scan) -> None:
         """Find the scan's void voxels and mark them as seen free."""
-        voxels = self._grid.locate(scan.points)
-        integrated = self._in_range(scan) & (voxels >= 0)
-        self._seen = seen = self._grid.see(scan, voxels, integrated)
+        voxels, within = located = self._located(scan)
+        self._last = scan.index, located
+        self._seen = seen = self._grid.see(scan, voxels, within & (voxels >= 0))
         kernels.voids.remember(seen.blocks, seen.hit, seen.observed, seen.void, self._seen_free, self._crossed)
         if self._listened:
             self._show(seen, voxels[voxels >= 0])
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose voxel was ever seen free."""
-        voxels = self._grid.locate(scan.points)
+        index, located = self._last
+        voxels, within = located if index == scan.index else self._located(scan)
         dynamic = read(self._seen_free, voxels)
         reasons = np.where(read(self._crossed, voxels), BESIDE_UNKNOWN, NEVER_CROSSED).astype(np.uint8)
-        reasons[~self._in_range(scan)] = OUT_OF_RANGE
+        reasons[~within] = OUT_OF_RANGE
         reasons[dynamic] = VOID_SEEN
         reasons[voxels < 0] = OUT_OF_REACH
         return Labels(dynamic, reasons)
@@ -158,10 +159,11 @@ class DufoMap:
         rule = Rule("void", (Term("hit by the scan", hit, "<", 1), around_it), lasting=True)
         return Evidence(voxels_around(asked.points, self.params.resolution), (saw, count, free), (rule,))
 
-    def _in_range(self, scan: Scan) -> Bool:
+    def _located(self, scan: Scan) -> tuple[I64, Bool]:
+        """The voxel of each point, (N,) int64, -1 for none; and whether its range is within the limits, (N,) bool."""
         nearest, farthest = float(self.params.min_range), float(self.params.max_range or np.inf)
         within: Bool = kernels.voids.in_range(scan.points, scan.origins, nearest, farthest)
-        return within
+        return self._grid.locate(scan.points), within
 
     def _show(self, seen: VoidMarks, voxels: I64) -> None:
         np.bitwise_or.at(self._with_points, (voxels // VOXELS, voxels % VOXELS // 64), np.int64(1) << voxels % 64)

@@ -62,6 +62,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
 from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
+from dynaviz_methods.codes import pack, unpack
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
 from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, verdicts
 from dynaviz_methods.lookups import known
@@ -207,10 +208,8 @@ class SeeThrough:
             if last is None or last.index != scan.index:
                 last = self._measure(scan, *self._located(scan))
             reasons = self._outcomes(last, self._movement(last, self._trails.labelled))
-            even, odd = np.append(reasons, np.zeros(len(reasons) & 1, np.uint8)).reshape(-1, 2).T
-            self._reasons[scan.index] = even + 16 * odd
-        pairs = self._reasons[scan.index]
-        reasons = np.stack([pairs & 15, pairs >> 4], 1).ravel()[: len(scan)]
+            self._reasons[scan.index] = pack(reasons)
+        reasons = unpack(self._reasons[scan.index], len(scan))
         return Labels(REMOVED[reasons], reasons)
 
     def forget(self, index: int) -> None:
@@ -324,9 +323,11 @@ class SeeThrough:
         wanted = (reasons > 0) | ((weighed[4] > 0) & (weighed[5] >= PROOF))
         if not wanted.any() or now + staying.LATER >= self._observed:
             return np.empty(0, np.intp)
-        rules = staying.UNTOUCHED, staying.EARLIER, staying.UNTOUCHED_FOLLOWED, staying.EARLIER_FOLLOWED
-        limits = np.where(reasons == FOLLOWED_ON, [rules[2:3], rules[3:]], [rules[:1], rules[1:2]])
-        limits[1, reasons == WAITED] = 0  # it was always there
+        followed = reasons == FOLLOWED_ON
+        untouched = np.where(followed, staying.UNTOUCHED_FOLLOWED, staying.UNTOUCHED)
+        earlier = np.where(followed, staying.EARLIER_FOLLOWED, staying.EARLIER)
+        earlier[reasons == WAITED] = 0  # it was always there
+        limits = np.stack([untouched, earlier])
         objects = np.where(np.append(wanted, False)[measured.objects], measured.objects, np.int32(-1))
         cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels)
 
