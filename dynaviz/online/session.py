@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -184,7 +185,8 @@ class LiveSession:
 
 
 def _return_freed_memory() -> None:
-    """Return the memory of the old map to the system; glibc would keep its small blocks, more with each restart."""
+    """Return the memory of the old map to the system: it is part of reference cycles, and glibc keeps small blocks."""
+    gc.collect()
     with contextlib.suppress(OSError, AttributeError, TypeError):  # other C libraries
         ctypes.CDLL(None).malloc_trim(0)
 
