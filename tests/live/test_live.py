@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -152,10 +154,12 @@ def test_cells_cover_all_rays_within_reach() -> None:
 
 def test_the_world_begins_anew_far_from_its_origin() -> None:
     live = session("octomap", reach=10.0, keep=2)
+    before = weakref.ref(live._window)
     for frame, scan in enumerate([*drive(3, 1.0), *drive(3, 1.0, start=3270.0)]):
         labels = live.update(scan.points, scan.T_world_sensor, points_in="world")
         assert (labels.reasons != 3).all(), f"frame {frame}: points are out of reach"
     assert live.restarts == 1
+    assert before() is None, "the old map takes no memory"
     assert abs(np.median(live.map()[:, 0]) - 3271) < 8
     for scan in drive(2, 1.0, start=3274.0):
         assert (live.add(scan).reasons != 3).all()
