@@ -102,7 +102,7 @@ def play_live(
 
         try:
             play(session, stream(sequence), report, shown, period=period)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemExit):  # Ctrl-C, or SIGTERM from a supervisor
             if report.latencies:
                 announce(str(report))
             raise

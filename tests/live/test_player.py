@@ -152,6 +152,19 @@ def test_an_interrupted_play_reports_what_was_played() -> None:
     assert (len(report.latencies), report.seconds) == (4, pytest.approx(0.4))
 
 
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_a_stopped_session_reports_what_was_played(stop: type[BaseException], monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(session: object, scans: object, report: PlayReport, *args: object, **options: object) -> None:
+        report.latencies.append(0.02)
+        raise stop
+
+    said: list[str] = []
+    monkeypatch.setattr("dynaviz.playback.play", stopped)
+    with pytest.raises(stop):
+        play_live(InMemory(crossing(2)), "octomap", rate=0, reach=20, announce=said.append)
+    assert "1 of 1 scans labelled" in said[-1]
+
+
 def test_the_view_shows_a_trail_of_dynamic_points_on_both_timelines() -> None:
     from dynaviz.viz.live import TRACES, _layout
 
