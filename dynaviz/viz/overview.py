@@ -148,7 +148,8 @@ class Overview(Listener):
         total = sum(_sum(count, kinds) for count in self._counts.outcomes.values())
         rows: list[tuple[Any, ...]] = [("#", "tile", f"{what} points", "% of all", "% of tile", "points")]
         head = f"### {result.method} on {result.sequence.name}\n\n{scores}\n\n" if scores else ""
-        for rank, tile in enumerate(ranked[:LISTED], 1):
+        listed = [tile for tile in ranked if _sum(self._counts.outcomes[tile], kinds)]
+        for rank, tile in enumerate(listed[:LISTED], 1):
             count = self._counts.outcomes[tile]
             here, points = _sum(count, kinds), int(count[_LABELLED].sum() if result.has_truth else count.sum())
             shares = (f"{100 * here / max(total, 1):.1f}", f"{100 * here / max(points, 1):.2f}")
@@ -156,6 +157,8 @@ class Overview(Listener):
         first = "{}_{}".format(*ranked[0]) if ranked else "X_Y"
         folder = shlex.quote(str(self._path.parent / "tiles" / first))
         key = f"Tiles are bright where many points are {what}. Numbers mark the {NAMED} worst."
+        if none := len(ranked) - len(listed):
+            key += f" {none:,} of {len(ranked):,} tiles have no {what} points."
         return f"{head}{key}\n\nOpen the recording of a tile with:\n\n`dynaviz view {folder}`\n\n{table(rows)}"
 
 
