@@ -16,6 +16,7 @@ WIDTHS = 6  # powers of two, from 1: numbers of columns over which the farthest 
 _FULL = np.uint64(0xFFFFFFFFFFFFFFFF)
 _ONE, _TOP = np.uint64(1), np.uint64(56)
 _LOWEST, _TO_BYTE = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
+ERROR = 2e-6  # radians: of an angle in float32, at most
 _F0, _F1, _HALF = np.float32(0), np.float32(1), np.float32(0.5)
 _PI, _HALF_PI = np.float32(math.pi), np.float32(math.pi / 2)
 # arctan on [0, 1]: Abramowitz and Stegun 4.4.49, error below 2e-8
@@ -43,9 +44,15 @@ def _angle(y, x):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _is_near_integer(x):
-    """Whether the error of an angle in float32 could change the integer part of a number of pixels."""
-    return abs(x - math.floor(x + 0.5)) < 0.01
+def _pixel(y, x, start, per_radian):
+    """The row or column of the direction (x, y), counted from an angle; pixel borders are integers.
+
+    The angle is computed in float32, and again in float64 where the error could change the pixel.
+    """
+    at = (_angle(np.float32(y), np.float32(x)) - start) * per_radian + 0.5
+    if abs(at - math.floor(at + 0.5)) < ERROR * abs(per_radian):
+        at = (math.atan2(y, x) - start) * per_radian + 0.5
+    return at
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -76,15 +83,9 @@ def pixels(points, position, axes, nearest, farthest, view):
         x = axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz
         y = axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz
         z = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-        flat = math.sqrt(x * x + y * y)
-        row = (view[2] - _angle(np.float32(z), np.float32(flat))) * view[3] + 0.5
-        if _is_near_integer(row):
-            row = (view[2] - math.atan2(z, flat)) * view[3] + 0.5
+        row = _pixel(z, math.sqrt(x * x + y * y), view[2], -view[3])
         if 0 <= row < rows:
-            column = (_angle(np.float32(y), np.float32(x)) + math.pi) * view[4] + 0.5
-            if _is_near_integer(column):
-                column = (math.atan2(y, x) + math.pi) * view[4] + 0.5
-            found[i] = int(row) * columns + int(column) % columns
+            found[i] = int(row) * columns + int(_pixel(y, x, -math.pi, view[4])) % columns
     return found, ranges, inside
 
 
@@ -117,6 +118,7 @@ def farthest(image, rows, columns):
 
 @njit(cache=True, nogil=True, inline="always")
 def _direction(y, x):
+    """The polar angle of (x, y), from float32."""
     return float(_angle(np.float32(y), np.float32(x)))
 
 
@@ -184,16 +186,14 @@ def in_view(blocks, chosen, edge, position, axes, view, table, truncation):
             corners[axis, n] = sides * edge
     for n in prange(len(chosen)):
         b = chosen[n]
-        x, y, z = (
+        corner = (
             blocks[b, 0] * edge - position[0],
             blocks[b, 1] * edge - position[1],
             blocks[b, 2] * edge - position[2],
         )
-        if (
-            math.sqrt((x + 0.5 * edge) ** 2 + (y + 0.5 * edge) ** 2 + (z + 0.5 * edge) ** 2)
-            <= radius + highest + truncation
-        ):
-            seen[n] = _shown((x, y, z), edge, corners, axes, view, table, truncation)
+        x, y, z = corner[0] + 0.5 * edge, corner[1] + 0.5 * edge, corner[2] + 0.5 * edge
+        if math.sqrt(x * x + y * y + z * z) <= radius + highest + truncation:
+            seen[n] = _shown(corner, edge, corners, axes, view, table, truncation)
     return seen
 
 
@@ -233,18 +233,10 @@ def _project(corner, offsets, n, view, ranges, pixel):
         pixel[i] = np.int32(p)
 
 
-@njit(cache=True, nogil=True)
-def _updates(depths, ranges, n, trunc):
-    """Whether the image updates any of n voxels."""
-    count = np.int32(0)
-    for i in range(n):
-        count += np.int32((depths[i] > _F0) & (depths[i] - ranges[i] >= -trunc))
-    return count > 0
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
     """Update n voxels; flags: bit 0 is set if the image updates it, bit 1 if its distance is then under ``below``."""
+    any_updated = False
     for i in range(n):
         depth, old, mass = depths[i], distance[i], np.float32(weight[i])
         behind = depth - ranges[i]
@@ -253,6 +245,8 @@ def _average(depths, ranges, n, trunc, below, most, distance, weight, flags):
         distance[i] = mean if seen else old
         weight[i] += np.uint16(seen & (weight[i] < most))
         flags[i] = np.uint8(seen) | np.uint8(seen & (mean < below)) << np.uint8(1)
+        any_updated |= seen
+    return any_updated
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -313,10 +307,9 @@ def integrate(
                 _project(corner, some, n, view, ranges, pixel)
             for i in range(n):
                 depths[i] = image[pixel[i]] if pixel[i] >= 0 else _F0
-            if not _updates(depths, ranges, n, trunc):
-                continue
             own, heavy = distance[start : start + n], weight[start : start + n]
-            _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags)
+            if not _average(depths, ranges, n, trunc, below, heaviest, own, heavy, flags):
+                continue
             if n < 512:
                 marks[:] = 0
                 for i in range(n):

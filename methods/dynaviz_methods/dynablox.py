@@ -37,7 +37,7 @@ from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read
-from dynaviz_methods.codes import pack, unpack
+from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 from dynaviz_methods.lookups import around, known
 
@@ -189,14 +189,14 @@ class Dynablox:
         inside = self._map.look(scan)
         voxels = np.where(inside, self._map.locate(scan.points), -1)
         reasons = self._judge(scan, inside, voxels)
-        self._reasons[scan.index] = pack(reasons)
+        self._reasons[scan.index] = pack_codes(reasons)
         new, lost = self._map.learn(voxels)
         self._map.integrate()
         self._show(reasons, voxels, new, lost)
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose voxel was ever-free when the scan was observed, or whose cluster is dynamic."""
-        reasons = unpack(self._reasons[scan.index], len(scan))
+        reasons = unpack_codes(self._reasons[scan.index], len(scan))
         return Labels(self._removed[reasons], reasons)
 
     def forget(self, index: int) -> None:

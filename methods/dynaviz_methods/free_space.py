@@ -104,7 +104,7 @@ class FreeSpace:
         self.grid = BlockGrid(window.widened(pixel * window.reach + p.truncation + p.resolution), p.resolution)
         n = len(self.grid)
         self._blocks, self.neighbours = self.grid.blocks, self.grid.neighbours()
-        self._inner, self._outer = np.ones(n, np.bool_), np.append(np.zeros(n, np.bool_), True)
+        self._inner = np.ones(n, np.bool_)
         self._needed, self._first = np.full((n, 8), ~np.uint64(0)), np.arange(n + 1) * VOXELS
         return n
 

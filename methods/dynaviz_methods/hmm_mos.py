@@ -38,7 +38,7 @@ from dynaviz.probe import PointClasses, Scalar, State, Voxels
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS
 from dynaviz_methods.belief_map import BeliefMap, Scores
-from dynaviz_methods.codes import pack, unpack
+from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.lookups import around, known
 
 OCCUPIED = 1  # state of a voxel
@@ -195,7 +195,7 @@ class HmmMos:
         reasons = np.where(used, self._codes[voxels], OUT_OF_RANGE).astype(np.uint8)
         reasons[voxels < 0] = OUT_OF_REACH
         self._codes[scores.voxels] = OUT_OF_RANGE
-        self._reasons[scan.index] = pack(reasons)
+        self._reasons[scan.index] = pack_codes(reasons)
         self._show(scores, sums, threshold, reasons)
         self._map.done()
 
@@ -213,7 +213,7 @@ class HmmMos:
 
     def label(self, scan: Scan) -> Labels:
         """Label points dynamic whose voxel was dynamic when the scan was observed."""
-        reasons = unpack(self._reasons[scan.index], len(scan))
+        reasons = unpack_codes(self._reasons[scan.index], len(scan))
         return Labels((reasons >= ABOVE) & (reasons <= BESIDE), reasons)
 
     def evidence(self, asked: Asked) -> Evidence:

@@ -62,7 +62,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
 from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
-from dynaviz_methods.codes import pack, unpack
+from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
 from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, verdicts
 from dynaviz_methods.lookups import known
@@ -208,8 +208,8 @@ class SeeThrough:
             if last is None or last.index != scan.index:
                 last = self._measure(scan, *self._located(scan))
             reasons = self._outcomes(last, self._movement(last, self._trails.labelled))
-            self._reasons[scan.index] = pack(reasons)
-        reasons = unpack(self._reasons[scan.index], len(scan))
+            self._reasons[scan.index] = pack_codes(reasons)
+        reasons = unpack_codes(self._reasons[scan.index], len(scan))
         return Labels(REMOVED[reasons], reasons)
 
     def forget(self, index: int) -> None:

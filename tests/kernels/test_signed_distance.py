@@ -51,3 +51,16 @@ def test_the_farthest_ranges_of_the_next_pixels_wrap_around(columns):
     table = kernels.signed_distance.farthest(image.ravel(), 3, columns).reshape(-1, 3, columns)
     for k, found in enumerate(table):
         np.testing.assert_array_equal(found, np.max([np.roll(image, -n, axis=1) for n in range(1 << k)], axis=0))
+
+
+@pytest.mark.parametrize("columns", [64, 20_000])
+def test_pixels_are_those_of_angles_in_float64(columns):
+    random = np.random.default_rng(0)
+    points = random.normal(size=(20_000, 3)).astype(np.float32)
+    view = np.array([32, columns, np.radians(20), 31 / np.radians(40), columns / (2 * np.pi)])
+    pixels, _, inside = kernels.signed_distance.pixels(points, np.zeros(3), np.eye(3), 0.1, 90.0, view)
+    x, y, z = points.T.astype(np.float64)
+    row = np.floor((view[2] - np.arctan2(z, np.hypot(x, y))) * view[3] + 0.5).astype(int)
+    column = np.floor((np.arctan2(y, x) + np.pi) * view[4] + 0.5).astype(int) % columns
+    expected = np.where((row >= 0) & (row < 32) & inside, row * columns + column, -1)
+    np.testing.assert_array_equal(pixels, expected)
