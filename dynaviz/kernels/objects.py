@@ -1,4 +1,4 @@
-"""Objects of one scan: points in adjacent cells, the evidence of their voxels, and the trails of dynamic objects."""
+"""Objects of one scan: points in adjacent cells, and the evidence of their voxels."""
 
 import math
 
@@ -178,36 +178,6 @@ def read(voxels, counts):
     return found
 
 
-@njit(cache=True, nogil=True)
-def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first):
-    """What was in the places of each of n objects, in earlier and later scans.
-
-    Args:
-        objects: (N,) int32, the object of each point, or -1.
-        places: (N,) int64, the quarter column of each point.
-        now: number of this scan.
-        lately, before: numbers of scans.
-        movers: (3, all places) int32: the last scan with a dynamic object in each place, the number of scans in which
-            that object was dynamic, and the first scan with one.
-        seen, dynamic, first: (all places,) int32: the last scan with points and with dynamic objects, over all scans,
-            and the first scan with points.
-
-    Returns:
-        (4, n) int64: points where a dynamic object was at most ``lately`` scans ago, the maximum number of scans in
-        which it was dynamic, points where the last object ever seen is dynamic, in this scan or later, and points where
-        something was more than ``before`` scans before any dynamic object.
-    """
-    found = np.zeros((n, 4), np.int64)
-    for i in _rows(objects >= 0):
-        k, place = objects[i], places[i]
-        if movers[0, place] >= now - lately:
-            found[k, 0] += 1
-            found[k, 1] = max(found[k, 1], movers[1, place])
-        found[k, 2] += dynamic[place] >= now and seen[place] <= dynamic[place] + lately
-        found[k, 3] += first[place] < movers[2, place] - before
-    return found.T.copy()
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def spread(verdict, objects):
     """(N,) uint8: the verdict (n,) on each point's object, (N,) int32; 0 for points without one, -1."""
@@ -215,21 +185,6 @@ def spread(verdict, objects):
     for i in prange(len(objects)):
         found[i] = verdict[objects[i]] if objects[i] >= 0 else 0
     return found
-
-
-@njit(cache=True, nogil=True)
-def leave(objects, moving, stays, proven, places, now, last, proof, first):
-    """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several.
-
-    Points that stay, (N,) bool, leave no mark. ``first`` keeps the first scan with such an object in each place.
-    """
-    for i in range(len(objects)):
-        k = objects[i]
-        if k >= 0 and moving[k] and not stays[i]:
-            place = places[i]
-            proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
-            last[place] = now
-            first[place] = min(first[place], now)
 
 
 @njit(cache=True, nogil=True)

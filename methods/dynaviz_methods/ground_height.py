@@ -11,6 +11,7 @@ from dynaviz.arrays import F32, F64, I32, I64, Bool
 from dynaviz.spatial.blocks import BlockGrid
 
 SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
+ACROSS = 4  # columns: edge of the squares that are seen as a whole
 WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
 PIT = 0.3  # metres: columns this far below most of those around them are reflections, not ground
 SWAY = 0.005  # radians: maximum error of a pose that lifts or lowers the ground far away
@@ -25,10 +26,16 @@ class GroundHeight:
     gets the ground of its neighbours. A few points far below the ground do not matter: ground must contain a minimum
     share of a column's points, and must not be a pit among the surrounding columns.
 
+    Attributes:
+        squares: (columns + 1,) int32, number of the square of 4 x 4 columns that contains each column; the last is for
+            voxels -1.
+
     Args:
         blocks: (B, 3) int64, keys of a grid's blocks of 8^3 voxels, sorted.
         resolution: edge of a voxel, metres.
     """
+
+    squares: I32
 
     def __init__(self, blocks: I64, resolution: float) -> None:
         self._blocks, self._edge, self._step = blocks, 8 * resolution, SLOPE * 8 * resolution
@@ -37,6 +44,8 @@ class GroundHeight:
         self._starts = np.append(firsts, len(blocks))
         self._columns = blocks[firsts, :2].astype(np.int64)
         self._column = np.append(np.repeat(np.arange(n), np.diff(self._starts)), n)  # of each block; the last is for -1
+        keys, square = np.unique(self._columns // ACROSS, axis=0, return_inverse=True)
+        self.squares = np.append(square, len(keys)).astype(np.int32)
         self._number, self._height = np.zeros((len(blocks), 8), np.int32), np.zeros((len(blocks), 8), np.int64)
         self._floor, self._stale = np.full(n, np.inf), np.zeros(n + 1, np.bool_)
 
@@ -110,15 +119,18 @@ class RollingGroundHeight(GroundHeight):
         self._size = grid.span
         n, rows = self._size**2, len(grid)
         self._columns = np.full((n, 2), np.iinfo(np.int32).min, np.int64)
+        x, y, across = *np.divmod(np.arange(n), self._size), self._size // ACROSS
+        self.squares = np.append(x // ACROSS * across + y // ACROSS, across**2).astype(np.int32)
+        self._square_keys = np.full((across**2, 2), np.iinfo(np.int32).min, np.int64)
         self._column = np.full(rows + 1, n)  # of each block; the last is for -1
         self._number = grid.per_block(np.zeros((rows, 8), np.int32))
         self._height = grid.per_block(np.zeros((rows, 8), np.int64))
         self._floor, self._stale = np.full(n, np.inf), np.zeros(n + 1, np.bool_)
-        self._watchers: list[Callable[[I64], None]] = []
+        self._watchers: list[Callable[[I64, I64], None]] = []
         grid.watch(self._came)
 
-    def watch(self, moved: Callable[[I64], None]) -> None:
-        """Call ``moved`` with the numbers (M,) of columns whenever they come to lie elsewhere."""
+    def watch(self, moved: Callable[[I64, I64], None]) -> None:
+        """Call ``moved`` with the numbers of columns, (M,), and of squares, whenever they come to lie elsewhere."""
         self._watchers.append(moved)
 
     def _came(self, numbers: I32) -> None:
@@ -129,8 +141,11 @@ class RollingGroundHeight(GroundHeight):
         moved = (self._columns[columns] != keys).any(1)
         self._floor[columns[moved]] = np.inf
         self._columns[columns] = keys
+        squares, places = self.squares[columns], keys // ACROSS
+        elsewhere = (self._square_keys[squares] != places).any(1)
+        self._square_keys[squares] = places
         for watcher in self._watchers:
-            watcher(columns[moved])
+            watcher(columns[moved], squares[elsewhere])
 
     def _refresh(self) -> None:
         blocks = np.flatnonzero(self._grid.existing())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F32, I32, I64, U8, Bool, Intp
+from dynaviz.arrays import F32, F64, I32, I64, U8, Bool, Intp
 from dynaviz.evidence import Rule, Term
 
 FEW = 3  # minimum number of voting points of a dynamic object
@@ -23,6 +23,7 @@ class Measured:
 
     Attributes:
         index: number of the scan.
+        position: (3,) float64, metres, world frame: position of the sensor.
         points: (N, 3) float32, metres; voxels: (N,) int64, -1 for none; places: (N,) int64, quarter columns.
         height: (N,) float32, metres above the ground; infinite if unknown. low: (N,) bool, near the ground.
         objects: (N,) int32, the object of each point, -1 for none; n: their number.
@@ -31,6 +32,7 @@ class Measured:
     """
 
     index: int
+    position: F64
     points: F32
     voxels: I64
     places: I64
@@ -51,7 +53,8 @@ class Judged:
             clear, points where an object moved lately, scans in which that one moved, points where the last object
             moved, points seen clear between two hits, points seen clear after the last hit, points where something was
             before any object moved.
-        verdict: (N,) uint8: why each point's object is dynamic, or that the point is in a settled part; 0 otherwise.
+        verdict: (N,) uint8: why each point's object is dynamic, or that the point is in a settled part or in a place
+            where something always was; 0 otherwise.
     """
 
     measured: Measured
@@ -82,13 +85,13 @@ def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: f
     Args:
         judged: the scan.
         rows: (K,) rows of points.
-        settled: (K,) bool, whether they are in settled parts of their objects.
+        settled: (K,) bool, whether they are in settled parts of their objects, or in places where something always was.
         votes, share: as in ``verdicts``.
     """
     of = judged.measured.objects[rows]
     weighed = np.where(of < 0, np.nan, np.append(judged.weighed, np.zeros((10, 1)), 1)[:, of])
     size, having, voted, touched, lately, proof, left, between, after, old = weighed
-    stays = Term("in a settled part of its object", settled, "<", 1)
+    stays = Term("in a part of its object that stays", settled, "<", 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = voted / (1000 * votes * having)
         earlier = np.where(mean > RARELY, 0.0, old)
@@ -118,3 +121,34 @@ def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: f
             ),
         ),
     )
+
+
+def point_rules(
+    height: F32,
+    level: F32,
+    where: tuple[Bool, Bool, Bool],
+    counts: tuple[F64, F64, F64],
+    limits: tuple[int, int, float, float],
+) -> tuple[Rule, ...]:
+    """The rules that remove single points: above the ground, and low under a dynamic object.
+
+    Args:
+        height, level: (K,) float32, metres: height above the ground, and that of the scan's own ground around it.
+        where: (K,) bool each: too high for a mover, low and near a dynamic object, where something always was.
+        counts: (K,) float64 each: scans that hit, passed and saw clear the point's voxel; NaN without one.
+        limits: scans that must see a voxel of a point alone clear, and of a foot; maximum height of low points, and
+            minimum height of a foot above the scan's own ground, metres.
+    """
+    (high, under, always), (hits, passed, clear), (votes, empty, low, stands_out) = where, counts, limits
+    sees, lowest, raised = "scans that saw it clear", float(np.float32(low)), float(np.float32(stands_out))
+    near = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under), ">=", 1)
+    alone = (
+        Term("height above the ground", height, ">", lowest, "m"),
+        Term("more than 4.5 m above the ground", high, "<", 1),
+        Term(sees, clear, ">=", votes),
+        Term(sees, clear, ">", (hits + passed) / 2),
+        Term("far away, where something always was", always, "<", 1),
+    )
+    stands = Term("height above the ground of this scan", height - level, ">", raised, "m")
+    clears = (Term(sees, clear, ">=", empty), Term(sees, clear, ">", hits), Term(sees, clear, ">", passed / 2))
+    return Rule("alone", alone), Rule("foot", (near, stands)), Rule("empty foot", (near, *clears))

@@ -26,10 +26,13 @@
                   exceed those between two hits by 7 in 100: a parked car that drives off
         staying:  in dynamic objects, and where one was dynamic lately, look for connected cells with a mean vote of at
                   most 0.05. If almost no point of such a part was ever seen clear, and something was in its places
-                  before any dynamic object and 4 scans later, then it stays: judge the rest of the object without it
+                  for at least 8 scans, from the beginning or before any dynamic object, then it stays: judge the rest
+                  of the object without it. From the beginning: as soon as a square of 3.2 m around them was seen
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
                   wall that a walker touches; and those of objects that waited around which almost no point was ever
                   seen clear
+        always:   keep points more than 15 m away if something was in their place for at least 20 scans, from the
+                  beginning to the end, and was seen in half of them: errors of poses let rays pass there
         feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
@@ -55,7 +58,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool, Intp
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.evidence import Asked, Evidence, Quantity, Rule, voxels_around
 from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.probe import Mask, PointClasses, State, Voxels
 from dynaviz.scan import Scan
@@ -64,7 +67,7 @@ from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
-from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, verdicts
+from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, point_rules, verdicts
 from dynaviz_methods.lookups import known
 from dynaviz_methods.trails import Trails
 
@@ -76,6 +79,7 @@ STANDS_OUT = 0.04  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
+FAR = 15.0  # metres from the sensor: the guard is too narrow for errors of poses
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 OBJECT = 30.0  # metres
 
@@ -116,7 +120,9 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED, HIGH, SETTLED = range(11)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED, HIGH, SETTLED, ALWAYS = (
+    range(12)
+)
 REASONS = (
     Reason("never_clear", "kept: no scan saw its voxel clear", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its object was seen clear", Cause.STANDING),
@@ -133,6 +139,7 @@ REASONS = (
     Reason("waited", "removed: its object waited here before it moved away", Cause.SHARED_CELL),
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
     Reason("settled", "kept: rays stop at this part of a dynamic object", Cause.OCCUPIED),
+    Reason("always", "kept: far away, where something was as long as the place was seen", Cause.OCCUPIED),
 )
 BY_POINT = (NEVER_CLEAR, TOO_LITTLE, HIGH, SETTLED, ALONE, LOW, OUT_OF_REACH)  # of points whose object does not move
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, ALONE, WAITED))  # (R,) bool, by code
@@ -147,7 +154,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0, 0], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0, 0, 0], np.uint8)  # reason code to class of the legend
 
 
 class SeeThrough:
@@ -171,7 +178,7 @@ class SeeThrough:
         )
         # One bit per voxel: ever hit; seen clear between two hits; seen clear after the last hit.
         self._order = tuple(self._grid.per_block(np.zeros((rows, 8), np.uint64)) for _ in range(3))
-        self._trails = Trails(4 * len(self._ground) + 4)  # by quarter column
+        self._trails = Trails(self._ground.squares)  # by quarter column
         if isinstance(self._ground, RollingGroundHeight):
             self._ground.watch(self._trails.forget)
         self._observed = 0
@@ -194,7 +201,7 @@ class SeeThrough:
         self._observed += 1
         measured = self._measured = self._measure(scan, points, voxels, places)
         verdict = self._movement(measured, self._trails.observed)
-        self._trails.observe(places[~measured.low], places[verdict == SEEN_THROUGH], now)
+        self._trails.observe(places, voxels >= 0, ~measured.low, verdict == SEEN_THROUGH, now)
         self._show(measured, verdict, marks, near)
 
     def label(self, scan: Scan) -> Labels:
@@ -246,13 +253,15 @@ class SeeThrough:
         chosen = (voxels >= 0) & ~low & ~_high(height)
         objects, n = kernels.objects.connect(points, chosen, params.gap, TALL * params.gap)
         sums = self._tally(voxels, objects, n)
-        return Measured(scan.index, points, voxels, places, height, low, objects, n, sums)
+        return Measured(scan.index, scan.position, points, voxels, places, height, low, objects, n, sums)
 
     def _outcomes(self, measured: Measured, verdict: U8) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
         voxels, height, counts = measured.voxels, measured.height, (self._hits, self._passed, self._grazed)
         points = voxels, verdict, measured.low, _high(height)
         reasons: U8 = kernels.objects.outcomes(*points, *counts, self.params.votes, BY_POINT)
+        alone = np.flatnonzero(reasons == ALONE)
+        reasons[alone[self._always(measured, alone)]] = ALWAYS
         under = self._under(measured, verdict)
         feet = np.flatnonzero(under)
         if not len(feet):
@@ -263,11 +272,16 @@ class SeeThrough:
         reasons[feet[stands_out | empty]] = FOOT
         return reasons
 
+    def _always(self, measured: Measured, rows: Intp) -> Bool:
+        """(K,) bool: far away in some rows (K,), in places where something was as long as they were seen."""
+        far: Bool = np.hypot(*(measured.points[rows, :2] - measured.position[:2]).T) > FAR
+        far[far] = self._trails.always(measured.places[rows[far]])
+        return far
+
     def _under(self, measured: Measured, verdict: U8) -> Bool:
         """(N,) bool: low points in or next to a dynamic object."""
         size = UNDER * self.params.resolution
-        moves = (verdict > 0) & (verdict != SETTLED)
-        under: Bool = kernels.objects.in_or_next_to(measured.points, moves, measured.low, size)
+        under: Bool = kernels.objects.in_or_next_to(measured.points, REMOVED[verdict], measured.low, size)
         return under
 
     def _level(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
@@ -295,9 +309,11 @@ class SeeThrough:
             vote = weighed[2] / (1000 * self.params.votes * np.maximum(weighed[1], 1))
             by_point[self._settled(measured, by_point, vote)] = SETTLED
             by_point[stays] = SETTLED * (reasons[measured.objects[stays]] > 0)
+            moving = np.flatnonzero(REMOVED[by_point])
+            by_point[moving[self._always(measured, moving)]] = ALWAYS
         follows = (reasons > 0) & (reasons != WAITED)
         proven = (weighed[5] + (reasons == SEEN_THROUGH)).astype(np.int32)
-        kernels.objects.leave(objects, follows, by_point == SETTLED, proven, measured.places, now, *movers)
+        kernels.places.leave(objects, follows, ~REMOVED[by_point], proven, measured.places, now, *movers)
         self._judged = Judged(measured, weighed, by_point)
         return by_point
 
@@ -321,20 +337,17 @@ class SeeThrough:
     def _staying(self, measured: Measured, weighed: I64, reasons: U8, now: int, movers: I32) -> Intp:
         """Rows of the points that stay, of objects that are dynamic or where one was dynamic lately."""
         wanted = (reasons > 0) | ((weighed[4] > 0) & (weighed[5] >= PROOF))
-        if not wanted.any() or now + staying.LATER >= self._observed:
+        if not wanted.any() or now + 1 == self._observed:
             return np.empty(0, np.intp)
-        followed = reasons == FOLLOWED_ON
-        untouched = np.where(followed, staying.UNTOUCHED_FOLLOWED, staying.UNTOUCHED)
-        earlier = np.where(followed, staying.EARLIER_FOLLOWED, staying.EARLIER)
-        earlier[reasons == WAITED] = 0  # it was always there
-        limits = np.stack([untouched, earlier])
+        earliest = np.where(reasons == FOLLOWED_ON, staying.EARLIER_FOLLOWED, staying.EARLIER)
+        earliest[reasons == WAITED] = 0  # it was always there
         objects = np.where(np.append(wanted, False)[measured.objects], measured.objects, np.int32(-1))
         cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels)
 
         def spans(parts: I32, n: int) -> I64:
             return self._trails.spans(parts, n, measured.places, now, movers)
 
-        return staying.staying(measured.points, objects, cells, self.params.votes, limits, tally, spans)
+        return staying.staying(measured.points, objects, cells, self.params.votes, earliest, tally, spans)
 
     def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
         """Rows of the points in settled parts of objects that were seen through or waited.
@@ -371,29 +384,20 @@ class SeeThrough:
         judged = self._judged
         rules: tuple[Rule, ...] = ()
         if judged.measured.index == asked.scan.index:
-            settled = judged.verdict[asked.rows] == SETTLED
+            settled = np.isin(judged.verdict[asked.rows], (SETTLED, ALWAYS))
             of_objects = object_rules(judged, asked.rows, settled, self.params.votes, self.params.share)
-            rules = (*of_objects, *self._point_rules(asked, judged, hits, passed, clear))
+            rules = (*of_objects, *self._point_rules(asked, judged, (hits, passed, clear)))
         return Evidence(voxels_around(asked.points, self.params.resolution), quantities, rules)
 
-    def _point_rules(self, asked: Asked, judged: Judged, hits: F64, passed: F64, clear: F64) -> tuple[Rule, ...]:
+    def _point_rules(self, asked: Asked, judged: Judged, counts: tuple[F64, F64, F64]) -> tuple[Rule, ...]:
         """The rules that remove single points: above the ground, and low under a dynamic object."""
-        measured, under = judged.measured, self._under(judged.measured, judged.verdict)
+        measured, rows, under = judged.measured, asked.rows, self._under(judged.measured, judged.verdict)
         wanted = np.zeros(len(under), np.bool_)
-        wanted[asked.rows] = measured.voxels[asked.rows] >= 0
-        height, level = (of[asked.rows] for of in (measured.height, self._level(measured, under, wanted)))
-        limits = [float(np.float32(limit)) for limit in (self.params.ground_height, STANDS_OUT)]
-        above = Term("height above the ground", height, ">", limits[0], "m")
-        below = Term("more than 4.5 m above the ground", _high(height), "<", 1)
-        scans, most = Term("scans that saw it clear", clear, ">=", self.params.votes), (hits + passed) / 2
-        low = Term("low and near a dynamic object", np.where(np.isnan(hits), np.nan, under[asked.rows]), ">=", 1)
-        sees = "scans that saw it clear"
-        empty = (Term(sees, clear, ">=", EMPTY), Term(sees, clear, ">", hits), Term(sees, clear, ">", passed / 2))
-        return (
-            Rule("alone", (above, below, scans, Term(sees, clear, ">", most))),
-            Rule("foot", (low, Term("height above the ground of this scan", height - level, ">", limits[1], "m"))),
-            Rule("empty foot", (low, *empty)),
-        )
+        wanted[rows] = measured.voxels[rows] >= 0
+        height, level = measured.height[rows], self._level(measured, under, wanted)[rows]
+        limits = self.params.votes, EMPTY, self.params.ground_height, STANDS_OUT
+        where = _high(height), under[rows], self._always(measured, rows)
+        return point_rules(height, level, where, counts, limits)
 
     def _show(self, measured: Measured, verdict: U8, marks: Marks, near: U64) -> None:
         wants, emit = self._probe.wants, self._probe.emit

@@ -1,4 +1,4 @@
-"""Parts of objects that stay: rays stop at them, and they are there before a mover touches them, and after it left."""
+"""Parts of objects that stay: rays stop at them, and they were there before any mover, or as long as they were seen."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from dynaviz.arrays import F32, F64, I32, I64, Intp
 
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
 MANY = 20  # minimum number of points
-LATER = 4  # scans: minimum mean time for which something is still there
-UNTOUCHED = 0.03  # maximum share of points seen clear
-EARLIER = 0.5  # scans: minimum mean time for which something was there before any dynamic object
-UNTOUCHED_FOLLOWED = 0.05  # the same for parts of an object that is followed: where a car parks, rays passed before it
-EARLIER_FOLLOWED = 6.0
+UNTOUCHED = 0.05  # maximum share of points seen clear
+SINCE = 0.5  # share of points in places where something was from the beginning
+EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
+EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
+LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
 
 Sums = Callable[[I32, int], I64]
 
 
 def staying(
-    points: F32, objects: I32, cells: tuple[float, float], votes: int, limits: F64, tally: Sums, spans: Sums
+    points: F32, objects: I32, cells: tuple[float, float], votes: int, earliest: F64, tally: Sums, spans: Sums
 ) -> Intp:
     """Rows of the points of parts that stay: connected cells of an object with hardly any votes.
 
@@ -30,11 +30,12 @@ def staying(
         objects: (N,) int32, the object of each point; -1 for points that are not in question.
         cells: edge of the cells that join points to objects, horizontally and vertically, metres.
         votes: maximum vote of a voxel, scans.
-        limits: (2, objects) float64: maximum share of points seen clear; minimum number of scans for which something
-            was in their places before any dynamic object.
+        earliest: (objects,) float64, scans: how long before any dynamic object something must have been in the places
+            of a part, if it was not there from the beginning.
         tally: from the group of each point, (N,) int32, -1 for none, and the number of groups: the evidence of each,
             as in ``kernels.objects.evidence``.
-        spans: from the same, (2, groups) int64: sums of the scans for which something was there earlier, and later.
+        spans: from the same, (3, groups) int64: sums of the scans for which something was there earlier, and later; and
+            the number of points where something was from the beginning.
     """
     mine, keys, _ = kernels.objects.cells_of(points, objects >= 0, *cells)
     _, having, voted, *_ = tally(mine, len(keys))
@@ -45,12 +46,12 @@ def staying(
     chosen[rows] = True
     parts, n = kernels.objects.connect(points, chosen, *cells)
     size, _, _, touched, _, _, against = tally(parts, n)
-    earlier, later = spans(parts, n)
+    earlier, later, since = spans(parts, n)
     part = parts[rows]
     of = np.zeros(n, np.int32)
     of[part] = objects[rows]
-    untouched, age = limits[:, of]
-    stays = (touched <= untouched * size) & (earlier >= age * size) & (later >= LATER * size)
+    before = (since >= SINCE * size) | (earlier >= earliest[of] * size)
+    stays = (touched <= UNTOUCHED * size) & before & (earlier + later >= LASTING * size)
     stays &= (size > MANY) & (against >= 3 * size)
     found: Intp = rows[stays[part]]
     return found

@@ -12,8 +12,8 @@ import numpy as np
 
 from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
-from dynaviz_methods import staying
-from dynaviz_methods.ground_height import MANY, PIT, SLOPE, SQUARE, SWAY
+from dynaviz_methods import seethrough, staying, trails
+from dynaviz_methods.ground_height import ACROSS, MANY, PIT, SLOPE, SQUARE, SWAY
 from dynaviz_methods.judgement import FEW, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
@@ -28,7 +28,7 @@ from dynaviz_methods.seethrough import (
     SeeThroughParams,
 )
 from dynaviz_methods.staying import UNSEEN
-from dynaviz_methods.trails import BEFORE, LATELY
+from dynaviz_methods.trails import AT_ONCE, BEFORE, LATELY
 from helpers.reference.octomap import Key, key, walk
 
 
@@ -50,6 +50,9 @@ class Reference:
         self.seen: dict[tuple[int, int], int] = {}
         self.first: dict[tuple[int, int], int] = {}
         self.dynamic: dict[tuple[int, int], int] = {}
+        # By quarter column, the number of scans with points that are not low; by square, the first and last with any.
+        self.scans: Counter[tuple[int, int]] = Counter()
+        self.viewed: dict[tuple[int, int], tuple[int, int]] = {}
         self.observed = self.labelled = 0
 
     def observe(self, scan: Scan) -> None:
@@ -74,6 +77,9 @@ class Reference:
         self.seen |= dict.fromkeys(places, self.observed)
         self.first = dict.fromkeys(places, self.observed) | self.first
         self.dynamic |= dict.fromkeys(dynamic, self.observed)
+        self.scans.update(places)
+        for square in {self.square(self.quarter(k)) for k in goals}:
+            self.viewed[square] = (self.viewed.get(square, (self.observed, 0))[0], self.observed)
         self.observed += 1
 
     def floor(self, column: tuple[int, int]) -> float:
@@ -139,6 +145,8 @@ class Reference:
             moves, follows, waited, proof, mean = verdict
             if movers is self.movers and (moves or not follows):
                 members = sorted(set(members) - self.settled(points, voxel, members, mean if moves else None))
+            if movers is self.movers:
+                members = [i for i in members if not self.always(scan, voxel, i)]
             if moves or follows or waited:
                 whole.update(members)
             if moves:
@@ -176,6 +184,7 @@ class Reference:
                 and not HIGHEST < height[i] < math.inf
                 and self.clear[k] >= params.votes
                 and self.clear[k] > self.hits[k] + near
+                and not (movers is self.movers and self.always(scan, voxel, i))
             ):
                 dynamic[i] = True
             empty = EMPTY <= self.clear[k] > max(self.hits[k], self.passed[k] / 2)
@@ -211,6 +220,24 @@ class Reference:
         """Whether the last object seen in a place is dynamic, in this scan or later."""
         last = self.dynamic.get(place, -99)
         return last >= now and self.seen.get(place, -99) <= last + LATELY
+
+    @staticmethod
+    def square(place: tuple[int, int]) -> tuple[int, int]:
+        """The square that contains a quarter column."""
+        return place[0] // (2 * ACROSS), place[1] // (2 * ACROSS)
+
+    def since(self, place: tuple[int, int]) -> bool:
+        """Whether something was in a place as soon as the square around it was seen."""
+        return self.first.get(place, math.inf) <= self.viewed[self.square(place)][0] + AT_ONCE
+
+    def always(self, scan: Scan, voxel: dict[int, Key], i: int) -> bool:
+        """Whether a point is far away, where something was as long as the place was seen."""
+        place = self.quarter(voxel[i])
+        span = self.seen.get(place, 0) - self.first.get(place, math.inf) + 1
+        lasts = span >= trails.LASTING and self.scans[place] >= trails.MOSTLY * span
+        to_the_end = self.seen.get(place, -1) >= self.viewed[self.square(place)][1] - AT_ONCE
+        far = math.dist(scan.points[i, :2], scan.position[:2]) > seethrough.FAR
+        return far and lasts and to_the_end and self.since(place)
 
     def verdict(
         self, voxel: dict[int, Key], members: list[int], now: int, movers: dict
@@ -249,8 +276,9 @@ class Reference:
         if not (moves or follows or waited or proof >= PROOF):
             return set()
         followed = follows and not moves
-        untouched = staying.UNTOUCHED_FOLLOWED if followed else staying.UNTOUCHED
         age = staying.EARLIER_FOLLOWED if followed else 0 if waited and not moves else staying.EARLIER
+        if now + 1 == self.observed:
+            return set()
         stopping = []
         for inside in self.cells(points, members).values():
             having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in inside)
@@ -264,7 +292,8 @@ class Reference:
             earlier = sum(min(self.movers.get(q, (0, 0, now))[2], now) - self.first[q] for q in places)
             later = sum(self.seen[q] - now for q in places)
             n = len(part)
-            stays = touched <= untouched * n and earlier >= age * n and later >= staying.LATER * n
+            before = sum(map(self.since, places)) >= staying.SINCE * n or earlier >= age * n
+            stays = touched <= staying.UNTOUCHED * n and before and earlier + later >= staying.LASTING * n
             if stays and n > staying.MANY and against >= 3 * n:
                 found.update(part)
         return found
