@@ -144,7 +144,7 @@ def lower(surface, step):
 
 @njit(cache=True, nogil=True)
 def spanned(voxels, column, columns):
-    """Which columns contain voxels, (C + 1,) bool; and their lowest and highest keys, (2, 2) int64.
+    """(2, 2) int64: the lowest and highest keys of the columns that contain voxels.
 
     The last column is for voxels -1. Without others, the lowest key is above the highest.
     """
@@ -158,7 +158,7 @@ def spanned(voxels, column, columns):
             for axis in range(2):
                 bounds[0, axis] = min(bounds[0, axis], columns[c, axis])
                 bounds[1, axis] = max(bounds[1, axis], columns[c, axis])
-    return seen, bounds
+    return bounds
 
 
 @njit(cache=True, nogil=True)
@@ -173,22 +173,31 @@ def surface(columns, floor, low, high):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def heights(points, voxels, column, columns, seen, first, surface):
+def heights(points, voxels, column, columns, first, surface, edge):
     """(N,) float32, metres: height of points (N, 3) above a surface whose first cell is column ``first``.
 
-    Infinite for voxels -1, outside the surface, and where the surface is infinite. ``seen`` is that of ``spanned``.
+    The surface is interpolated between the centres of its cells, which are ``edge`` metres wide. Infinite for voxels
+    -1, outside the surface, and where the surface is infinite.
     """
-    level = np.empty(len(columns) + 1)
-    level[len(columns)] = np.inf
-    for c in range(len(columns)):
-        if seen[c]:
-            x, y = columns[c, 0] - first[0], columns[c, 1] - first[1]
-            inside = 0 <= x < surface.shape[0] and 0 <= y < surface.shape[1]
-            level[c] = surface[x, y] if inside else np.inf
     found = np.empty(len(voxels), np.float32)
+    rows, lines = surface.shape
     for i in prange(len(voxels)):
-        z = level[column[voxels[i] >> 9]]
-        found[i] = points[i, 2] - z if z < np.inf else np.inf
+        found[i] = np.inf
+        c = column[voxels[i] >> 9]
+        if c == len(columns):
+            continue
+        x, y = columns[c, 0] - first[0], columns[c, 1] - first[1]
+        if not (0 <= x < rows and 0 <= y < lines):
+            continue
+        u, v = points[i, 0] / edge - 0.5 - first[0], points[i, 1] / edge - 0.5 - first[1]
+        u, v = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), lines - 1.0)
+        x, y = min(np.int64(u), max(rows - 2, 0)), min(np.int64(v), max(lines - 2, 0))
+        right, up, u, v = min(x + 1, rows - 1), min(y + 1, lines - 1), u - x, v - y
+        south = (1 - u) * surface[x, y] + u * surface[right, y]
+        north = (1 - u) * surface[x, up] + u * surface[right, up]
+        z = (1 - v) * south + v * north
+        if z < np.inf:
+            found[i] = points[i, 2] - z
     return found
 
 

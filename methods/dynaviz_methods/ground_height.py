@@ -76,7 +76,7 @@ class GroundHeight:
         """
         self._refresh()
         place = (voxels, self._column, self._columns)
-        seen, (low, high) = kernels.ground_height.spanned(*place)
+        low, high = kernels.ground_height.spanned(*place)
         middle = np.floor(position[:2] / self._edge).astype(np.int64)
         low, high = np.maximum(low, middle - WIDE), np.minimum(high, middle + WIDE)
         if (low > high).any():
@@ -85,7 +85,8 @@ class GroundHeight:
         surface = kernels.ground_height.surface(self._columns[near], self._floor[near], low, high)
         surface[kernels.ground_height.pits(surface, PIT)] = np.inf
         kernels.ground_height.lower(surface, self._step)
-        height: F32 = kernels.ground_height.heights(kernels.as_readonly(points, np.float32), *place, seen, low, surface)
+        of = kernels.as_readonly(points, np.float32), *place, low, surface, self._edge
+        height: F32 = kernels.ground_height.heights(*of)
         return height
 
     def _refresh(self) -> None:

@@ -8,7 +8,7 @@
         judge:    label the scan by the scans so far, as below; store where dynamic objects and where other points that
                   are not low were seen last
     ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore cells far below those
-                  around them, and cells without such neighbours; limit the slope to 0.2
+                  around them, and cells without such neighbours; limit the slope to 0.2; interpolate between columns
     level:        raise or lower the ground by the mean height of this scan's points near it in the same square of
                   12.8 m, by at most 5 mm per metre of range: an error of a pose lifts the ground far away
     call a point low if it is at most ground_height above the ground, and high if it is more than 4.5 m above it
@@ -33,7 +33,7 @@
                   seen clear
         always:   keep points more than 15 m away if something was in their place for at least 20 scans, from the
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
-        feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
+        feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
         alone:    remove other points, if not high, in voxels that at least ``votes`` scans saw clear, more than hit or
@@ -75,7 +75,7 @@ TALL = 3  # height of the cells that join points, in gaps: rings are farther apa
 FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
 UNTOUCHED = 0.02  # maximum share of points seen clear around a point of a settled part of an object that waited
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
-STANDS_OUT = 0.04  # metres above the ground of this scan
+STANDS_OUT = 0.03  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear

@@ -119,9 +119,9 @@ def test_a_moving_object_is_removed_completely_and_static_objects_are_kept() -> 
     for scan in scans:
         codes = method.label(scan).reasons
         moving = codes[n : n + b]
-        high = scan.points[n : n + b, 2] > 0.25
+        high = scan.points[n : n + b, 2] > 0.4
         assert np.isin(moving[high], SEEN_THROUGH).all()
-        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.14]].all(), "feet are removed with their object"
+        assert REMOVED[moving[scan.points[n : n + b, 2] > 0.2]].all(), "feet are removed with their object"
         assert not REMOVED[codes[:n]].any()
         assert not REMOVED[codes[n + b :]].any()
 
@@ -145,7 +145,7 @@ def test_a_parked_car_that_drives_off_has_waited() -> None:
     method, alone = running(scans), running(scans[:60])
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
-        codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
+        codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.4
         away = scan.points[n : n + b, 1] < -0.3
         waiting = codes[n : n + b]
         assert (waiting[high & away] == WAITED).all(), "its voxels were seen clear too rarely for a majority"

@@ -115,6 +115,16 @@ class Reference:
             pressed[x, y] = float(ways.min(initial=math.inf))
         return pressed
 
+    @staticmethod
+    def interpolated(surface: dict[tuple[int, int], float], at: np.ndarray) -> float:
+        """The surface, which is known at the centres of columns, interpolated; the border continues outside."""
+        low, high = np.min(list(surface), 0), np.max(list(surface), 0)
+        at = np.clip(at[:2].astype(float), low, high)
+        corner = np.clip(np.floor(at).astype(int), low, np.maximum(high - 1, low))
+        u, v = at - corner
+        weights = {(0, 0): (1 - u) * (1 - v), (1, 0): u * (1 - v), (0, 1): (1 - u) * v, (1, 1): u * v}
+        return sum(w * surface[tuple(np.minimum(corner + d, high).tolist())] for d, w in weights.items())
+
     def label(self, scan: Scan) -> np.ndarray:
         dynamic, _, _ = self.judge(scan, self.labelled, self.movers)
         self.labelled += 1
@@ -128,7 +138,7 @@ class Reference:
         inside = [i for i in range(len(points)) if np.isfinite(points[i]).all()]
         voxel = {i: key(points[i], size) for i in inside}
         surface = self.surface({(x >> 3, y >> 3) for x, y, _ in voxel.values()})
-        ground = {i: surface[voxel[i][0] >> 3, voxel[i][1] >> 3] for i in inside}
+        ground = {i: self.interpolated(surface, points[i].astype(float) / (8 * size) - 0.5) for i in inside}
         height = {i: float(points[i, 2]) - g if g < np.inf else np.inf for i, g in ground.items()}
         height = self.levelled(scan, height)
         up = [i for i in inside if not height[i] <= params.ground_height]
