@@ -31,7 +31,7 @@
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
                   wall that a walker touches; and those of objects that waited around which almost no point was ever
                   seen clear
-        always:   keep points more than 15 m away if something was in their place for at least 20 scans, from the
+        always:   keep points more than 20 m away if something was in their place for at least 20 scans, from the
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
         feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
@@ -79,7 +79,7 @@ STANDS_OUT = 0.03  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
-FAR = 15.0  # metres from the sensor: the guard is too narrow for errors of poses
+FAR = 20.0  # metres from the sensor: the guard is too narrow for errors of poses
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 OBJECT = 30.0  # metres
 

@@ -12,7 +12,7 @@ from dynaviz.arrays import F32, F64, I32, I64, Intp
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
 MANY = 20  # minimum number of points
 UNTOUCHED = 0.05  # maximum share of points seen clear
-SINCE = 0.5  # share of points in places where something was from the beginning
+SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
 EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan

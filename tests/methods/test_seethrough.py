@@ -231,10 +231,10 @@ def test_what_was_there_as_soon_as_it_could_be_seen_stays(monkeypatch: pytest.Mo
     assert removed[0.5][:-post_up].all(), "the walker is removed"
 
 
-@pytest.mark.parametrize(("distance", "first", "kept"), [(18.0, 0, True), (10.0, 0, False), (18.0, 6, False)])
+@pytest.mark.parametrize(("distance", "first", "kept"), [(22.0, 0, True), (18.0, 0, False), (22.0, 6, False)])
 def test_what_is_far_away_and_always_there_is_kept(distance: float, first: int, kept: bool) -> None:
     """A sign that every second scan misses, as with errors of poses; not if it came later than its surroundings."""
-    sign, behind = block(distance, 0.0, low=1.0), wall(24.0)
+    sign, behind = block(distance, 0.0, low=1.0), wall(28.0)
     sign = sign[sign[:, 0] == np.float32(distance)]
     misses = [k % 2 == 1 or k < first for k in range(31)]
     ground = np.concatenate([GROUND, plane(-2, 2, 0.1) + np.array([distance, 0, 0])])
