@@ -84,6 +84,18 @@ def keys_of(voxels, blocks):
     return keys
 
 
+@njit(cache=True, nogil=True)
+def centres_of(voxels, blocks, resolution):
+    """(N, 3) float32, metres: centres of voxels (N,) int64; blocks: (B, 3), indices of the grid's blocks."""
+    centres = np.empty((len(voxels), 3), np.float32)
+    for i in range(len(voxels)):
+        block, place = voxels[i] >> 9, voxels[i] & 511
+        centres[i, 0] = ((blocks[block, 0] << 3 | place >> 6) + 0.5) * resolution
+        centres[i, 1] = ((blocks[block, 1] << 3 | (place >> 3 & 7)) + 0.5) * resolution
+        centres[i, 2] = ((blocks[block, 2] << 3 | (place & 7)) + 0.5) * resolution
+    return centres
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def locate(points, per_metre, base, shape, top, children):
     """(N,) int64: voxel of each point, block number * 512 + index in the block; -1 if the grid has no block there.

@@ -8,6 +8,9 @@ from numba import njit, prange
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 ONE = np.uint64(1)
+# Each array expression in a parallel kernel wakes threads, which may take 0.1 ms: write it in a function of its own.
+PARTS = 4  # into which points are divided, for threads
+FEW = 8192  # points: up to so many are one part
 FIRST_SLOTS = 1024  # of a hash table that grows
 # Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
 # columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
@@ -53,7 +56,7 @@ def _rows(chosen):
     return rows[:n]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fill(points, rows, size, tall, first, slots, mine, cells, count):
     """Find the cells of points from the one in rows[first] on, until half of the slots are taken.
 
@@ -76,19 +79,59 @@ def _fill(points, rows, size, tall, first, slots, mine, cells, count):
 
 
 @njit(cache=True, nogil=True)
-def cells_of(points, chosen, size, tall):
-    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
-
-    Then the hash table of the cells: their numbers by slot, -1 in free slots. It grows with the number of cells, which
-    is far below that of points, so that it stays in the processor's cache.
-    """
-    rows, slots, mine = _rows(chosen), np.full(FIRST_SLOTS, np.int32(-1)), np.full(len(points), np.int32(-1))
-    cells, place, count = np.empty(len(rows), np.int64), np.int64(0), np.int64(0)
+def _part(points, rows, size, tall, mine, cells):
+    """Number the cells of the points in some rows, in ``mine`` and ``cells``; returns how many these are."""
+    slots, place, count = np.full(FIRST_SLOTS, np.int32(-1)), np.int64(0), np.int64(0)
     while True:
         place, count = _fill(points, rows, size, tall, place, slots, mine, cells, count)
         if place == len(rows):
-            return mine, cells[:count], slots
+            return count
         slots = _larger(slots, cells, count)
+
+
+@njit(cache=True, nogil=True)
+def _merged(rows, ends, found, counts, mine):
+    """Number the cells that all parts found in the order of parts; returns what ``cells_of`` does."""
+    total, size = counts.sum(), FIRST_SLOTS
+    while size < 2 * total:
+        size *= 2
+    slots, cells, count = np.full(size, np.int32(-1)), np.empty(total, np.int64), np.int64(0)
+    for part, most in enumerate(counts):
+        numbers = np.empty(most, np.int32)
+        for c in range(most):
+            s = _slot(slots, cells, found[part, c])
+            if slots[s] < 0:
+                slots[s], cells[count] = count, found[part, c]
+                count += 1
+            numbers[c] = slots[s]
+        for i in rows[ends[part] : ends[part + 1]]:
+            mine[i] = numbers[mine[i]]
+    return mine, cells[:count], slots
+
+
+@njit(cache=True, nogil=True)
+def _parts(chosen):
+    """Rows (K,) of the chosen points, the parts of these rows, and memory for the cells of each part and of points."""
+    rows = _rows(chosen)
+    parts = PARTS if len(rows) > FEW else 1
+    ends, mine = np.arange(parts + 1) * len(rows) // parts, np.full(len(chosen), np.int32(-1))
+    return rows, ends, np.zeros(parts, np.int64), np.empty((parts, len(rows) // parts + 1), np.int64), mine
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def cells_of(points, chosen, size, tall):
+    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
+
+    Cells are numbered in the order of first points. Then their hash table: their numbers by slot, -1 in free slots.
+    Tables grow with the number of cells, far below that of points, so that they stay in the processor's cache.
+    """
+    rows, ends, counts, found, mine = _parts(chosen)
+    if len(counts) == 1:
+        counts[0] = _part(points, rows, size, tall, mine, found[0])
+    else:
+        for part in prange(len(counts)):
+            counts[part] = _part(points, rows[ends[part] : ends[part + 1]], size, tall, mine, found[part])
+    return _merged(rows, ends, found, counts, mine)
 
 
 @njit(cache=True, nogil=True)
@@ -132,6 +175,38 @@ def connect(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
+def _shares(objects, n):
+    """Rows (K,) of the points of n objects, the parts of these rows, and sums (parts, n, 7) of zeros."""
+    rows = _rows(objects >= 0)
+    parts = PARTS if len(rows) > FEW else 1
+    return rows, np.arange(parts + 1) * len(rows) // parts, np.zeros((parts, n, 7), np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _total(sums):
+    """(7, n) int64: the sums of all parts, (parts, n, 7)."""
+    return sums.sum(0).T.copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_evidence(sums, rows, objects, voxels, hits, passed, grazed, between, after, votes):
+    """Add the evidence of the points in some rows to the sums (n, 7) int64 of their objects."""
+    for i in rows:
+        k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
+        hit, near = np.int64(hits[block, place]), np.int64(grazed[block, place])
+        crossed, against = np.int64(passed[block, place]), hit + 3 * near
+        seen = crossed - near
+        sums[k, 0] += 1
+        sums[k, 1] += hit > 1 or crossed > 0
+        sums[k, 6] += against
+        if seen:
+            sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
+            sums[k, 3] += 1
+            sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
+            sums[k, 5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
+
+
+@njit(cache=True, nogil=True, parallel=True)
 def evidence(objects, n, voxels, hits, passed, grazed, between, after, votes):
     """Sum the evidence over the points of each of n objects.
 
@@ -152,38 +227,40 @@ def evidence(objects, n, voxels, hits, passed, grazed, between, after, votes):
         (7, n) int64: points, voting points, sum of votes, points in voxels that were ever seen clear, between two hits,
         and after the last hit, and the evidence against votes, thirds of a scan.
     """
-    sums = np.zeros((n, 7), np.int64)
-    for i in _rows(objects >= 0):
-        k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
-        near = np.int64(grazed[block, place])
-        seen = passed[block, place] - near
-        sums[k, 0] += 1
-        against = hits[block, place] + 3 * near
-        sums[k, 1] += hits[block, place] > 1 or passed[block, place] > 0
-        sums[k, 6] += against
-        if seen:
-            sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
-            sums[k, 3] += 1
-            sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
-            sums[k, 5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
-    return sums.T.copy()
+    rows, ends, sums = _shares(objects, n)
+    if len(sums) == 1:
+        _add_evidence(sums[0], rows, objects, voxels, hits, passed, grazed, between, after, votes)
+    else:
+        for part in prange(len(sums)):
+            own = rows[ends[part] : ends[part + 1]]
+            _add_evidence(sums[part], own, objects, voxels, hits, passed, grazed, between, after, votes)
+    return _total(sums)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def read(voxels, counts):
     """(N,) int32: counts (blocks, 512) of voxels (N,); voxel -1 reads the last block."""
     found = np.empty(len(voxels), np.int32)
-    for i in prange(len(voxels)):
+    for i in range(len(voxels)):
         found[i] = counts[voxels[i] >> 9, voxels[i] & 511]
     return found
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def spread(verdict, objects):
     """(N,) uint8: the verdict (n,) on each point's object, (N,) int32; 0 for points without one, -1."""
     found = np.empty(len(objects), np.uint8)
-    for i in prange(len(objects)):
+    for i in range(len(objects)):
         found[i] = verdict[objects[i]] if objects[i] >= 0 else 0
+    return found
+
+
+@njit(cache=True, nogil=True)
+def look_up(codes, table):
+    """(N,) bool: the entries of a table, bool, at codes (N,) uint8."""
+    found = np.empty(len(codes), np.bool_)
+    for i in range(len(codes)):
+        found[i] = table[codes[i]]
     return found
 
 

@@ -61,14 +61,15 @@ def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first
 
 
 @njit(cache=True, nogil=True)
-def leave(objects, moving, stays, proven, places, now, last, proof, first):
+def leave(objects, moving, leaves, proven, places, now, last, proof, first):
     """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several.
 
-    Points that stay, (N,) bool, leave no mark. ``first`` keeps the first scan with such an object in each place.
+    Only the points in ``leaves``, (N,) bool, leave a mark. ``first`` keeps the first scan with such an object in each
+    place.
     """
     for i in range(len(objects)):
         k = objects[i]
-        if k >= 0 and moving[k] and not stays[i]:
+        if k >= 0 and moving[k] and leaves[i]:
             place = places[i]
             proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
             last[place] = now

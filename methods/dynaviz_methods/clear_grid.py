@@ -34,7 +34,7 @@ class ClearGrid(BlockGrid):
             places, which = _distinct(origins)
             rays = np.unique((voxels * len(places) + which)[voxels >= 0])
             goals, origins = rays // len(places), places[rays % len(places)]
-        centres = ((self.keys(goals) + 0.5) * self.resolution).astype(np.float32)
+        centres: F32 = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
         if self._rectangle is not None:
             more, of = self._beyond(scan, voxels)
             centres, origins = (

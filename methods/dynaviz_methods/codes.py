@@ -1,10 +1,11 @@
-"""Reason codes in memory: four bits per point, because methods store them for every point of a sequence."""
+"""Reason codes of points: in memory, four bits per point, because methods store them for every point of a sequence."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.arrays import U8
+from dynaviz import kernels
+from dynaviz.arrays import U8, Bool
 
 
 def pack_codes(codes: U8) -> U8:
@@ -18,3 +19,9 @@ def unpack_codes(packed: U8, n: int) -> U8:
     """The first ``n`` codes, (n,) uint8, that ``pack_codes`` packed."""
     codes: U8 = np.stack([packed & 15, packed >> 4], 1).ravel()[:n]
     return codes
+
+
+def any_of(codes: U8, chosen: Bool) -> Bool:
+    """(N,) bool: which codes, (N,) uint8, are chosen, (all codes,) bool; several times faster than an index."""
+    found: Bool = kernels.objects.look_up(codes, chosen)
+    return found

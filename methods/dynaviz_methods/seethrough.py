@@ -65,7 +65,7 @@ from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
 from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
-from dynaviz_methods.codes import pack_codes, unpack_codes
+from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.ground_height import PIT, GroundHeight, RollingGroundHeight, levelled
 from dynaviz_methods.judgement import PROOF, Judged, Measured, object_rules, point_rules, verdicts
 from dynaviz_methods.lookups import known
@@ -217,7 +217,7 @@ class SeeThrough:
             reasons = self._outcomes(last, self._movement(last, self._trails.labelled))
             self._reasons[scan.index] = pack_codes(reasons)
         reasons = unpack_codes(self._reasons[scan.index], len(scan))
-        return Labels(REMOVED[reasons], reasons)
+        return Labels(any_of(reasons, REMOVED), reasons)
 
     def forget(self, index: int) -> None:
         """Drop the labels of a scan."""
@@ -281,7 +281,7 @@ class SeeThrough:
     def _under(self, measured: Measured, verdict: U8) -> Bool:
         """(N,) bool: low points in or next to a dynamic object."""
         size = UNDER * self.params.resolution
-        under: Bool = kernels.objects.in_or_next_to(measured.points, REMOVED[verdict], measured.low, size)
+        under: Bool = kernels.objects.in_or_next_to(measured.points, any_of(verdict, REMOVED), measured.low, size)
         return under
 
     def _level(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
@@ -299,21 +299,20 @@ class SeeThrough:
         weighed, reasons = self._judge(measured, objects, measured.evidence, now, movers)
         stays = self._staying(measured, weighed, reasons, now, movers) if labels else np.empty(0, np.intp)
         if len(stays):
-            parts = np.full_like(objects, -1)
-            parts[stays] = objects[stays]
-            objects = np.where(parts < 0, objects, np.int32(-1))
-            sums = measured.evidence - self._tally(measured.voxels, parts, measured.n)
+            sums = measured.evidence - self._tally(measured.voxels[stays], objects[stays], measured.n)
+            objects = objects.copy()
+            objects[stays] = -1
             weighed, reasons = self._judge(measured, objects, sums, now, movers)
         by_point: U8 = kernels.objects.spread(reasons, objects)
         if labels:  # a mark of a mover in the scans so far may be too large
             vote = weighed[2] / (1000 * self.params.votes * np.maximum(weighed[1], 1))
             by_point[self._settled(measured, by_point, vote)] = SETTLED
             by_point[stays] = SETTLED * (reasons[measured.objects[stays]] > 0)
-            moving = np.flatnonzero(REMOVED[by_point])
+            moving = np.flatnonzero(any_of(by_point, REMOVED))
             by_point[moving[self._always(measured, moving)]] = ALWAYS
         follows = (reasons > 0) & (reasons != WAITED)
         proven = (weighed[5] + (reasons == SEEN_THROUGH)).astype(np.int32)
-        kernels.places.leave(objects, follows, ~REMOVED[by_point], proven, measured.places, now, *movers)
+        kernels.places.leave(objects, follows, any_of(by_point, REMOVED), proven, measured.places, now, *movers)
         self._judged = Judged(measured, weighed, by_point)
         return by_point
 
@@ -341,13 +340,15 @@ class SeeThrough:
             return np.empty(0, np.intp)
         earliest = np.where(reasons == FOLLOWED_ON, staying.EARLIER_FOLLOWED, staying.EARLIER)
         earliest[reasons == WAITED] = 0  # it was always there
-        objects = np.where(np.append(wanted, False)[measured.objects], measured.objects, np.int32(-1))
-        cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels)
+        rows = np.flatnonzero(kernels.objects.spread(wanted.view(np.uint8), measured.objects))
+        objects, places = measured.objects[rows], measured.places[rows]
+        points = kernels.as_readonly(measured.points[rows], np.float32)
+        cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels[rows])
 
         def spans(parts: I32, n: int) -> I64:
-            return self._trails.spans(parts, n, measured.places, now, movers)
+            return self._trails.spans(parts, n, places, now, movers)
 
-        return staying.staying(measured.points, objects, cells, self.params.votes, earliest, tally, spans)
+        return rows[staying.staying(points, objects, cells, self.params.votes, earliest, tally, spans)]
 
     def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
         """Rows of the points in settled parts of objects that were seen through or waited.
@@ -362,13 +363,12 @@ class SeeThrough:
             vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
         cells = self.params.gap, TALL * self.params.gap
-        evidence = measured.voxels, self._hits, self._passed, self._grazed, self.params.votes
-        asked = (verdict == SEEN_THROUGH) | (verdict == WAITED)
-        mine, votes, against, touched = kernels.objects.surroundings(measured.points, asked, *cells, *evidence)
-        rows = np.flatnonzero(asked)
-        cell, waited = mine[rows], verdict[rows] == WAITED
+        rows = np.flatnonzero((verdict == SEEN_THROUGH) | (verdict == WAITED))
+        evidence = measured.voxels[rows], self._hits, self._passed, self._grazed, self.params.votes
+        points, every = kernels.as_readonly(measured.points[rows], np.float32), np.ones(len(rows), np.bool_)
+        cell, votes, against, touched = kernels.objects.surroundings(points, every, *cells, *evidence)
         stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
-        settled: Intp = rows[np.where(waited, touched[cell] <= UNTOUCHED, stops)]
+        settled: Intp = rows[np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)]
         return settled
 
     def halo(self) -> Halo:
