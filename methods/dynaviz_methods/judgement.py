@@ -13,6 +13,7 @@ FEW = 3  # minimum number of voting points of a dynamic object
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
 STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
+LEAVES = 0.01  # mean vote above which an object may leave later: an error of a pose lets single rays through a wall
 LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
 RARELY = 0.1  # maximum mean vote of an object that does not follow because something was already in its place
 
@@ -71,7 +72,8 @@ def verdicts(weighed: I64, votes: int, share: float) -> tuple[Bool, Bool, Bool]:
         share: mean vote above which an object is dynamic, from 0 to 1.
     """
     size, having, voted, touched, lately, proof, left, between, after, old = weighed
-    waited = (2 * left > size) & (touched > WAITED_FOR * size) & (after - between > LEFT * size)
+    left_later = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
+    waited = (2 * left > size) & left_later & (voted > 1000 * LEAVES * votes * having)
     rarely = voted <= 1000 * RARELY * votes * having
     came = (touched > 0) & (between <= STAYS * touched) & ~((2 * old > size) & rarely)
     followed = (2 * lately > size) & (proof >= PROOF) & came
@@ -117,6 +119,7 @@ def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: f
                 Term(f"{moved}last", shares["later"], ">", 0.5),
                 Term("points of its object seen clear", touched, ">", WAITED_FOR * size),
                 Term("points seen clear after the last hit, less those hit again", gone, ">", LEFT * size),
+                Term("mean vote of its object", mean, ">", LEAVES),
                 stays,
             ),
         ),

@@ -22,8 +22,8 @@
                   between two hits: a car that arrives and parks, but not the wall that it passed; nor, with a mean vote
                   of at most 0.1, what is mostly where something was seen more than 30 scans before any dynamic object
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
-                  this scan or later, 1 in 10 of its points was seen clear, and the points seen clear after the last hit
-                  exceed those between two hits by 7 in 100: a parked car that drives off
+                  this scan or later, 1 in 10 of its points was seen clear, those seen clear after the last hit exceed
+                  those between two hits by 7 in 100, and its mean vote exceeds 0.01: a parked car that drives off
         staying:  in dynamic objects, and where one was dynamic lately, look for connected cells with a mean vote of at
                   most 0.05. If almost no point of such a part was ever seen clear, and something was in its places
                   for at least 8 scans, from the beginning or before any dynamic object, then it stays: judge the rest

@@ -10,7 +10,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, Intp
 
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
-MANY = 20  # minimum number of points
+MANY = 10  # minimum number of points
 UNTOUCHED = 0.05  # maximum share of points seen clear
 SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object

@@ -22,6 +22,7 @@ from dynaviz.testing import crossing
 from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.clear_grid import ClearGrid, _distinct
 from dynaviz_methods.ground_height import GroundHeight
+from dynaviz_methods.judgement import verdicts
 from dynaviz_methods.seethrough import (
     ALWAYS,
     FOLLOWED_ON,
@@ -184,6 +185,15 @@ def test_what_was_there_before_a_walker_came_is_not_followed(monkeypatch: pytest
     assert followed[30] == 0
 
 
+@pytest.mark.parametrize(("scans", "leaves"), [(1, False), (3, True)])
+def test_rarely_crossed_objects_have_not_waited(scans: int, leaves: bool) -> None:
+    """100 points, hit in 39 scans; then some scans saw a fifth of their voxels clear, and a mover was there last."""
+    vote = 1000 * scans * scans // 13
+    weighed = np.array([[n] for n in (100, 100, 20 * vote, 20, 0, 0, 100, 0, 20, 0)])
+    waited, followed, seen = verdicts(weighed, votes=3, share=0.35)
+    assert (waited[0], followed[0], seen[0]) == (leaves, False, False)
+
+
 def test_parts_of_a_dynamic_object_that_rays_stop_at_are_kept() -> None:
     places = np.linspace(-4.0, 4.0, 40)
     post = block(7.0, 5.1, high=0.9, wide=1.0)
@@ -201,8 +211,8 @@ def test_what_is_there_before_and_after_a_mover_touches_it_stays(monkeypatch: py
     monkeypatch.setattr(seethrough, "FIRM", 1e9)
     post, scans = block(7.0, 1.1, high=1.7, wide=0.5), touched_post()
     n, touching = len(GROUND) + len(wall()), 11
-    removed = {}
-    for most in (staying.MANY, 1 << 30):
+    removed, many = {}, staying.MANY
+    for most in (many, 1 << 30):
         monkeypatch.setattr(staying, "MANY", most)
         method = running(scans)
         labels = [method.label(scan) for scan in scans]
@@ -210,7 +220,7 @@ def test_what_is_there_before_and_after_a_mover_touches_it_stays(monkeypatch: py
             codes.dynamic[n:][scan.points[n:, 2] > 0.25] for codes, scan in zip(labels, scans, strict=True)
         ]
     post_up = (post[:, 2] > 0.25).sum()
-    kept, whole = removed[20][touching], removed[1 << 30][touching]
+    kept, whole = removed[many][touching], removed[1 << 30][touching]
     assert whole[-post_up:].mean() > 0.9, "without the rule it is removed with the walker"
     assert kept[-post_up:].mean() < 0.1
     assert kept[:-post_up].all(), "the walker is removed"

@@ -14,7 +14,7 @@ from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.ground_height import ACROSS, MANY, PIT, SLOPE, SQUARE, SWAY
-from dynaviz_methods.judgement import FEW, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
+from dynaviz_methods.judgement import FEW, LEAVES, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
     FIRM,
@@ -270,6 +270,7 @@ class Reference:
         rarely = votes <= 1000 * RARELY * params.votes * having
         follows = follows and not (rarely and 2 * old > len(inside))
         gone = touched > WAITED_FOR * len(inside) and after - between > LEFT * len(inside)
+        gone = gone and votes > 1000 * LEAVES * params.votes * having
         waited = 2 * sum(self.left(self.quarter(k), now) for k in inside) > len(inside)
         return moves, follows, waited and gone, proof, votes / (1000 * params.votes * max(having, 1))
 
