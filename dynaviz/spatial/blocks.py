@@ -209,7 +209,8 @@ class BlockGrid:
 
     def _addresses(self, origins: F64) -> tuple[I64, U64, Bool]:
         """Addresses around the first origin within reach, (1 or more, 3), voxels; and their scratch memory."""
-        within = origins[(np.abs(origins) < REACH).all(1)]  # also finite
+        first = origins[:1]
+        within = first if (np.abs(first) < REACH).all() else origins[(np.abs(origins) < REACH).all(1)]  # also finite
         centre: I64 = np.floor(within[0] if len(within) else np.zeros(3)).astype(np.int64)
         return centre, *self._near
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I64, U64
+from dynaviz.arrays import F32, F64, I64, U64, Intp
 from dynaviz.scan import Scan
 from dynaviz.spatial.blocks import BlockGrid, Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.spatial.grid import in_key_range, pack, unpack
+
+RUNS = 64  # up to so many runs of equal origins are taken one by one
 
 
 class ClearGrid(BlockGrid):
@@ -27,13 +29,7 @@ class ClearGrid(BlockGrid):
             scan: gives the origins of the rays.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
-        origins = scan.origins
-        if len(origins) == 1:
-            goals = kernels.voids.distinct(voxels, voxels >= 0, self._once)
-        else:
-            places, which = _distinct(origins)
-            rays = np.unique((voxels * len(places) + which)[voxels >= 0])
-            goals, origins = rays // len(places), places[rays % len(places)]
+        goals, origins = self._rays(scan.origins, voxels)
         centres: F32 = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
         if self._rectangle is not None:
             more, of = self._beyond(scan, voxels)
@@ -44,6 +40,22 @@ class ClearGrid(BlockGrid):
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
         ends = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
         return self._cast(*ends, every, every)
+
+    def _rays(self, origins: F64, voxels: I64) -> tuple[I64, F64]:
+        """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,) from origins (N or 1, 3), without duplicates.
+
+        Few runs of equal origins, as of merged scans, are taken one by one: a ray that is in two of them marks the same
+        voxels twice.
+        """
+        starts = _runs(origins)
+        if not 0 < len(starts) <= RUNS:
+            places, which = _distinct(origins)
+            rays = np.unique((voxels * len(places) + which)[voxels >= 0])
+            return rays // len(places), places[rays % len(places)]
+        goals = [kernels.voids.distinct(run, run >= 0, self._once) for run in np.split(voxels, starts[1:])]
+        if len(goals) == 1:
+            return goals[0], origins[:1]
+        return np.concatenate(goals), np.repeat(origins[starts], [len(run) for run in goals], 0)
 
     def _beyond(self, scan: Scan, voxels: I64) -> tuple[F32, F64]:
         """Ends and origins, (K, 3) each, of rays that may cross blocks and end in voxels without one, one for each.
@@ -74,7 +86,13 @@ class ClearGrid(BlockGrid):
 
 def _distinct(origins: F64) -> tuple[F64, I64]:
     """Distinct rows (P, 3) of origins (N, 3), sorted, and the row of each (N,); fast for runs of equal rows."""
-    starts = np.ones(len(origins), np.bool_)
-    starts[1:] = (origins[1:] != origins[:-1]).any(1)
+    starts = _runs(origins)
     places, which = np.unique(origins[starts], axis=0, return_inverse=True)
-    return places, which.ravel()[np.cumsum(starts) - 1]
+    return places, np.repeat(which.ravel(), np.diff(starts, append=len(origins)))
+
+
+def _runs(origins: F64) -> Intp:
+    """The first row of each run of equal origins (N, 3)."""
+    differ = [origins[1:, axis] != origins[:-1, axis] for axis in range(3)]
+    starts: Intp = np.flatnonzero(np.concatenate([np.ones(min(len(origins), 1), np.bool_), np.any(differ, 0)]))
+    return starts

@@ -20,7 +20,7 @@ from dynaviz.spatial.blocks import Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.testing import crossing
 from dynaviz_methods import seethrough, staying, trails
-from dynaviz_methods.clear_grid import ClearGrid, _distinct
+from dynaviz_methods.clear_grid import RUNS, ClearGrid, _distinct, _runs
 from dynaviz_methods.ground_height import GroundHeight
 from dynaviz_methods.judgement import verdicts
 from dynaviz_methods.seethrough import (
@@ -372,6 +372,20 @@ def test_distinct_origins_in_any_order(order: str) -> None:
     places, rows = _distinct(origins)
     np.testing.assert_array_equal(places, np.unique(origins, axis=0))
     np.testing.assert_array_equal(places[rows], origins)
+
+
+def test_few_runs_of_origins_cast_the_same_rays_as_many() -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(-5, 5, (400, 3)).astype(np.float32)
+    which = np.repeat([0, 1, 0], [150, 150, 100])
+    origins, mixed = np.array([[0.02, 0.03, 0.04], [1.3, -0.2, 0.5]]), random.permutation(400)
+    grid, marks = ClearGrid(Extent.of(Scan(0, points, pose(0, 0, 0))), 0.1), []
+    for order in (np.arange(400), mixed):
+        assert (len(_runs(origins[which[order]])) > RUNS) == (order is mixed)
+        scan = Scan(0, points[order], pose(0, 0, 0), origins=origins[which[order]])
+        found = grid.mark_once(scan, grid.locate(scan.points))
+        marks.append(found.bits[np.argsort(found.blocks)])
+    np.testing.assert_array_equal(*marks)
 
 
 @pytest.mark.plain
