@@ -13,6 +13,7 @@ LEAST = 3  # minimum number of points in a layer
 SHARE = 0.03  # minimum share of a column's points in a layer; reflections below the ground are fewer
 FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
 RISE = 3  # the ground is searched in this many layers above the first
+NEARLY = 1e-9  # metres: a surface that is lowered by less is not lowered
 SQUARES = 64  # cells to each side of the sensor in which heights are levelled
 
 
@@ -112,34 +113,85 @@ def pits(surface, deep):
 
 
 @njit(cache=True, nogil=True)
-def lower(surface, step):
-    """Lower a surface (X, Y), in place, until no cell is more than ``step`` above an adjacent cell (diagonal: √2)."""
+def inclines(surface, first, wide, steep, most):
+    """(X, Y, 2) float64, metres: the mean rise of a surface (X, Y) from cell to cell around each cell, along x and y.
+
+    The mean is over the adjacent known cells in 3 x 3 squares, the cell being in the middle one. 0 without such cells.
+
+    Args:
+        surface: (X, Y) float64, metres; infinite where unknown.
+        first: (2,) int64, key of the first cell, from which squares are counted.
+        wide: edge of a square, cells.
+        steep: metres: adjacent cells whose heights differ by more are not both ground.
+        most: metres: maximum rise in the steepest direction.
+    """
     rows, columns = surface.shape
-    slant = step * np.sqrt(2.0)
+    west, south = first[0] // wide, first[1] // wide
+    squares = (first[0] + rows - 1) // wide - west + 3, (first[1] + columns - 1) // wide - south + 3
+    total, number = np.zeros((*squares, 2)), np.zeros((*squares, 2))  # with a border of one square
     for x in range(rows):
         for y in range(columns):
-            z = surface[x, y]
-            if x > 0:
-                z = min(z, surface[x - 1, y] + step)
+            z, a, b = surface[x, y], (first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1
+            if x < rows - 1 and abs(surface[x + 1, y] - z) <= steep:  # not a number if both are unknown
+                total[a, b, 0] += surface[x + 1, y] - z
+                number[a, b, 0] += 1
+            if y < columns - 1 and abs(surface[x, y + 1] - z) <= steep:
+                total[a, b, 1] += surface[x, y + 1] - z
+                number[a, b, 1] += 1
+    mean, found = np.zeros(total.shape), np.empty((rows, columns, 2))
+    for a in range(1, squares[0] - 1):
+        for b in range(1, squares[1] - 1):
+            for axis in range(2):
+                around = number[a - 1 : a + 2, b - 1 : b + 2, axis].sum()
+                mean[a, b, axis] = total[a - 1 : a + 2, b - 1 : b + 2, axis].sum() / max(around, 1.0)
+            mean[a, b] *= most / max(most, math.sqrt(mean[a, b, 0] ** 2 + mean[a, b, 1] ** 2))
+    for x in range(rows):
+        for y in range(columns):
+            found[x, y] = mean[(first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def lower(surface, incline, step):
+    """Lower a surface (X, Y), in place, until no cell is more than ``step`` beyond the incline above any neighbour.
+
+    A diagonal neighbour allows √2 times as much. The incline between two cells is the mean of theirs, (X, Y, 2). None
+    may be steeper than ``step``: then no cell must be below its neighbour, and this ends.
+    """
+    rows, columns = surface.shape
+    slant, half, lowered = step * np.sqrt(2.0), incline / 2, True
+    while lowered:
+        lowered = False
+        for x in range(rows):
+            for y in range(columns):
+                before = z = surface[x, y]
+                u, v = half[x, y]
+                if x > 0:
+                    z = min(z, surface[x - 1, y] + step + u + half[x - 1, y, 0])
+                    if y > 0:
+                        z = min(z, surface[x - 1, y - 1] + slant + u + v + half[x - 1, y - 1].sum())
+                    if y < columns - 1:
+                        there = half[x - 1, y + 1]
+                        z = min(z, surface[x - 1, y + 1] + slant + u - v + there[0] - there[1])
                 if y > 0:
-                    z = min(z, surface[x - 1, y - 1] + slant)
+                    z = min(z, surface[x, y - 1] + step + v + half[x, y - 1, 1])
+                if z < before - NEARLY:
+                    surface[x, y], lowered = z, True
+        for x in range(rows - 1, -1, -1):
+            for y in range(columns - 1, -1, -1):
+                before = z = surface[x, y]
+                u, v = half[x, y]
+                if x < rows - 1:
+                    z = min(z, surface[x + 1, y] + step - u - half[x + 1, y, 0])
+                    if y > 0:
+                        there = half[x + 1, y - 1]
+                        z = min(z, surface[x + 1, y - 1] + slant - u + v - there[0] + there[1])
+                    if y < columns - 1:
+                        z = min(z, surface[x + 1, y + 1] + slant - u - v - half[x + 1, y + 1].sum())
                 if y < columns - 1:
-                    z = min(z, surface[x - 1, y + 1] + slant)
-            if y > 0:
-                z = min(z, surface[x, y - 1] + step)
-            surface[x, y] = z
-    for x in range(rows - 1, -1, -1):
-        for y in range(columns - 1, -1, -1):
-            z = surface[x, y]
-            if x < rows - 1:
-                z = min(z, surface[x + 1, y] + step)
-                if y > 0:
-                    z = min(z, surface[x + 1, y - 1] + slant)
-                if y < columns - 1:
-                    z = min(z, surface[x + 1, y + 1] + slant)
-            if y < columns - 1:
-                z = min(z, surface[x, y + 1] + step)
-            surface[x, y] = z
+                    z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
+                if z < before - NEARLY:
+                    surface[x, y], lowered = z, True
 
 
 @njit(cache=True, nogil=True)

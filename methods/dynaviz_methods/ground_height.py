@@ -10,7 +10,9 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, Bool
 from dynaviz.spatial.blocks import BlockGrid
 
-SLOPE = 0.2  # metres per metre: maximum slope of the ground; anything steeper is an object on it
+STEEP = 0.2  # metres per metre: anything steeper is an object on the ground
+SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
+AROUND = 16  # columns: edge of the squares, 3 x 3 of which have a common incline
 ACROSS = 4  # columns: edge of the squares that are seen as a whole
 WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
 PIT = 0.3  # metres: columns this far below most of those around them are reflections, not ground
@@ -20,7 +22,7 @@ MANY = 10  # minimum number of points near the ground there
 
 
 class GroundHeight:
-    """Heights above the ground: the densest layer near the lowest points, with a slope of at most ``SLOPE``.
+    """Heights above the ground: the densest layer near the lowest points, as steep as the ground around, or a bit more.
 
     A column is 8 x 8 voxels wide and as high as the map. A column without visible ground, for example under a car,
     gets the ground of its neighbours. A few points far below the ground do not matter: ground must contain a minimum
@@ -38,7 +40,7 @@ class GroundHeight:
     squares: I32
 
     def __init__(self, blocks: I64, resolution: float) -> None:
-        self._blocks, self._edge, self._step = blocks, 8 * resolution, SLOPE * 8 * resolution
+        self._blocks, self._edge = blocks, 8 * resolution
         firsts = np.flatnonzero((np.diff(blocks[:, :2], axis=0, prepend=np.iinfo(np.int32).min) != 0).any(1))
         n = len(firsts)
         self._starts = np.append(firsts, len(blocks))
@@ -84,7 +86,8 @@ class GroundHeight:
         near = self._between(low[0], high[0])
         surface = kernels.ground_height.surface(self._columns[near], self._floor[near], low, high)
         surface[kernels.ground_height.pits(surface, PIT)] = np.inf
-        kernels.ground_height.lower(surface, self._step)
+        incline = kernels.ground_height.inclines(surface, low, AROUND, STEEP * self._edge, SLOPE * self._edge)
+        kernels.ground_height.lower(surface, incline, SLOPE * self._edge)
         of = kernels.as_readonly(points, np.float32), *place, low, surface, self._edge
         height: F32 = kernels.ground_height.heights(*of)
         return height
@@ -116,7 +119,6 @@ class RollingGroundHeight(GroundHeight):
 
     def __init__(self, grid: BlockGrid) -> None:
         self._grid, self._edge = grid, 8 * grid.resolution
-        self._step = SLOPE * self._edge
         self._size = grid.span
         n, rows = self._size**2, len(grid)
         self._columns = np.full((n, 2), np.iinfo(np.int32).min, np.int64)

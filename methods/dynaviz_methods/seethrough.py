@@ -7,8 +7,8 @@
         order:    of voxels seen clear after a hit, note whether they are hit again (between) or not (after)
         judge:    label the scan by the scans so far, as below; store where dynamic objects and where other points that
                   are not low were seen last
-    ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore cells far below those
-                  around them, and cells without such neighbours; limit the slope to 0.2; interpolate between columns
+    ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore pits, far below the cells
+                  around or without any; limit the slope to 0.1 beyond the incline around; interpolate between columns
     level:        raise or lower the ground by the mean height of this scan's points near it in the same square of
                   12.8 m, by at most 5 mm per metre of range: an error of a pose lifts the ground far away
     call a point low if it is at most ground_height above the ground, and high if it is more than 4.5 m above it

@@ -13,7 +13,7 @@ import numpy as np
 from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods import seethrough, staying, trails
-from dynaviz_methods.ground_height import ACROSS, MANY, PIT, SLOPE, SQUARE, SWAY
+from dynaviz_methods.ground_height import ACROSS, AROUND, MANY, PIT, SLOPE, SQUARE, STEEP, SWAY
 from dynaviz_methods.judgement import FEW, LEAVES, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
@@ -105,15 +105,38 @@ class Reference:
             level = sum(f <= floor[x, y] + PIT for f in known)
             pit = 4 * level < len(known) or level < FELLOWS
             steady[x, y] = math.inf if pit else floor[x, y]
-        # The minimum over all cells of their floor plus the maximum rise to them, in straight and diagonal steps.
-        step, pressed = SLOPE * 8 * self.params.resolution, {}
-        known_cells = np.array([c for c in cells if steady[c] < math.inf]).reshape(-1, 2)
-        floors = np.array([steady[tuple(c)] for c in known_cells.tolist()])
-        for x, y in cells:
-            dx, dy = np.abs(known_cells - (x, y)).T
-            ways = floors + step * (np.abs(dx - dy) + math.sqrt(2) * np.minimum(dx, dy))
-            pressed[x, y] = float(ways.min(initial=math.inf))
-        return pressed
+        return self.pressed(steady)
+
+    def pressed(self, steady: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
+        """A surface lowered until no cell rises from an adjacent one by more than the slope beyond the incline."""
+        edge = 8 * self.params.resolution
+        squares = {(x // AROUND, y // AROUND) for x, y in steady}
+        inclines = {square: self.incline(steady, square, edge) for square in squares}
+        surface, lower = steady, {}
+        while surface != lower:
+            lower, surface = surface, {}
+            for x, y in steady:
+                ways = [lower[x, y]]
+                for i, j in product((-1, 0, 1), repeat=2):
+                    if (x + i, y + j) in lower:
+                        here, there = (inclines[u // AROUND, v // AROUND] for u, v in ((x, y), (x + i, y + j)))
+                        rise = -(here + there) / 2 @ (i, j) + SLOPE * edge * math.hypot(i, j)
+                        ways.append(lower[x + i, y + j] + rise)
+                surface[x, y] = min(ways) if min(ways) < lower[x, y] - 1e-9 else lower[x, y]
+        return surface
+
+    @staticmethod
+    def incline(surface: dict[tuple[int, int], float], square: tuple[int, int], edge: float) -> np.ndarray:
+        """The mean rise from one cell to the next along x and y, in 3 x 3 squares."""
+        rises: tuple[list[float], list[float]] = [], []
+        for x, y in surface:
+            if max(abs(x // AROUND - square[0]), abs(y // AROUND - square[1])) <= 1:
+                for along, (i, j) in zip(rises, ((1, 0), (0, 1)), strict=True):
+                    ends = surface[x, y], surface.get((x + i, y + j), math.inf)
+                    if max(ends) < math.inf and abs(ends[1] - ends[0]) <= STEEP * edge:
+                        along.append(ends[1] - ends[0])
+        incline = np.array([np.mean(along or [0.0]) for along in rises])
+        return incline * min(1.0, SLOPE * edge / max(np.hypot(*incline), 1e-12))
 
     @staticmethod
     def interpolated(surface: dict[tuple[int, int], float], at: np.ndarray) -> float:
