@@ -12,6 +12,8 @@ from dynaviz.evidence import Rule, Term
 FEW = 3  # minimum number of voting points of a dynamic object
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic
 STAYS = 0.25  # share of the points seen clear: an object with more that was hit before and after does not follow
+SURE = 12  # number of earlier scans in which an object was dynamic, after which that share may be higher
+STAYS_SURE = 0.7  # the share then: noise between the points of a parked car hits them again
 WAITED_FOR = 0.1  # share of an object's points that must have been seen clear if the object leaves later
 LEAVES = 0.01  # mean vote above which an object may leave later: an error of a pose lets single rays through a wall
 LEFT = 0.07  # share of an object's points that must have been seen clear after the last hit
@@ -75,10 +77,19 @@ def verdicts(weighed: I64, votes: int, share: float) -> tuple[Bool, Bool, Bool]:
     left_later = (touched > WAITED_FOR * size) & (after - between > LEFT * size)
     waited = (2 * left > size) & left_later & (voted > 1000 * LEAVES * votes * having)
     rarely = voted <= 1000 * RARELY * votes * having
-    came = (touched > 0) & (between <= STAYS * touched) & ~((2 * old > size) & rarely)
+    came = (touched > 0) & (between <= again(proof) * touched) & ~((2 * old > size) & rarely)
     followed = (2 * lately > size) & (proof >= PROOF) & came
     seen = (voted > 1000 * share * votes * having) & (having >= FEW)
     return waited, followed, seen
+
+
+def again(proof: I64 | F64) -> F64:
+    """Maximum share of the points seen clear that are hit before and after, for an object that follows.
+
+    Args:
+        proof: (objects,) scans in which the object that it follows was dynamic.
+    """
+    return np.where(proof >= SURE, STAYS_SURE, STAYS)
 
 
 def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: float) -> tuple[Rule, ...]:
@@ -108,7 +119,7 @@ def object_rules(judged: Judged, rows: Intp, settled: Bool, votes: int, share: f
                 Term(f"{moved}lately", shares["now"], ">", 0.5),
                 Term("scans in which that moved", proof, ">=", PROOF),
                 Term("points of its object seen clear", touched, ">", 0),
-                Term("of these, hit before and after", between, "<=", STAYS * touched),
+                Term("of these, hit before and after", between, "<=", again(proof) * touched),
                 Term("points of its object where something was before any moved", earlier, "<=", size / 2),
                 stays,
             ),

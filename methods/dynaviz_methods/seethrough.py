@@ -19,8 +19,8 @@
                   ignore points in voxels with one hit that no other scan crossed
         followed: also call an object dynamic if most of it is where a dynamic object was in the last scans that was
                   judged dynamic at least twice, any of its points was ever seen clear, at most 1 in 4 of these
-                  between two hits: a car that arrives and parks, but not the wall that it passed; nor, with a mean vote
-                  of at most 0.1, what is mostly where something was seen more than 30 scans before any dynamic object
+                  (7 in 10 after 12 times) between two hits: a car that arrives and parks, not the wall that it passed;
+                  nor, with a mean vote up to 0.1, what is mostly where something was 30 scans before any dynamic object
         waited:   also call an object dynamic if most of it is where the last object ever seen was judged dynamic, in
                   this scan or later, 1 in 10 of its points was seen clear, those seen clear after the last hit exceed
                   those between two hits by 7 in 100, and its mean vote exceeds 0.01: a parked car that drives off

@@ -185,6 +185,16 @@ def test_what_was_there_before_a_walker_came_is_not_followed(monkeypatch: pytest
     assert followed[30] == 0
 
 
+@pytest.mark.parametrize(
+    ("proof", "between", "follows"), [(11, 5, True), (11, 6, False), (12, 14, True), (12, 15, False)]
+)
+def test_what_moved_for_long_follows_although_it_is_hit_again(proof: int, between: int, follows: bool) -> None:
+    """100 points where one moved lately, 20 of them seen clear, some of these between two hits."""
+    weighed = np.array([[n] for n in (100, 100, 5000, 20, 100, proof, 0, between, 0, 0)])
+    waited, followed, seen = verdicts(weighed, votes=3, share=0.35)
+    assert (waited[0], followed[0], seen[0]) == (False, follows, False)
+
+
 @pytest.mark.parametrize(("scans", "leaves"), [(1, False), (3, True)])
 def test_rarely_crossed_objects_have_not_waited(scans: int, leaves: bool) -> None:
     """100 points, hit in 39 scans; then some scans saw a fifth of their voxels clear, and a mover was there last."""

@@ -14,7 +14,7 @@ from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.ground_height import ACROSS, AROUND, MANY, PIT, SLOPE, SQUARE, STEEP, SWAY
-from dynaviz_methods.judgement import FEW, LEAVES, LEFT, PROOF, RARELY, STAYS, WAITED_FOR
+from dynaviz_methods.judgement import FEW, LEAVES, LEFT, PROOF, RARELY, STAYS, STAYS_SURE, SURE, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
     FIRM,
@@ -289,7 +289,8 @@ class Reference:
         touched = sum(self.clear[k] > 0 for k in inside)
         moves = votes > 1000 * params.share * params.votes * having and having >= FEW
         between, after = (sum(k in of for k in inside) for of in (self.between, self.after))
-        follows = 2 * len(recent) > len(inside) and proof >= PROOF and touched > 0 and between <= STAYS * touched
+        follows = 2 * len(recent) > len(inside) and proof >= PROOF and touched > 0
+        follows = follows and between <= (STAYS_SURE if proof >= SURE else STAYS) * touched
         rarely = votes <= 1000 * RARELY * params.votes * having
         follows = follows and not (rarely and 2 * old > len(inside))
         gone = touched > WAITED_FOR * len(inside) and after - between > LEFT * len(inside)
