@@ -81,7 +81,7 @@ _FRAMES = {
 REAL = tuple(
     _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
     for preset, (frames, scenes) in _FRAMES.items()
-    for seed in range(500, 500 + scenes)
+    for seed in range(600, 600 + scenes)
 )
 
 
