@@ -1,45 +1,70 @@
-"""A block grid for SeeThrough: one ray for each voxel with points, and the voxels near the hits of a scan."""
+"""A block grid for SeeThrough: one ray for each voxel with points, rays into the sky, and the voxels near hits."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U64, Intp
 from dynaviz.scan import Scan
+from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import BlockGrid, Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.spatial.grid import in_key_range, pack, unpack
+from dynaviz_methods.sky import image_of
 
 RUNS = 64  # up to so many runs of equal origins are taken one by one
+SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
 
 
 class ClearGrid(BlockGrid):
-    """A block grid that marks the voxels near the hits of a scan."""
+    """A block grid that marks the voxels near the hits of a scan.
 
-    def __init__(self, extent: Extent, resolution: float) -> None:
+    Args:
+        extent: where points will lie.
+        resolution: edge of a voxel, metres.
+        sensor: casts rays into the sky if its field of view is known.
+    """
+
+    def __init__(self, extent: Extent, resolution: float, sensor: Sensor | None = None) -> None:
         super().__init__(extent, resolution)
+        self._image = image_of(sensor) if sensor is not None else None
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
 
     def mark_once(self, scan: Scan, voxels: I64) -> Marks:
-        """Cast one ray per origin to the centre of each voxel with points; mark the crossed and hit voxels.
+        """Cast one ray per origin to the centre of each voxel with points, and rays into the sky; mark the voxels.
+
+        Rays into the sky cross voxels, but hit none.
 
         Args:
             scan: gives the origins of the rays.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
         goals, origins = self._rays(scan.origins, voxels)
-        centres: F32 = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
+        rays = [(kernels.blocks.centres_of(goals, self._blocks, self.resolution), origins)]
         if self._rectangle is not None:
-            more, of = self._beyond(scan, voxels)
-            centres, origins = (
-                np.concatenate([centres, more]),
-                origins if len(origins) == 1 else np.append(origins, of, 0),
-            )
+            rays.append(self._beyond(scan, voxels))
+        hitting = sum(len(ends) for ends, _ in rays)
+        rays.extend(self._skies(scan))
+        centres = np.concatenate([ends for ends, _ in rays])
+        if len(scan.origins) > 1:
+            origins = np.concatenate([np.broadcast_to(starts, ends.shape) for ends, starts in rays])
+        way = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
-        ends = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
-        return self._cast(*ends, every, every)
+        return self._cast(*way, every, kernels.as_readonly(np.arange(len(centres)) < hitting, np.bool_))
+
+    def _skies(self, scan: Scan) -> Iterator[tuple[F32, F64]]:
+        """Ends (K, 3) and origin (1, 3) of the rays into the sky, for each sensor of a scan: where it has no return."""
+        if self._image is None:
+            return
+        for each in _by_sensor(scan):
+            ends = self._image.targets(each, *self._image.sky(*self._image.of(each))).astype(np.float32)
+            ends = ends[self.reaching(ends, each.origins[:1]) & in_key_range(ends, self.resolution)]
+            yield ends, each.position[None]
 
     def _rays(self, origins: F64, voxels: I64) -> tuple[I64, F64]:
         """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,) from origins (N or 1, 3), without duplicates.
@@ -82,6 +107,19 @@ class ClearGrid(BlockGrid):
         padded[:-1] = marks.bits[:, 8:].view(np.uint64)
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
+
+
+def _by_sensor(scan: Scan) -> list[Scan]:
+    """What each of the sensors of a merged scan saw from where it was; the whole scan if its sensor moved meanwhile."""
+    if len(_runs(scan.origins)) > RUNS:
+        return [scan]
+    places, which = _distinct(scan.origins)
+    if len(places) > SENSORS:
+        return [scan]
+    parts = [scan] if len(places) == 1 else [scan.chosen(np.flatnonzero(which == k)) for k in range(len(places))]
+    poses = np.repeat(scan.T_world_sensor[None], len(places), 0)
+    poses[:, :3, 3] = places
+    return [replace(part, T_world_sensor=pose) for part, pose in zip(parts, poses, strict=True)]
 
 
 def _distinct(origins: F64) -> tuple[F64, I64]:

@@ -37,7 +37,7 @@ from dynaviz.scan import Scan
 from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import read, voxels_of
 from dynaviz_methods.clear_space import GROWTH, LEVEL, RAISED, SUB_VOXELS, ClearSpace
-from dynaviz_methods.sky import DepthImage
+from dynaviz_methods.sky import DepthImage, rows_of
 
 SHOWN = 25.0  # metres around the sensor: range of the crossed voxels to show
 
@@ -266,10 +266,8 @@ def image_of(params: FreedomParams, sensor: Sensor) -> DepthImage:
         UsageError: if neither gives its rows or its vertical field of view.
     """
     low, high = (params.lowest, params.highest) if params.lowest < params.highest else sensor.elevation or (0.0, 0.0)
-    rows = params.image_rows or sensor.rings
-    if not rows and sensor.points_per_sweep and low < high:
-        rows = round(math.sqrt((high - low) * sensor.points_per_sweep / 360))  # square pixels
-    if not rows or rows < 2 or not low < high:
+    rows = params.image_rows or rows_of(sensor, low, high)
+    if rows < 2 or not low < high:
         raise UsageError(
             "freedom needs the rows and the vertical field of view of a depth image, but sensor "
             f"'{sensor.name}' has none: give --sensor NAME, --set image_rows=NUMBER --set lowest=DEGREES "

@@ -1,7 +1,7 @@
 """SeeThrough: objects that rays pass through are dynamic, as a whole and for as long as they can be tracked.
 
     for each scan
-        hit:      mark the voxels of its points
+        hit:      mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:    mark the voxels that its rays cross without a hit of the same scan within ``guard``; mark the other
                   crossed voxels as passed: grazed surfaces and small pose errors have hits nearby
         order:    of voxels seen clear after a hit, note whether they are hit again (between) or not (after)
@@ -169,7 +169,7 @@ class SeeThrough:
     def begin(self, context: Context) -> None:
         """Allocate the map where points will lie."""
         self._probe = context.probe
-        self._grid = ClearGrid(context.extent, self.params.resolution)
+        self._grid = ClearGrid(context.extent, self.params.resolution, context.sensor)
         size = self.params.resolution
         self._ground = RollingGroundHeight(self._grid) if self._grid.rolls else GroundHeight(self._grid.blocks, size)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row

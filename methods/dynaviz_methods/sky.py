@@ -9,9 +9,12 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, U8, Bool
 from dynaviz.scan import Scan
+from dynaviz.sensors import Sensor
 
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
+COARSE = 1.0  # degrees: minimum height of a pixel if only the sensor decides; smaller holes are drop-outs
+FARTHEST, INPAINT = 80.0, 3  # metres, and pixels, of such an image
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,25 @@ class DepthImage:
         local = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), depth * np.sin(elevation)], 1)
         ends: F64 = local @ scan.T_world_sensor[:3, :3].T + scan.position
         return ends
+
+
+def rows_of(sensor: Sensor, low: float, high: float) -> int:
+    """Rows of a depth image: one per ring, or without rings as many as make a square pixel of each point; 0 if unknown.
+
+    Args:
+        sensor: the sensor.
+        low, high: elevation of the lowest and the highest row, degrees.
+    """
+    if sensor.rings or not sensor.points_per_sweep or not low < high:
+        return sensor.rings or 0
+    return round(math.sqrt((high - low) * sensor.points_per_sweep / 360))
+
+
+def image_of(sensor: Sensor) -> DepthImage | None:
+    """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown."""
+    low, high = sensor.elevation or (0.0, 0.0)
+    rows = min(rows_of(sensor, low, high), round((high - low) / COARSE) + 1)
+    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0) if rows >= 2 else None
 
 
 def _local(scan: Scan) -> tuple[F32, F32, F32]:

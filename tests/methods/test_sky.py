@@ -1,0 +1,99 @@
+"""Rays into the sky, where a scan has no return: their image, their origins, and what SeeThrough removes with them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from helpers.worlds import pose
+
+from dynaviz.method import Context
+from dynaviz.scan import Scan
+from dynaviz.sensors import Sensor
+from dynaviz.spatial.blocks import voxels_of
+from dynaviz.spatial.extent import Extent
+from dynaviz_methods.clear_grid import ClearGrid, _by_sensor
+from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
+from dynaviz_methods.sky import image_of
+
+SENSOR = Sensor(rings=33, elevation=(-32.0, 32.0))
+
+
+def directions(low: float = -32.0, high: float = 32.0) -> np.ndarray:
+    """Unit vectors through the centre of each pixel between two elevations."""
+    azimuth, elevation = np.radians(np.meshgrid(np.arange(-179.0, 180.0, 2.0), np.arange(low, high + 0.1, 2.0)))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 2).reshape(-1, 3)
+
+
+def ground(x: float = 0.0) -> np.ndarray:
+    """What a sensor 2 m above flat ground sees of it, up to 18 m away."""
+    rays = directions(high=-6.0)
+    return rays * (-2.0 / rays[:, 2:]) + [x, 0.0, 2.0]
+
+
+def truck(y: float) -> np.ndarray:
+    """What the sensor sees of the side of a truck 8 m away, above the horizon as well."""
+    rays = directions()
+    rays = rays[rays[:, 0] > 0.1]
+    points = rays * (8.0 / rays[:, :1]) + [0.0, 0.0, 2.0]
+    return points[(points[:, 1] > y) & (points[:, 1] < y + 3) & (points[:, 2] > 0.3) & (points[:, 2] < 4)]
+
+
+def scan(frame: int, *things: np.ndarray) -> Scan:
+    return Scan(frame, np.concatenate(things).astype(np.float32), pose(0.0, 0.0, 2.0))
+
+
+@pytest.mark.parametrize("sensor", [SENSOR, None])
+def test_a_truck_in_front_of_the_sky_is_removed_if_the_field_of_view_is_known(sensor: Sensor | None) -> None:
+    scans = [scan(k, ground(), truck(y)) for k, y in enumerate(np.linspace(-9.0, 6.0, 12))]
+    method = SeeThrough(SeeThroughParams())
+    method.begin(Context(Extent.of(*scans), sensor or Sensor()))
+    for each in scans:
+        method.observe(each)
+    removed = method.label(scans[6]).dynamic
+    high = scans[6].points[:, 2] > 2.2
+    assert removed[: len(ground())].mean() < 0.01
+    assert removed[high].mean() > 0.9 if sensor else not removed[high].any()
+
+
+def test_rays_into_the_sky_cross_voxels_but_hit_none() -> None:
+    """Beside a wall without sky above it, they are as long as the points around the hole are far."""
+    seen = scan(0, ground(), truck(-1.5))
+    grid = [ClearGrid(Extent.of(seen, scan(1, truck(-8.0))), 0.1, sensor) for sensor in (None, SENSOR)]
+    marks = [each.mark_once(seen, each.locate(seen.points)) for each in grid]
+    hits, crossed = ([voxels_of(of.blocks, of.bits[:, k : k + 8]) for of in marks] for k in (8, 0))
+    assert set(hits[0]) == set(hits[1])
+    more = np.setdiff1d(crossed[1], crossed[0])
+    assert len(more) > 100
+    assert ((grid[0].keys(more)[:, 2] + 0.5) * 0.1 > 0.3).all(), "the ground has returns"
+    assert set(crossed[0]) <= set(crossed[1])
+
+
+def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
+    parts = [ground(-3.0), ground(3.0)]
+    origins = np.repeat([[-3.0, 0.0, 2.0], [3.0, 0.0, 2.0]], [len(part) for part in parts], 0)
+    merged = Scan(0, np.concatenate(parts).astype(np.float32), pose(0.0, 0.0, 2.0), origins=origins)
+    found = _by_sensor(merged)
+    assert [each.position.tolist() for each in found] == [[-3.0, 0.0, 2.0], [3.0, 0.0, 2.0]]
+    for each, part in zip(found, parts, strict=True):
+        np.testing.assert_array_equal(each.points, part.astype(np.float32))
+    moving = Scan(0, merged.points, merged.T_world_sensor, origins=np.linspace([0, 0, 2], [1, 0, 2], len(merged)))
+    assert _by_sensor(moving) == [moving]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "rows"),
+    [
+        (Sensor(rings=64, elevation=(-24.8, 2.0)), 28),
+        (Sensor(rings=16, elevation=(-15.0, 15.0)), 16),
+        (Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400), 40),
+        (Sensor(rings=16), 0),
+        (Sensor(), 0),
+    ],
+)
+def test_pixels_are_at_least_a_degree_high(sensor: Sensor, rows: int) -> None:
+    image = image_of(sensor)
+    assert (image.rows if image else 0) == rows
+    assert image is None or image.pixel > math.radians(0.98)
