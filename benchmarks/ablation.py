@@ -19,8 +19,9 @@ import numpy as np
 from dynaviz import api
 from dynaviz.method import Context
 from dynaviz.scan import Label, Scan
+from dynaviz.sensors import Sensor
 from dynaviz.spatial.extent import Extent
-from dynaviz_methods import ground_height, judgement, seethrough, staying, trails
+from dynaviz_methods import ground_height, judgement, seethrough, sky, staying, trails
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 
 CHOSEN = (
@@ -53,6 +54,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "no limit of height": ({"seethrough.HIGHEST": 1e9}, ()),
     "no objects: lone voxels only": ({"judgement.FEW": 1 << 30}, (WAITED,)),
     "ground twice as steep": ({"ground_height.SLOPE": 0.2}, ()),
+    "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
     "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
 PARAMETERS = {
@@ -63,13 +65,15 @@ PARAMETERS = {
     "ground_height": (-100.0, 0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {of.__name__.rpartition(".")[2]: of for of in (seethrough, judgement, staying, ground_height, trails)}
+MODULES = {of.__name__.rpartition(".")[2]: of for of in (seethrough, judgement, staying, ground_height, trails, sky)}
 
 
-def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = ()) -> tuple[float, float]:
+def scores(
+    scans: list[Scan], sensor: Sensor, params: SeeThroughParams, kept: tuple[int, ...] = ()
+) -> tuple[float, float]:
     """SA and DA, percent; points with the reasons ``kept`` are not removed."""
     method = SeeThrough(params)
-    method.begin(Context(Extent.of(*scans)))
+    method.begin(Context(Extent.of(*scans), sensor))
     for scan in scans:
         method.observe(scan.without_truth())
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
@@ -78,7 +82,7 @@ def scores(scans: list[Scan], params: SeeThroughParams, kept: tuple[int, ...] = 
     return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[truth == Label.DYNAMIC].mean()
 
 
-def rows(scans: list[Scan]) -> dict[str, tuple[float, float]]:
+def rows(scans: list[Scan], sensor: Sensor) -> dict[str, tuple[float, float]]:
     """Every variant on one scene."""
     found, default = {}, SeeThroughParams()
     for name, (constants, kept) in PARTS.items():
@@ -86,10 +90,10 @@ def rows(scans: list[Scan]) -> dict[str, tuple[float, float]]:
             for path, value in constants.items():
                 module, constant = path.split(".")
                 stack.enter_context(patch.object(MODULES[module], constant, value))
-            found[name] = scores(scans, default, kept)
+            found[name] = scores(scans, sensor, default, kept)
     for name, values in PARAMETERS.items():
         for value in values:
-            found[f"{name} = {value}"] = scores(scans, replace(default, **{name: value}))
+            found[f"{name} = {value}"] = scores(scans, sensor, replace(default, **{name: value}))
     return found
 
 
@@ -99,7 +103,7 @@ def main(out: Path, names: list[str]) -> None:
     for name in names or CHOSEN:
         written = out / "scenes" / name
         sequence = api.open(written if written.exists() else name)
-        by_scene[name] = rows([sequence[k] for k in range(len(sequence))])
+        by_scene[name] = rows([sequence[k] for k in range(len(sequence))], sequence.sensor)
         print(name, flush=True)
     lines = ["| variant | AA mean | " + " | ".join(by_scene) + " |", "|---|" + "---|" * (len(by_scene) + 1)]
     for variant in next(iter(by_scene.values())):
