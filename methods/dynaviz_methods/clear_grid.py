@@ -63,7 +63,7 @@ class ClearGrid(BlockGrid):
             return
         for each in _by_sensor(scan):
             ends = self._image.targets(each, *self._image.sky(*self._image.of(each))).astype(np.float32)
-            ends = ends[self.reaching(ends, each.origins[:1]) & in_key_range(ends, self.resolution)]
+            ends = ends[self.reaching(ends, each.position[None]) & in_key_range(ends, self.resolution)]
             yield ends, each.position[None]
 
     def _rays(self, origins: F64, voxels: I64) -> tuple[I64, F64]:
