@@ -38,7 +38,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "single rays show that objects waited": ({"judgement.LEAVES": -1.0}, ()),
     "no following": ({"judgement.PROOF": 1 << 30}, ()),
     "followed objects may be hit again": ({"judgement.STAYS": 1.0, "judgement.STAYS_SURE": 1.0}, ()),
-    "what moved for long follows like anything else": ({"judgement.SURE": 1 << 30}, ()),
+    "what was long dynamic follows like anything else": ({"judgement.SURE": 1 << 30}, ()),
     "what was there before may follow": ({"trails.BEFORE": trails.NEVER}, ()),
     "objects with what stays": ({"staying.MANY": 1 << 30}, ()),
     "nothing stays because it was there from the beginning": ({"staying.SINCE": 2.0}, ()),

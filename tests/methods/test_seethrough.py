@@ -188,7 +188,7 @@ def test_what_was_there_before_a_walker_came_is_not_followed(monkeypatch: pytest
 @pytest.mark.parametrize(
     ("proof", "between", "follows"), [(11, 5, True), (11, 6, False), (12, 14, True), (12, 15, False)]
 )
-def test_what_moved_for_long_follows_although_it_is_hit_again(proof: int, between: int, follows: bool) -> None:
+def test_what_was_long_dynamic_follows_although_it_is_hit_again(proof: int, between: int, follows: bool) -> None:
     """100 points where one moved lately, 20 of them seen clear, some of these between two hits."""
     weighed = np.array([[n] for n in (100, 100, 5000, 20, 100, proof, 0, between, 0, 0)])
     waited, followed, seen = verdicts(weighed, votes=3, share=0.35)
