@@ -72,15 +72,20 @@ def voxels_of(blocks, bits):
     return voxels
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _key(voxel, blocks):
+    """The indices of a voxel from the world's origin; blocks: (B, 3), indices of the grid's blocks."""
+    block, place = voxel >> 9, voxel & 511
+    x, y, z = place >> 6, place >> 3 & 7, place & 7
+    return blocks[block, 0] << 3 | x, blocks[block, 1] << 3 | y, blocks[block, 2] << 3 | z
+
+
 @njit(cache=True, nogil=True)
 def keys_of(voxels, blocks):
     """(N, 3) int32: indices of voxels (N,) from the world's origin; blocks: (B, 3), indices of the grid's blocks."""
     keys = np.empty((len(voxels), 3), np.int32)
     for i in range(len(voxels)):
-        block, place = voxels[i] >> 9, voxels[i] & 511
-        keys[i, 0] = blocks[block, 0] << 3 | place >> 6
-        keys[i, 1] = blocks[block, 1] << 3 | (place >> 3 & 7)
-        keys[i, 2] = blocks[block, 2] << 3 | (place & 7)
+        keys[i, 0], keys[i, 1], keys[i, 2] = _key(voxels[i], blocks)
     return keys
 
 
@@ -89,10 +94,12 @@ def centres_of(voxels, blocks, resolution):
     """(N, 3) float32, metres: centres of voxels (N,) int64; blocks: (B, 3), indices of the grid's blocks."""
     centres = np.empty((len(voxels), 3), np.float32)
     for i in range(len(voxels)):
-        block, place = voxels[i] >> 9, voxels[i] & 511
-        centres[i, 0] = ((blocks[block, 0] << 3 | place >> 6) + 0.5) * resolution
-        centres[i, 1] = ((blocks[block, 1] << 3 | (place >> 3 & 7)) + 0.5) * resolution
-        centres[i, 2] = ((blocks[block, 2] << 3 | (place & 7)) + 0.5) * resolution
+        x, y, z = _key(voxels[i], blocks)
+        centres[i, 0], centres[i, 1], centres[i, 2] = (
+            (x + 0.5) * resolution,
+            (y + 0.5) * resolution,
+            (z + 0.5) * resolution,
+        )
     return centres
 
 

@@ -169,7 +169,8 @@ def lower(surface, incline, step):
                 if x > 0:
                     z = min(z, surface[x - 1, y] + step + u + half[x - 1, y, 0])
                     if y > 0:
-                        z = min(z, surface[x - 1, y - 1] + slant + u + v + half[x - 1, y - 1].sum())
+                        there = half[x - 1, y - 1]
+                        z = min(z, surface[x - 1, y - 1] + slant + u + v + (there[0] + there[1]))
                     if y < columns - 1:
                         there = half[x - 1, y + 1]
                         z = min(z, surface[x - 1, y + 1] + slant + u - v + there[0] - there[1])
@@ -187,7 +188,8 @@ def lower(surface, incline, step):
                         there = half[x + 1, y - 1]
                         z = min(z, surface[x + 1, y - 1] + slant - u + v - there[0] + there[1])
                     if y < columns - 1:
-                        z = min(z, surface[x + 1, y + 1] + slant - u - v - half[x + 1, y + 1].sum())
+                        there = half[x + 1, y + 1]
+                        z = min(z, surface[x + 1, y + 1] + slant - u - v - (there[0] + there[1]))
                 if y < columns - 1:
                     z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
                 if z < before - NEARLY:

@@ -56,6 +56,14 @@ def _rows(chosen):
     return rows[:n]
 
 
+@njit(cache=True, nogil=True)
+def _divided(chosen):
+    """The rows (K,) of chosen points, (N,) bool, and the ends of the parts into which they are divided for threads."""
+    rows = _rows(chosen)
+    parts = PARTS if len(rows) > FEW else 1
+    return rows, np.arange(parts + 1) * len(rows) // parts
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill(points, rows, size, tall, first, slots, mine, cells, count):
     """Find the cells of points from the one in rows[first] on, until half of the slots are taken.
@@ -112,10 +120,10 @@ def _merged(rows, ends, found, counts, mine):
 @njit(cache=True, nogil=True)
 def _parts(chosen):
     """Rows (K,) of the chosen points, the parts of these rows, and memory for the cells of each part and of points."""
-    rows = _rows(chosen)
-    parts = PARTS if len(rows) > FEW else 1
-    ends, mine = np.arange(parts + 1) * len(rows) // parts, np.full(len(chosen), np.int32(-1))
-    return rows, ends, np.zeros(parts, np.int64), np.empty((parts, len(rows) // parts + 1), np.int64), mine
+    rows, ends = _divided(chosen)
+    parts = len(ends) - 1
+    found, mine = np.empty((parts, len(rows) // parts + 1), np.int64), np.full(len(chosen), np.int32(-1))
+    return rows, ends, np.zeros(parts, np.int64), found, mine
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -177,9 +185,8 @@ def connect(points, chosen, size, tall):
 @njit(cache=True, nogil=True)
 def _shares(objects, n):
     """Rows (K,) of the points of n objects, the parts of these rows, and sums (parts, n, 7) of zeros."""
-    rows = _rows(objects >= 0)
-    parts = PARTS if len(rows) > FEW else 1
-    return rows, np.arange(parts + 1) * len(rows) // parts, np.zeros((parts, n, 7), np.int64)
+    rows, ends = _divided(objects >= 0)
+    return rows, ends, np.zeros((len(ends) - 1, n, 7), np.int64)
 
 
 @njit(cache=True, nogil=True)
@@ -265,25 +272,22 @@ def look_up(codes, table):
 
 
 @njit(cache=True, nogil=True)
-def surroundings(points, chosen, size, tall, voxels, hits, passed, grazed, votes):
-    """The evidence around each chosen point: in its cell and in the 26 cells around it.
+def surroundings(points, size, tall, voxels, hits, passed, grazed, votes):
+    """The evidence around each point: in its cell and in the 26 cells around it.
 
     Args:
-        points: (N, 3) float32, metres.
-        chosen: (N,) bool; chosen points must be finite. Others are ignored.
+        points: (N, 3) float32, metres; finite.
         size, tall: edge of a cell in x and y, and in z, metres.
         voxels, hits, passed, grazed, votes: as in ``evidence``.
 
     Returns:
-        (N,) int32: the cell of each point, -1 for points that are not chosen.
+        (N,) int32: the cell of each point.
         Three arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1; and of all points
         around it, the mean evidence against votes, scans, and the share in voxels that were ever seen clear.
     """
-    mine, cells, slots = cells_of(points, chosen, size, tall)
+    mine, cells, slots = cells_of(points, np.ones(len(points), np.bool_), size, tall)
     sums = np.zeros((len(cells), 5), np.int64)
     for i in range(len(points)):
-        if mine[i] < 0:
-            continue
         block, place = voxels[i] >> 9, voxels[i] & 511
         hit, crossed, near = (
             np.int64(hits[block, place]),

@@ -14,7 +14,7 @@ from dynaviz.sensors import Sensor
 from dynaviz.spatial.blocks import BlockGrid, Marks
 from dynaviz.spatial.extent import Extent
 from dynaviz.spatial.grid import in_key_range, pack, unpack
-from dynaviz_methods.sky import image_of
+from dynaviz_methods.sky import sensor_image
 
 RUNS = 64  # up to so many runs of equal origins are taken one by one
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
@@ -31,7 +31,7 @@ class ClearGrid(BlockGrid):
 
     def __init__(self, extent: Extent, resolution: float, sensor: Sensor | None = None) -> None:
         super().__init__(extent, resolution)
-        self._image = image_of(sensor) if sensor is not None else None
+        self._image = sensor_image(sensor) if sensor is not None else None
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
 

@@ -365,8 +365,8 @@ class SeeThrough:
         cells = self.params.gap, TALL * self.params.gap
         rows = np.flatnonzero((verdict == SEEN_THROUGH) | (verdict == WAITED))
         evidence = measured.voxels[rows], self._hits, self._passed, self._grazed, self.params.votes
-        points, every = kernels.as_readonly(measured.points[rows], np.float32), np.ones(len(rows), np.bool_)
-        cell, votes, against, touched = kernels.objects.surroundings(points, every, *cells, *evidence)
+        points = kernels.as_readonly(measured.points[rows], np.float32)
+        cell, votes, against, touched = kernels.objects.surroundings(points, *cells, *evidence)
         stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
         settled: Intp = rows[np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)]
         return settled

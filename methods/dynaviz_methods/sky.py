@@ -109,7 +109,7 @@ def rows_of(sensor: Sensor, low: float, high: float) -> int:
     return round(math.sqrt((high - low) * sensor.points_per_sweep / 360))
 
 
-def image_of(sensor: Sensor) -> DepthImage | None:
+def sensor_image(sensor: Sensor) -> DepthImage | None:
     """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown."""
     low, high = sensor.elevation or (0.0, 0.0)
     rows = min(rows_of(sensor, low, high), round((high - low) / COARSE) + 1)

@@ -27,7 +27,7 @@ def staying(
 
     Args:
         points: (N, 3) float32, metres.
-        objects: (N,) int32, the object of each point; -1 for points that are not in question.
+        objects: (N,) int32, the object of each point.
         cells: edge of the cells that join points to objects, horizontally and vertically, metres.
         votes: maximum vote of a voxel, scans.
         earliest: (objects,) float64, scans: how long before any dynamic object something must have been in the places
@@ -37,13 +37,11 @@ def staying(
         spans: from the same, (3, groups) int64: sums of the scans for which something was there earlier, and later; and
             the number of points where something was from the beginning.
     """
-    mine, keys, _ = kernels.objects.cells_of(points, objects >= 0, *cells)
+    mine, keys, _ = kernels.objects.cells_of(points, np.ones(len(points), np.bool_), *cells)
     _, having, voted, *_ = tally(mine, len(keys))
     stop = voted <= 1000 * UNSEEN * votes * np.maximum(having, 1)
-    rows = np.flatnonzero(mine >= 0)
-    rows = rows[stop[mine[rows]]]
-    chosen = np.zeros(len(points), np.bool_)
-    chosen[rows] = True
+    chosen = stop[mine]
+    rows = np.flatnonzero(chosen)
     parts, n = kernels.objects.connect(points, chosen, *cells)
     size, _, _, touched, _, _, against = tally(parts, n)
     earlier, later, since = spans(parts, n)

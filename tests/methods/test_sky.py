@@ -15,7 +15,7 @@ from dynaviz.spatial.blocks import voxels_of
 from dynaviz.spatial.extent import Extent
 from dynaviz_methods.clear_grid import ClearGrid, _by_sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
-from dynaviz_methods.sky import image_of
+from dynaviz_methods.sky import sensor_image
 
 SENSOR = Sensor(rings=33, elevation=(-32.0, 32.0))
 
@@ -94,6 +94,6 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
     ],
 )
 def test_pixels_are_at_least_a_degree_high(sensor: Sensor, rows: int) -> None:
-    image = image_of(sensor)
+    image = sensor_image(sensor)
     assert (image.rows if image else 0) == rows
     assert image is None or image.pixel > math.radians(0.98)
