@@ -281,13 +281,13 @@ class SeeThrough:
     def _under(self, measured: Measured, verdict: U8) -> Bool:
         """(N,) bool: low points in or next to a dynamic object."""
         size = UNDER * self.params.resolution
-        under: Bool = kernels.objects.in_or_next_to(measured.points, any_of(verdict, REMOVED), measured.low, size)
+        under: Bool = kernels.squares.in_or_next_to(measured.points, any_of(verdict, REMOVED), measured.low, size)
         return under
 
     def _level(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
         """(N,) float32, metres: height of the scan's own ground around the wanted points (N,); 0 if unknown."""
         ground, height = measured.low & ~under & (measured.height > -PIT), measured.height
-        level: F32 = kernels.objects.local_level(measured.points, ground, wanted, height, LEVEL, LEAST)
+        level: F32 = kernels.squares.local_level(measured.points, ground, wanted, height, LEVEL, LEAST)
         return level
 
     def _movement(self, measured: Measured, movers: I32) -> U8:
