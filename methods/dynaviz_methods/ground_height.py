@@ -85,7 +85,8 @@ class GroundHeight:
             return np.full(len(points), np.inf, np.float32)
         near = self._between(low[0], high[0])
         surface = kernels.ground_height.surface(self._columns[near], self._floor[near], low, high)
-        surface[kernels.ground_height.pits(surface, PIT)] = np.inf
+        for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
+            surface[kernels.ground_height.pits(surface, PIT)] = np.inf
         incline = kernels.ground_height.inclines(surface, low, AROUND, STEEP * self._edge, SLOPE * self._edge)
         kernels.ground_height.lower(surface, incline, SLOPE * self._edge)
         of = kernels.as_readonly(points, np.float32), *place, low, surface, self._edge

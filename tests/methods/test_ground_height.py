@@ -53,6 +53,13 @@ def test_reflections_below_the_ground_do_not_lower_it() -> None:
     assert height[-1] == pytest.approx(0.8, abs=0.13)
 
 
+def test_reflections_next_to_each_other_do_not_lower_the_ground() -> None:
+    """Four columns of a wet road, seen from one side: a quarter of the columns that are known around them."""
+    seen, deep = plane(0.0, 4.0), plane(0.0, 1.6) + np.array([4.0, 0.0, 0.0])
+    deep[:, 2] = -21.2 - np.floor(deep[:, 0] / 0.8 + 2 * np.floor(deep[:, 1] / 0.8))
+    assert np.abs(heights(np.concatenate([seen, deep]))[: len(seen)]).max() < 0.13
+
+
 def test_slopes_are_ground_and_what_is_steeper_stands_on_it() -> None:
     slope = plane(-20.0, 20.0, 0.17)
     box = plane(0.0, 4.0) + np.array([0.0, 0.0, 1.5])

@@ -98,14 +98,18 @@ class Reference:
         low, high = np.min(list(columns), 0), np.max(list(columns), 0)
         cells = list(product(range(low[0], high[0] + 1), range(low[1], high[1] + 1)))
         floor = {c: self.floor(c) for c in cells}
+        return self.pressed(self.without_pits(self.without_pits(floor)))
+
+    @staticmethod
+    def without_pits(floor: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
         steady = {}
-        for x, y in cells:
+        for x, y in floor:
             window = [floor.get((x + i, y + j), math.inf) for i in range(-2, 3) for j in range(-2, 3)]
             known = [f for f in window if f < math.inf]
             level = sum(f <= floor[x, y] + PIT for f in known)
             pit = 4 * level < len(known) or level < FELLOWS
             steady[x, y] = math.inf if pit else floor[x, y]
-        return self.pressed(steady)
+        return steady
 
     def pressed(self, steady: dict[tuple[int, int], float]) -> dict[tuple[int, int], float]:
         """A surface lowered until no cell rises from an adjacent one by more than the slope beyond the incline."""
