@@ -2,6 +2,7 @@
 
     python benchmarks/many.py OUT [METHOD ...]        about twenty minutes on two cores; finished runs are kept
     python benchmarks/many.py --real OUT [METHOD ...]         the same on 22 scenes with the effects of real scans
+    python benchmarks/many.py --sensors OUT [METHOD ...]      the same on 24 of these scenes with twelve other sensors
 
 Writes the scenes to OUT/scenes, runs every method with its default parameters on each, and writes OUT/many.json and
 OUT/many.md: the AA of each method on every scene, its distribution, and on how many scenes the method is first.
@@ -83,6 +84,20 @@ REAL = tuple(
     for preset, (frames, scenes) in _FRAMES.items()
     for seed in range(600, 600 + scenes)
 )
+_SENSORS = {
+    710: ("os1_128", "os2_128"),
+    711: ("os0_128", "ruby128"),
+    712: ("qt64", "xt32"),
+    713: ("aeries2", "rs16"),
+    714: ("avia", "pandar64"),
+    715: ("vls128", "helios32"),
+}  # by seed
+SENSORS = tuple(
+    _of(f"{sensor}_{scene}", f"{scene}_vlp16_real", 25, seed, sensor=sensor)
+    for seed, sensors in _SENSORS.items()
+    for sensor in sensors
+    for scene in ("street", "hall")
+)
 
 
 def write(variation: Variation, out: Path) -> None:
@@ -153,5 +168,6 @@ def main(out: Path, methods: list[str], scenes: tuple[Variation, ...]) -> None:
 
 
 if __name__ == "__main__":
-    given = [argument for argument in sys.argv[1:] if argument != "--real"]
-    main(Path(given[0]), given[1:], REAL if "--real" in sys.argv else SCENES)
+    sets = {"--real": REAL, "--sensors": SENSORS}
+    given = [argument for argument in sys.argv[1:] if argument not in sets]
+    main(Path(given[0]), given[1:], next((sets[a] for a in sys.argv[1:] if a in sets), SCENES))

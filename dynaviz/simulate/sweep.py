@@ -17,6 +17,7 @@ TICKS = 256  # poses of the sensor per sweep: at 10 m/s and 10 Hz it moves 4 mm 
 KNOTS = 9  # of these, evenly spaced, the others follow by linear interpolation
 SECTORS = 360  # of azimuth
 WIDEST = 0.03  # radians of azimuth between the rays of one beam: 10 mrad up to an elevation of 70 degrees
+HEIGHT = 1.5  # metres above the ground, of a sensor whose file does not state it
 SLICES = 16  # places of the movers per sweep: at 10 m/s and 10 Hz they move 6 cm between two
 
 
@@ -170,7 +171,7 @@ def sensor_poses(scene: SimulatedScene, sensor: Sensor, time: float, duration: f
 
     Args:
         scene: gives the motion.
-        sensor: gives its height above the ground.
+        sensor: gives its height above the ground; ``HEIGHT`` if it has none.
         time: middle of the sweep, seconds.
         duration: of the sweep, seconds.
         shares: (N,) float64, 0 to 1: when each ray is fired.
@@ -192,7 +193,7 @@ def sensor_pose(scene: SimulatedScene, sensor: Sensor, time: float) -> F64:
     """T_scene_sensor (4, 4) float64, metres."""
     T = scene.sensor.pose(time, scene.height)
     assert T is not None  # checked by SimulatedScene
-    T[:3, 3] += T[:3, 2] * (sensor.height or 0.0)
+    T[:3, 3] += T[:3, 2] * (HEIGHT if sensor.height is None else sensor.height)
     return T
 
 

@@ -14,6 +14,7 @@ from dynaviz.sensors import load_sensor
 from dynaviz.simulate import PRESETS, parallel, record_sweeps, simulate
 from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
 from dynaviz.simulate.recording import build
+from dynaviz.simulate.sweep import HEIGHT, sensor_pose
 from dynaviz.spatial import geometry
 
 FRAMES = 12
@@ -107,6 +108,11 @@ def test_the_world_is_the_first_sensor_frame_above_the_ground(street):
     np.testing.assert_allclose(sweeps[0].T_world_sensor, np.eye(4), atol=1e-12)
     road = sweeps[0].points[(sweeps[0].kinds == ObjectClass.ROAD) & (np.linalg.norm(sweeps[0].points, axis=1) < 6)]
     assert np.median(road[:, 2]) == pytest.approx(-load_sensor("vlp16").height, abs=0.1)
+
+
+def test_a_sensor_without_a_height_is_not_on_the_ground(street):
+    unknown, known = (dataclasses.replace(load_sensor("vlp16"), height=height) for height in (None, HEIGHT))
+    np.testing.assert_array_equal(sensor_pose(street[0], unknown, 0.0), sensor_pose(street[0], known, 0.0))
 
 
 def test_pose_errors_have_the_given_size():
