@@ -14,8 +14,8 @@ class Behaviour(StrEnum):
 
     # Of dynamic objects that were kept.
     PASSED_BY = "passed by"  # kept moving while it was seen
-    PARKED = "parked until the end"  # stood still from some frame on until it was last seen
-    WAITED_FIRST = "waited first"  # stood still when it was first seen, and drove off later
+    STOOD = "stood still until the end"  # from some frame on until it was last seen
+    WAITED_FIRST = "waited first"  # stood still when it was first seen, and moved off later
     STOPPED = "stopped on its way"  # moved, stood still, and moved on
     ARRIVED_LATE = "arrived late"  # came into view near the end of the drive, and was still there when it ended
     END_OF_DRIVE = "end of the drive"  # seen in the last frames of the drive only

@@ -109,7 +109,7 @@ def shape(kind: str, case: np.void) -> str:
 
 
 def when_and_where(case: Mapping[str, Any]) -> str:
-    """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, parked until the end``."""
+    """Frames, ranges and behaviour of a case, such as ``41 frames, 8 to 30 m away, stood still until the end``."""
     near, far = case["range"]["min"], case["range"]["max"]
     metres = f"{near:.0f} to {far:.0f} m" if round(near) != round(far) else f"{near:.0f} m"
     frames, behaviour = f"{case['frames']} frame{'s' * (case['frames'] > 1)}", case.get("behaviour")

@@ -99,7 +99,7 @@ def behaviour_of_object(track: NDArray[np.void], end: int) -> Behaviour:
     first, last = int(track["frame"][0]), int(track["frame"][-1])
     stood = standing(track)
     if stood[-1]:
-        return Behaviour.PARKED
+        return Behaviour.STOOD
     if stood[0]:
         return Behaviour.WAITED_FIRST
     if stood.any():

@@ -112,7 +112,7 @@ def sentence_of(**values) -> str:
         "what": "car",
         "instance": 12,
         "cause": "standing too long",
-        "behaviour": "parked until the end",
+        "behaviour": "stood still until the end",
         "frames": 2,
         "moved": 1.0,
         "range": {"min": 3.2, "max": 8.4},
@@ -125,13 +125,14 @@ def sentence_of(**values) -> str:
 
 def test_sentences_state_what_the_object_did_and_what_the_method_did():
     stayed = "The method observed its place more often as occupied than as free."
-    assert sentence_of() == f"Kept: car 12, 2 frames, 3 to 8 m away, parked until the end. {stayed}"
-    assert sentence_of(frames=1, instance=None) == f"Kept: car, 1 frame, 3 to 8 m away, parked until the end. {stayed}"
+    assert sentence_of() == f"Kept: car 12, 2 frames, 3 to 8 m away, stood still until the end. {stayed}"
+    one = sentence_of(frames=1, instance=None)
+    assert one == f"Kept: car, 1 frame, 3 to 8 m away, stood still until the end. {stayed}"
     assert sentence_of(behaviour="far away") == f"Kept: car 12, 2 frames, far away (3 to 8 m). {stayed}"
     assert sentence_of(behaviour=None) == f"Kept: car 12, 2 frames, 3 to 8 m away, moved 1 m. {stayed}"
     assert sentence_of(behaviour=None, moved=0.9).startswith("Kept: car 12, 2 frames, 3 to 8 m away, moved less than")
     assert sentence_of(cause=None, range={"min": 3.2, "max": 3.4}).endswith(
-        "frames, 3 m away, parked until the end. The method gives the reason mystery."
+        "frames, 3 m away, stood still until the end. The method gives the reason mystery."
     )
     removed = {"kind": "false_positive", "cause": "grazing rays", "what": "ground", "instance": None}
     where = "Removed: ground, 2.0 x 1.0 x 0.5 m, 2 frames, 3 to 8 m away"

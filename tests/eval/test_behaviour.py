@@ -39,8 +39,8 @@ DRIVE, STAND = np.arange(30.0), np.zeros(20)
     ("x", "first", "fields", "expected"),
     [
         (DRIVE, 0, {}, Behaviour.PASSED_BY),
-        (np.append(DRIVE, STAND + 29), 0, {}, Behaviour.PARKED),
-        (STAND, 0, {}, Behaviour.PARKED),
+        (np.append(DRIVE, STAND + 29), 0, {}, Behaviour.STOOD),
+        (STAND, 0, {}, Behaviour.STOOD),
         (np.append(STAND, DRIVE), 0, {}, Behaviour.WAITED_FIRST),
         (np.concatenate([DRIVE, STAND + 29, DRIVE + 30]), 0, {}, Behaviour.STOPPED),
         (DRIVE[:10], 90, {}, Behaviour.END_OF_DRIVE),
@@ -129,7 +129,7 @@ def scene(frame: int, car: float, caught: bool, instances: bool) -> Labelled:
 def test_the_whole_object_counts_also_where_the_method_was_right(instances):
     frames = [scene(f, min(f, 20.0), caught=f > 8, instances=instances) for f in range(45)]
     (case,) = section(*frames)["cases"]
-    assert (case["last_frame"], case["behaviour"]) == (8, "parked until the end")
+    assert (case["last_frame"], case["behaviour"]) == (8, "stood still until the end")
     assert case["what"] == ("car" if instances else "moving object")
     assert ("car 7, 9 frames" in case["sentence"]) == instances
 

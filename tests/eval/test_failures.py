@@ -99,8 +99,8 @@ def test_one_object_is_followed_through_its_frames():
 def test_an_object_that_stays_is_reported_as_such(reason, cause):
     (case,) = section(*(labelled(f, cube(seed=f), 1, False, reason) for f in range(12)))["cases"]
     assert case["cause"] == cause
-    assert case["behaviour"] == "parked until the end"
-    assert "parked until the end" in case["sentence"]
+    assert case["behaviour"] == "stood still until the end"
+    assert "stood still until the end" in case["sentence"]
 
 
 def test_points_that_return_after_a_gap_start_a_new_case():

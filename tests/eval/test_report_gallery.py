@@ -77,11 +77,11 @@ def test_a_long_road_does_not_fill_the_list(study):
 
 def test_the_gallery_varies_what_the_objects_did(study):
     """Not only the causes, which differ by method."""
-    parked = [case(GHOST, 9.0 - k, *box(20 * k), behaviour="parked until the end") for k in range(MOST)]
+    parked = [case(GHOST, 9.0 - k, *box(20 * k), behaviour="stood still until the end") for k in range(MOST)]
     passed = [case(GHOST, 0.5, *box(-20 * k - 20), behaviour="passed by") for k in range(2)]
     shown = shared(study, failing("a", *parked, *passed))
     assert [c.worst.behaviour for c in shown].count("passed by") == 2
-    assert shown[0].title == "Ghost: car, parked until the end"
+    assert shown[0].title == "Ghost: car, stood still until the end"
 
 
 def spot(kind: str, low: tuple[float, ...], high: tuple[float, ...]) -> Spot:
