@@ -14,8 +14,8 @@ from dynaviz.sensors import Sensor
 
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
-COARSE = 1.0  # degrees: minimum height of a pixel if only the sensor decides; smaller holes are drop-outs
-FARTHEST, INPAINT = 80.0, 3  # metres, and pixels, of such an image
+COARSE = 1.0  # degrees: height of a pixel if only the sensor decides; smaller holes are drop-outs
+FARTHEST, INPAINT, BESIDE = 80.0, 3, 1  # metres, and pixels, of such an image
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class DepthImage:
         farthest: depth of the largest value, 255, metres.
         inpaint: radius from which holes are filled, pixels.
         erosion: pixels by which holes shrink and near depths grow.
+        beside: no hole is deeper than the points in so many pixels around it.
     """
 
     rows: int
@@ -36,6 +37,7 @@ class DepthImage:
     farthest: float
     inpaint: int
     erosion: int
+    beside: int = 0
 
     @property
     def pixel(self) -> float:
@@ -82,16 +84,18 @@ class DepthImage:
         """
         import cv2
 
-        margin, square = self.erosion + self.inpaint, np.ones((2 * self.erosion + 1,) * 2, np.uint8)
+        margin = self.erosion + self.inpaint + self.beside
         depth, hole = (np.concatenate([a[:, a.shape[1] - margin :], a, a[:, :margin]], 1) for a in (depth, hole))
-        filled = cv2.inpaint(cv2.erode(depth, square), hole, self.inpaint, cv2.INPAINT_TELEA)
-        _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, square), connectivity=4)
+        near = cv2.erode(depth, _square(self.erosion))
+        filled = cv2.inpaint(near, hole, self.inpaint, cv2.INPAINT_TELEA)
+        filled = np.minimum(filled, cv2.erode(near, _square(self.beside)))
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, _square(self.erosion)), connectivity=4)
         first, last = stats[:, cv2.CC_STAT_TOP], stats[:, cv2.CC_STAT_TOP] + stats[:, cv2.CC_STAT_HEIGHT]
         chosen = (first == 0) & (last < self.rows)
         chosen[0] = False  # pixels with points
         middle, unit = slice(margin, margin + self.columns), self.farthest / 255
-        steps = np.maximum(filled[:, middle].astype(np.int64) - math.ceil(SHORTER / unit), 0)
-        return steps * unit, chosen[parts[:, middle]]
+        steps = filled[:, middle].astype(np.int64) - math.ceil(SHORTER / unit)
+        return np.maximum(steps, 0) * unit, chosen[parts[:, middle]]
 
     def targets(self, scan: Scan, filled: F64, chosen: Bool) -> F64:
         """(K, 3) float64, metres, world frame: ends of the rays into the chosen pixels."""
@@ -117,7 +121,18 @@ def rows_of(sensor: Sensor, low: float, high: float) -> int:
 
 
 def sensor_image(sensor: Sensor) -> DepthImage | None:
-    """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown."""
+    """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown.
+
+    The rows between sparse rings are holes. Those that are connected to the sky show that nothing is in front of the
+    surface that the rings above and below them hit.
+    """
     low, high = sensor.elevation or (0.0, 0.0)
-    rows = min(rows_of(sensor, low, high), round((high - low) / COARSE) + 1)
-    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0) if rows >= 2 else None
+    rows = round((high - low) / COARSE) + 1
+    if not sensor.rings:
+        rows = min(rows, rows_of(sensor, low, high))
+    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, BESIDE) if rows >= 2 else None
+
+
+def _square(pixels: int) -> U8:
+    """(K, K) uint8 of ones: the pixels around one, up to so many away."""
+    return np.ones((2 * pixels + 1,) * 2, np.uint8)

@@ -17,12 +17,12 @@ from dynaviz_methods.clear_grid import ClearGrid, _by_sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 from dynaviz_methods.sky import sensor_image
 
-SENSOR = Sensor(rings=33, elevation=(-32.0, 32.0))
+SENSOR = Sensor(rings=65, elevation=(-32.0, 32.0))
 
 
 def directions(low: float = -32.0, high: float = 32.0) -> np.ndarray:
     """Unit vectors through the centre of each pixel between two elevations."""
-    azimuth, elevation = np.radians(np.meshgrid(np.arange(-179.0, 180.0, 2.0), np.arange(low, high + 0.1, 2.0)))
+    azimuth, elevation = np.radians(np.meshgrid(np.arange(-179.5, 180.0), np.arange(low, high + 0.1)))
     flat = np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 2).reshape(-1, 3)
 
@@ -83,17 +83,30 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
     assert _by_sensor(moving) == [moving]
 
 
+def test_rays_into_the_sky_end_before_the_points_beside_it() -> None:
+    image = sensor_image(SENSOR)
+    assert image is not None
+    depth, hole = np.full((image.rows, image.columns), 200, np.uint8), np.zeros((image.rows, image.columns), np.uint8)
+    depth[:40, 100:120], hole[:40, 100:120] = 255, 255
+    depth[10:20, 99] = 20  # a sign beside the sky
+    filled, chosen = image.sky(depth, hole)
+    metres = image.farthest / 255
+    assert chosen.sum() == 800
+    assert (filled[9:21, 100] < 20 * metres).all()
+    assert filled[20:38, 105:115].min() > 100 * metres
+
+
 @pytest.mark.parametrize(
     ("sensor", "rows"),
     [
         (Sensor(rings=64, elevation=(-24.8, 2.0)), 28),
-        (Sensor(rings=16, elevation=(-15.0, 15.0)), 16),
+        (Sensor(rings=16, elevation=(-15.0, 15.0)), 31),
         (Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400), 40),
         (Sensor(rings=16), 0),
         (Sensor(), 0),
     ],
 )
-def test_pixels_are_at_least_a_degree_high(sensor: Sensor, rows: int) -> None:
+def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, rows: int) -> None:
     image = sensor_image(sensor)
     assert (image.rows if image else 0) == rows
     assert image is None or image.pixel > math.radians(0.98)
