@@ -195,22 +195,31 @@ def _total(sums):
     return sums.sum(0).T.copy()
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _weighed(voxel, hits, passed, grazed, votes):
+    """The evidence of a voxel with points: whether it votes, its vote, the evidence against it, whether seen clear."""
+    block, place = voxel >> 9, voxel & 511
+    hit, near = np.int64(hits[block, place]), np.int64(grazed[block, place])
+    crossed, against = np.int64(passed[block, place]), hit + 3 * near
+    seen = crossed - near
+    vote = 1000 * min(seen, votes) * min(3 * seen, against) // against if seen else np.int64(0)
+    return hit > 1 or crossed > 0, vote, against, seen > 0
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add_evidence(sums, rows, objects, voxels, hits, passed, grazed, between, after, votes):
     """Add the evidence of the points in some rows to the sums (n, 7) int64 of their objects."""
     for i in rows:
-        k, block, place = objects[i], voxels[i] >> 9, voxels[i] & 511
-        hit, near = np.int64(hits[block, place]), np.int64(grazed[block, place])
-        crossed, against = np.int64(passed[block, place]), hit + 3 * near
-        seen = crossed - near
-        sums[k, 0] += 1
-        sums[k, 1] += hit > 1 or crossed > 0
-        sums[k, 6] += against
-        if seen:
-            sums[k, 2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
-            sums[k, 3] += 1
-            sums[k, 4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
-            sums[k, 5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
+        own, block, place = sums[objects[i]], voxels[i] >> 9, voxels[i] & 511
+        counts, vote, against, clear = _weighed(voxels[i], hits, passed, grazed, votes)
+        own[0] += 1
+        own[1] += counts
+        own[2] += vote
+        own[6] += against
+        if clear:
+            own[3] += 1
+            own[4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
+            own[5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -288,19 +297,13 @@ def surroundings(points, size, tall, voxels, hits, passed, grazed, votes):
     mine, cells, slots = cells_of(points, np.ones(len(points), np.bool_), size, tall)
     sums = np.zeros((len(cells), 5), np.int64)
     for i in range(len(points)):
-        block, place = voxels[i] >> 9, voxels[i] & 511
-        hit, crossed, near = (
-            np.int64(hits[block, place]),
-            np.int64(passed[block, place]),
-            np.int64(grazed[block, place]),
-        )
-        seen, against = crossed - near, hit + 3 * near
+        counts, vote, against, clear = _weighed(voxels[i], hits, passed, grazed, votes)
         own = sums[mine[i]]
         own[0] += 1
-        own[1] += hit > 1 or crossed > 0
-        own[2] += 1000 * min(seen, votes) * min(3 * seen, against) // against
+        own[1] += counts
+        own[2] += vote
         own[3] += against
-        own[4] += seen > 0
+        own[4] += clear
     mean_vote, mean_against, touched = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
     total = np.empty(5, np.int64)
     for c in range(len(cells)):
