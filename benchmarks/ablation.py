@@ -100,6 +100,7 @@ def rows(scans: list[Scan], sensor: Sensor) -> dict[str, tuple[float, float]]:
 
 def main(out: Path, names: list[str]) -> None:
     """Write the table."""
+    out.mkdir(parents=True, exist_ok=True)
     by_scene = {}
     for name in names or CHOSEN:
         written = out / "scenes" / name
