@@ -14,9 +14,9 @@ from dynaviz.spatial.surface import surface_normal
 
 HIT, CROSSED, GRAZED = 1, 2, 3  # classes of rays
 NAMES = {
-    HIT: "hit: speaks for static",
-    CROSSED: "crossed: speaks for moved",
-    GRAZED: "grazed the surface: weak evidence for moved",
+    HIT: "hit: evidence for static",
+    CROSSED: "crossed: evidence for dynamic",
+    GRAZED: "grazed the surface: weak evidence for dynamic",
 }
 REACH = 50.0  # metres between the sensor and a place; scans from farther away are not searched
 SCANS = 40  # scans that are searched at most, evenly spread over those within reach
@@ -70,12 +70,12 @@ class Witnesses:
         """The evidence in a sentence or two, as Markdown."""
         if not any(self.rays.values()):
             return f"No ray of {self.searched} scans hit or crossed its middle."
-        static = f"{self.rays[HIT]:,} rays of {self.scans[HIT]} scans hit its middle, which speaks for static"
+        static = f"{self.rays[HIT]:,} rays of {self.scans[HIT]} scans hit its middle: evidence for static"
         passed = self.rays[CROSSED] + self.rays[GRAZED]
         if not passed:
             return f"{static}; none of the {self.searched} scans saw through it."
         share = f", {100 * self.rays[GRAZED] / passed:.0f} % of them at less than 10° to its surface"
-        return f"{static}; {passed:,} rays crossed it, which speaks for moved{share if self.rays[GRAZED] else ''}."
+        return f"{static}; {passed:,} rays crossed it{share if self.rays[GRAZED] else ''}: evidence for dynamic."
 
 
 def find(sequence: Sequence, positions: F64, places: Several[Place]) -> list[Witnesses]:

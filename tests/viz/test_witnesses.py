@@ -66,7 +66,7 @@ def test_hits_speak_for_static_and_crossings_for_moved() -> None:
     assert {int(k): int(f) for f, k in zip(found.frames, found.kinds, strict=True)} == {HIT: 0, CROSSED: 1}
     np.testing.assert_array_equal(found.strips[:, 0], np.broadcast_to(np.float32([0, 0, 1]), (len(found.strips), 3)))
     assert none.rays == dict.fromkeys((HIT, CROSSED, GRAZED), 0)
-    assert "speaks for static" in found.text()
+    assert "evidence for static" in found.text()
     assert "No ray of 3 scans" in none.text()
 
 
