@@ -55,7 +55,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "no objects: lone voxels only": ({"judgement.FEW": 1 << 30}, (WAITED,)),
     "ground twice as steep": ({"ground_height.SLOPE": 0.2}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
-    "rays into the sky pass points beside it": ({"sky.BESIDE": 0}, ()),
+    "rays into the sky pass the points next to it": ({"sky.AROUND": 0}, ()),
     "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
 PARAMETERS = {

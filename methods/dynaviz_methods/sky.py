@@ -15,7 +15,7 @@ from dynaviz.sensors import Sensor
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
 COARSE = 1.0  # degrees: height of a pixel if only the sensor decides; smaller holes are drop-outs
-FARTHEST, INPAINT, BESIDE = 80.0, 3, 1  # metres, and pixels, of such an image
+FARTHEST, INPAINT, AROUND = 80.0, 3, 1  # metres, and pixels, of such an image
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class DepthImage:
         farthest: depth of the largest value, 255, metres.
         inpaint: radius from which holes are filled, pixels.
         erosion: pixels by which holes shrink and near depths grow.
-        beside: no hole is deeper than the points in so many pixels around it.
+        around: no hole is deeper than the points in so many pixels around it.
     """
 
     rows: int
@@ -37,7 +37,7 @@ class DepthImage:
     farthest: float
     inpaint: int
     erosion: int
-    beside: int = 0
+    around: int = 0
 
     @property
     def pixel(self) -> float:
@@ -84,11 +84,11 @@ class DepthImage:
         """
         import cv2
 
-        margin = self.erosion + self.inpaint + self.beside
+        margin = self.erosion + self.inpaint + self.around
         depth, hole = (np.concatenate([a[:, a.shape[1] - margin :], a, a[:, :margin]], 1) for a in (depth, hole))
         near = cv2.erode(depth, _square(self.erosion))
         filled = cv2.inpaint(near, hole, self.inpaint, cv2.INPAINT_TELEA)
-        filled = np.minimum(filled, cv2.erode(near, _square(self.beside)))
+        filled = np.minimum(filled, cv2.erode(near, _square(self.around)))
         _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, _square(self.erosion)), connectivity=4)
         first, last = stats[:, cv2.CC_STAT_TOP], stats[:, cv2.CC_STAT_TOP] + stats[:, cv2.CC_STAT_HEIGHT]
         chosen = (first == 0) & (last < self.rows)
@@ -130,7 +130,7 @@ def sensor_image(sensor: Sensor) -> DepthImage | None:
     rows = round((high - low) / COARSE) + 1
     if not sensor.rings:
         rows = min(rows, rows_of(sensor, low, high))
-    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, BESIDE) if rows >= 2 else None
+    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, AROUND) if rows >= 2 else None
 
 
 def _square(pixels: int) -> U8:

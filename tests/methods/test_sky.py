@@ -83,12 +83,12 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
     assert _by_sensor(moving) == [moving]
 
 
-def test_rays_into_the_sky_end_before_the_points_beside_it() -> None:
+def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
     image = sensor_image(SENSOR)
     assert image is not None
     depth, hole = np.full((image.rows, image.columns), 200, np.uint8), np.zeros((image.rows, image.columns), np.uint8)
     depth[:40, 100:120], hole[:40, 100:120] = 255, 255
-    depth[10:20, 99] = 20  # a sign beside the sky
+    depth[10:20, 99] = 20  # a sign next to the sky
     filled, chosen = image.sky(depth, hole)
     metres = image.farthest / 255
     assert chosen.sum() == 800
