@@ -16,6 +16,7 @@ from dynaviz import scan as scans
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.engine.ledger import GRAZING, Ledger, PointLedger
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.needs import suited
 from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
 from dynaviz.evidence import Explains
@@ -189,6 +190,7 @@ def _spec(result: Result, path: Path, sequence: scans.Sequence, threads: int | N
     kind = registry.load("methods", result.method)
     settings = [f"{name}={json.dumps(value)}" for name, value in result.parameters.items()]
     resolved = params.resolve(kind, settings=settings).params
+    sequence = suited(kind, resolved, sequence)
     return RunSpec(kind(resolved), sequence, resolved, online=result.online, seed=result.seed, threads=threads)
 
 

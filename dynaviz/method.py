@@ -55,6 +55,8 @@ class MethodInfo:
         reasons: the legend of the reason codes, by code.
         emits: the states it can show.
         needs_map: whether it needs the raw map before the first scan (an offline method).
+        uses: facts of the sensor, by their names in ``Sensor``, that it can do without, but not as well. Like those
+            without which it raises UsageError, they are estimated from the scans if they are unknown.
     """
 
     name: str
@@ -63,6 +65,7 @@ class MethodInfo:
     reasons: tuple[Reason, ...]
     emits: tuple[State, ...] = ()
     needs_map: bool = False
+    uses: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,12 +149,13 @@ def sentence(sensor: Sensor) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence) -> Sequence:
+def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, uses: tuple[str, ...] = ()) -> Sequence:
     """The sequence with a sensor that a method can begin with, before the sequence is read.
 
     Args:
         begin: begins the method on one scan; raises UsageError if it lacks a fact of the sensor.
         sequence: what the method will run on.
+        uses: facts that it can begin without, but should have.
 
     Returns:
         The same sequence, or one whose sensor has estimates in place of missing facts; then a warning states them.
@@ -168,19 +169,19 @@ def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence) 
     scan = sequence[0].without_truth()
     try:
         begin(scan, known)
+        if all(getattr(known, name) is not None for name in uses):
+            return sequence
     except UsageError:
-        found = estimate_sensor(sequence)
-        facts = {
-            name: getattr(found, name)
-            for name in ("height", "rings", "elevation", "max_range", "rate", "points_per_sweep")
-        }
-        facts = {name: value for name, value in facts.items() if getattr(known, name) is None}
-        estimated = dataclasses.replace(known, **facts)
-        begin(scan, estimated)
-        text = f"the sensor is unknown; estimated from the scans: {sentence(found)}"
-        warnings.warn(f"{text}. Give the true values with --sensor NAME or FILE.toml", stacklevel=3)
-        return select_frames(sequence, sensor=estimated)
-    return sequence
+        pass
+    found = estimate_sensor(sequence)
+    facts = {name: getattr(found, name) for name in ESTIMATED if getattr(known, name) is None}
+    estimated = dataclasses.replace(known, **facts)
+    begin(scan, estimated)
+    if all(value is None for value in facts.values()):
+        return sequence
+    text = f"the sensor is unknown; estimated from the scans: {sentence(found)}"
+    warnings.warn(f"{text}. Give the true values with --sensor NAME or FILE.toml", stacklevel=3)
+    return select_frames(sequence, sensor=estimated)
 
 
 def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | None:

@@ -12,11 +12,14 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64
+from dynaviz.engine.needs import suited
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scan import Scan, Sequence, select_frames
 from dynaviz.sensing import estimate_sensor, sentence
 from dynaviz.sensors import Sensor, load_sensor, sensor_names
 from dynaviz.testing.world import InMemory
+from dynaviz_methods.octomap import OctoMap, OctoMapParams
+from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
 
 def unknown(text: str) -> Sequence:
@@ -107,6 +110,22 @@ def test_a_method_gets_the_estimates_that_it_needs() -> None:
     with pytest.warns(UserWarning, match=r"sensor is unknown; estimated from the scans: 0\.\d+ m above the ground, 16"):
         estimated = dv.run("erasor", unknown("simulate:demo?frames=3"), threads=1)
     assert (estimated.counts["static_kept"], estimated.counts["dynamic_removed"]) > (0, 0)
+
+
+def test_a_method_gets_the_estimates_that_it_uses() -> None:
+    sequence = unknown("simulate:demo?frames=3")
+    with pytest.warns(UserWarning, match="sensor is unknown"):
+        found = suited(SeeThrough, SeeThroughParams(), sequence)
+    assert found.sensor.elevation == pytest.approx((-15, 15), abs=1.0)
+    assert suited(OctoMap, OctoMapParams(), sequence) is sequence, "it uses no facts of the sensor"
+
+
+@pytest.mark.filterwarnings("ignore:the sensor is unknown")
+@pytest.mark.parametrize("method", ["seethrough", "freedom"])
+def test_a_label_is_explained_with_the_estimates_of_its_run(method: str, tmp_path: Path) -> None:
+    sequence = unknown("simulate:demo?frames=3")
+    dv.run(method, sequence, out=tmp_path, record="none", threads=1)
+    dv.why(tmp_path, frame=2, point=0, sequence=sequence)
 
 
 def test_what_cannot_be_estimated_is_reported_before_the_sequence_is_read() -> None:

@@ -1,4 +1,4 @@
-"""Check that a method has all facts of the sensor that it needs, before a sequence is read."""
+"""Give a method all facts of the sensor that it needs or uses, before a sequence is read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynaviz.spatial.extent import Extent
 
 
 def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
-    """The sequence, with estimates in place of facts of the sensor that the method needs and that are not given.
+    """The sequence, with estimates in place of facts of the sensor that the method needs or uses and that are unknown.
 
     Args:
         method, params: what will run.
@@ -26,4 +26,4 @@ def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
         raw_map = scan.points if method.info.needs_map else None
         method(params).begin(Context(Extent.of(scan), sensor, raw_map=raw_map))
 
-    return with_needed_facts(begin, sequence)
+    return with_needed_facts(begin, sequence, method.info.uses)

@@ -127,11 +127,7 @@ REASONS = (
     Reason("never_clear", "kept: no scan saw its voxel clear", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its object was seen clear", Cause.STANDING),
     Reason("low", "kept: near the ground, and not under a dynamic object", Cause.TAKEN_FOR_GROUND),
-    Reason(
-        "out_of_reach",
-        "kept unjudged: not finite, or more than 32768 voxels from the world's origin",
-        Cause.OUT_OF_RANGE,
-    ),
+    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the origin", Cause.OUT_OF_RANGE),
     Reason("seen_through", "removed: much of its object was seen clear", Cause.SHARED_CELL),
     Reason("followed", "removed: its object is where a dynamic object was in the last scans", Cause.SHARED_CELL),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
@@ -160,7 +156,9 @@ CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0, 0, 0], np.uint8)  # reason code 
 class SeeThrough:
     """SeeThrough; in online mode it labels each scan by the scans so far."""
 
-    info: ClassVar[MethodInfo] = MethodInfo("seethrough", "SeeThrough", "dynaviz, 2026", REASONS, STATES)
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "seethrough", "SeeThrough", "dynaviz, 2026", REASONS, STATES, uses=("elevation",)
+    )
     Params: ClassVar[type[Any]] = SeeThroughParams
 
     def __init__(self, params: Any) -> None:

@@ -41,6 +41,7 @@ def labels(folder: Path) -> tuple[bytes, bytes]:
         return z["dynamic"].tobytes(), z["reasons"].tobytes()
 
 
+@pytest.mark.filterwarnings("ignore:the sensor is unknown")
 @pytest.mark.parametrize("method", ["octomap", "octomap_g", "octomap_gf", "dufomap", "seethrough", "freedom"])
 def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMemory, tmp_path: Path) -> None:
     settings = ("sky=false",) if method == "freedom" else ()
