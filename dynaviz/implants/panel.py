@@ -15,6 +15,7 @@ import numpy as np
 from dynaviz import params, registry
 from dynaviz.arrays import F32, U8, Bool
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.needs import suited
 from dynaviz.metric import Labelled
 from dynaviz.progress import Progress, silent
 from dynaviz.scan import Sequence
@@ -65,13 +66,14 @@ def votes(sequence: Sequence, panel: tuple[str, ...], progress: Progress = silen
     """Run the methods of a panel, with their default parameters, on a sequence.
 
     Raises:
-        UsageError: for an unknown method.
+        UsageError: for an unknown method, or one that needs a fact of the sensor that cannot be estimated.
     """
     kinds = {name: registry.load("methods", name) for name in panel}  # before any of them runs
     found, tally = Votes([], [], []), [np.empty(0, np.uint8)] * len(sequence)
     for left, (name, kind) in zip(reversed(range(len(kinds))), kinds.items(), strict=True):
         resolved = params.resolve(kind)
-        spec = RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online))
+        known = suited(kind, resolved.params, sequence)
+        spec = RunSpec(kind(resolved.params), known, resolved.params, online=bool(resolved.online))
         collect = _Collect(tally, len(kinds), None if left else found)
         execute(spec, [collect], progress=lambda phase, *done, name=name: progress(f"{name}: {phase}", *done))
     return found

@@ -18,6 +18,7 @@ from dynaviz.implants.sequence import ImplantedSequence
 from dynaviz.implants.survey import Survey
 from dynaviz.metric import Labelled
 from dynaviz.scan import Label
+from dynaviz.sensors import Sensor
 from dynaviz.testing import InMemory
 
 PANEL = ("beautymap", "removert")
@@ -49,6 +50,12 @@ def test_points_that_most_methods_keep_are_static_and_those_that_all_remove_dyna
         np.testing.assert_array_equal(agreed.dynamic(position), a & b)
     assert 0 < sum((a & b).sum() for a, b in both) < sum((a | b).sum() for a, b in both)
     assert {"beautymap: observe", "removert: label"} <= set(steps)
+
+
+def test_methods_of_a_panel_get_estimates_of_an_unknown_sensor(unlabelled: InMemory) -> None:
+    with pytest.warns(UserWarning, match="the sensor is unknown"):
+        agreed = votes(InMemory(unlabelled.scans, "street", Sensor()), PANEL)
+    assert sum(agreed.dynamic(position).sum() for position in range(len(unlabelled))) > 0
 
 
 def test_one_of_three_methods_is_outvoted(unlabelled: InMemory) -> None:

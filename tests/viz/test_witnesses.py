@@ -51,7 +51,7 @@ def walls(x: float, sensor: F64) -> Scan:
     return Scan(0, np.stack([np.full(y.size, x), y.ravel(), z.ravel()], 1).astype(np.float32), sensor)
 
 
-def test_hits_speak_for_static_and_crossings_for_moved() -> None:
+def test_hits_are_evidence_for_static_and_crossings_for_dynamic() -> None:
     sequence = InMemory(
         [walls(5.0, pose(0.0)), walls(9.0, pose(0.0)), walls(3.0, pose(0.0)), walls(999.0, pose(900.0))]
     )
