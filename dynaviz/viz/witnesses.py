@@ -70,7 +70,8 @@ class Witnesses:
         """The evidence in a sentence or two, as Markdown."""
         if not any(self.rays.values()):
             return f"No ray of {self.searched} scans hit or crossed its middle."
-        static = f"{self.rays[HIT]:,} rays of {self.scans[HIT]} scans hit its middle: evidence for static"
+        scans = f"{self.scans[HIT]} scan{'s' * (self.scans[HIT] != 1)}"
+        static = f"{self.rays[HIT]:,} rays of {scans} hit its middle: evidence for static"
         passed = self.rays[CROSSED] + self.rays[GRAZED]
         if not passed:
             return f"{static}; none of the {self.searched} scans saw through it."

@@ -67,6 +67,7 @@ def test_hits_are_evidence_for_static_and_crossings_for_dynamic() -> None:
     np.testing.assert_array_equal(found.strips[:, 0], np.broadcast_to(np.float32([0, 0, 1]), (len(found.strips), 3)))
     assert none.rays == dict.fromkeys((HIT, CROSSED, GRAZED), 0)
     assert "evidence for static" in found.text()
+    assert "121 rays of 1 scan hit" in found.text()
     assert "No ray of 3 scans" in none.text()
 
 
