@@ -48,6 +48,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     ),
     "places far away may be empty": ({"seethrough.FAR": 1e9}, ()),
     "objects that waited as a whole": ({"seethrough.UNTOUCHED": -1.0}, ()),
+    "the map's ground near the sensor, not the scan's": ({"ground_height.NEAR": 0.0}, ()),
     "the map's ground far away, not the scan's": ({"ground_height.SWAY": 0.0}, ()),
     "feet up to 0.8 m away": ({"seethrough.UNDER": 4}, ()),
     "neither following nor waiting": ({"judgement.PROOF": 1 << 30}, (WAITED,)),

@@ -15,6 +15,7 @@ FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are no
 RISE = 3  # the ground is searched in this many layers above the first
 NEARLY = 1e-9  # metres: a surface that is lowered by less is not lowered
 SQUARES = 64  # cells to each side of the sensor in which heights are levelled
+THIN = 100  # layers per metre in which the densest one of a scan is searched
 
 
 @njit(cache=True, nogil=True)
@@ -271,6 +272,62 @@ def stale_blocks(blocks, stale, column, number):
             found[n] = b
             n += 1
     return found[:n]
+
+
+@njit(cache=True, nogil=True)
+def _densest(number, thick):
+    """Number of points in the densest run of ``thick`` thin layers, and the middle of the first and last such run."""
+    inside = number[:thick].sum()
+    most, first, last = inside, 0, 0
+    for bottom in range(1, len(number) - thick + 1):
+        inside += number[bottom + thick - 1] - number[bottom - 1]
+        if inside > most:
+            most, first = inside, bottom
+        if inside == most:
+            last = bottom
+    return most, (first + last + thick) / 2
+
+
+@njit(cache=True, nogil=True)
+def aligned(height, points, within, position, reach, edge, layer, least, share):
+    """(N,) float32, metres: heights less that of the ground that the scan sees in the same square cell near the sensor.
+
+    The ground of a cell is the densest layer of its points near height 0; it counts if it is not nearly at 0.
+
+    Args:
+        height: (N,) float32, metres.
+        points: (N, 3) float32, metres.
+        within: (N,) bool: points to align; they must be finite.
+        position: (3,) float64, metres: position of the sensor.
+        reach: metres: horizontal distance from the sensor up to which points are aligned.
+        edge: edge of a cell, metres.
+        layer: metres: height of the layer; minimum and maximum distance of its middle from 0.
+        least, share: minimum number of points in the layer, and minimum share of the cell's points.
+    """
+    (tall, off, most), half = layer, np.int64(math.ceil(reach / edge))
+    lowest, thick, wide = -most - tall / 2, round(tall * THIN), 2 * half + 1
+    west, south = math.floor(position[0] / edge) - half, math.floor(position[1] / edge) - half
+    cells, total = np.full(len(points), np.int32(-1)), np.zeros(wide * wide, np.int64)
+    number = np.zeros((wide * wide, round(2 * most * THIN) + thick), np.int64)
+    for i in range(len(points)):
+        dx, dy = points[i, 0] - position[0], points[i, 1] - position[1]
+        if within[i] and dx * dx + dy * dy <= reach * reach:
+            x, y = np.int64(math.floor(points[i, 0] / edge) - west), np.int64(math.floor(points[i, 1] / edge) - south)
+            cells[i] = x * wide + y
+            total[cells[i]] += 1
+            if lowest <= height[i] < -lowest:
+                number[cells[i], min(np.int64((height[i] - lowest) * THIN), number.shape[1] - 1)] += 1
+    level = np.zeros(wide * wide)
+    for cell in range(len(level)):
+        inside, middle = _densest(number[cell], thick)
+        found = middle / THIN + lowest
+        if inside >= max(least, share * total[cell]) and abs(found) > off:
+            level[cell] = found
+    lower = height.copy()
+    for i in range(len(points)):
+        if cells[i] >= 0:
+            lower[i] -= np.float32(level[cells[i]])
+    return lower
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -16,6 +16,10 @@ AROUND = 16  # columns: edge of the squares, 3 x 3 of which have a common inclin
 ACROSS = 4  # columns: edge of the squares that are seen as a whole
 WIDE = 1024  # columns to each side of the sensor; heights beyond are infinite, because stray returns may be anywhere
 PIT = 0.3  # metres: columns this far below most of those around them are reflections, not ground
+NEAR = 30.0  # metres from the sensor: where errors of poses in height are corrected
+LAYER = 0.1  # metres: height of a scan's densest layer, its ground
+OFF = 0.06, 0.3  # metres: minimum and maximum distance of that layer from the ground of the map
+LAYERED = 50, 0.1  # minimum number of points in the layer, and minimum share of the points around
 SWAY = 0.005  # radians: maximum error of a pose that lifts or lowers the ground far away
 SQUARE = 12.8  # metres: edge of the cells in which such an error is measured
 MANY = 10  # minimum number of points near the ground there
@@ -172,8 +176,9 @@ class RollingGroundHeight(GroundHeight):
 def levelled(height: F32, points: F32, within: Bool, position: F64, low: float) -> F32:
     """(N,) float32, metres: heights above the ground as the pose of one scan places it.
 
-    An error of the pose of 0.2 degrees lifts or lowers the ground by 0.2 m at 60 m. The mean height of the scan's own
-    points near the ground shows it.
+    An error of the pose in height lifts or lowers the ground: near the sensor, the densest layer of the scan's points
+    shows it. An error of 0.2 degrees lifts or lowers the ground by 0.2 m at 60 m: the mean height of the scan's points
+    near the ground shows it.
 
     Args:
         height: (N,) float32, metres: heights above the ground of the map.
@@ -182,6 +187,8 @@ def levelled(height: F32, points: F32, within: Bool, position: F64, low: float) 
         position: (3,) float64, metres, world frame: position of the sensor.
         low: metres: points at most this high are near the ground, if the pose is right.
     """
+    layer = (LAYER, *OFF), *LAYERED
+    height = kernels.ground_height.aligned(height, points, within, position, NEAR, SQUARE, *layer)
     near = low, PIT, SWAY, SQUARE, MANY
     found: F32 = kernels.ground_height.levelled(height, points, within, position, *near)
     return found

@@ -9,8 +9,9 @@
                   are not low were seen last
     ground:       in each column, 8 voxels wide, take the densest of its lowest layers; ignore pits, far below the cells
                   around or without any; limit the slope to 0.1 beyond the incline around; interpolate between columns
-    level:        raise or lower the ground by the mean height of this scan's points near it in the same square of
-                  12.8 m, by at most 5 mm per metre of range: an error of a pose lifts the ground far away
+    level:        errors of a pose lift the whole scan, and its ground far away. In squares of 12.8 m up to 30 m away,
+                  raise or lower the ground to the densest layer of this scan's points, if that is more than 6 cm off;
+                  then everywhere by the mean height of its points near the ground, by at most 5 mm per metre of range
     call a point low if it is at most ground_height above the ground, and high if it is more than 4.5 m above it
     for each scan again, in order
         objects:  join the points that are neither low nor high across gaps of up to about ``gap``

@@ -78,6 +78,20 @@ def test_ground_that_is_not_seen_around_the_sensor_does_not_rise_to_what_stands_
     assert heights(np.concatenate([far, box]))[-len(box) :].min() > 0.2
 
 
+@pytest.mark.parametrize(("ground", "lift"), [(400, 0.2), (1200, 0.2), (200, 0.0)])
+def test_the_densest_layer_of_a_cell_is_its_ground_if_it_has_enough_points(ground: int, lift: float) -> None:
+    random = np.random.default_rng(0)
+    height = random.uniform(-3, 3, 4000).astype(np.float32)
+    height[:ground] = random.normal(0.2, 0.02, ground)
+    cell = np.column_stack([random.uniform(0.1, 9.9, (4000, 2)), height]).astype(np.float32)
+    points = np.concatenate([cell, cell - np.array([10, 0, 0], np.float32)])  # in the second cell, the ground is right
+    heights = np.concatenate([height, height - 0.2]).astype(np.float32)
+    layer = (0.1, 0.06, 0.3), 50, 0.1
+    found = kernels.ground_height.aligned(heights, points, np.ones(8000, bool), np.zeros(3), 30.0, 10.0, *layer)
+    assert (heights - found)[:4000] == pytest.approx(lift, abs=0.02)
+    assert (found == heights)[4000:].all()
+
+
 @given(
     arrays.arrays(np.float64, (7, 6), elements=st.integers(0, 40).map(lambda n: n / 20 if n < 38 else math.inf)),
     st.tuples(st.integers(-40, 40), st.integers(-40, 40)),

@@ -13,7 +13,20 @@ import numpy as np
 from dynaviz.kernels.ground_height import FELLOWS
 from dynaviz.scan import Scan
 from dynaviz_methods import seethrough, staying, trails
-from dynaviz_methods.ground_height import ACROSS, AROUND, MANY, PIT, SLOPE, SQUARE, STEEP, SWAY
+from dynaviz_methods.ground_height import (
+    ACROSS,
+    AROUND,
+    LAYER,
+    LAYERED,
+    MANY,
+    NEAR,
+    OFF,
+    PIT,
+    SLOPE,
+    SQUARE,
+    STEEP,
+    SWAY,
+)
 from dynaviz_methods.judgement import FEW, LEAVES, LEFT, PROOF, RARELY, STAYS, STAYS_SURE, SURE, WAITED_FOR
 from dynaviz_methods.seethrough import (
     EMPTY,
@@ -232,11 +245,31 @@ class Reference:
 
     def levelled(self, scan: Scan, height: dict[int, float]) -> dict[int, float]:
         """Heights above the ground, as the scan's points near the ground show it."""
+        lift = self.lift(scan, height)
+        height = {i: h - lift.get(i, 0.0) for i, h in height.items()}
         sway = {i: SWAY * float(np.linalg.norm(scan.points[i] - scan.position)) for i in height}
         top = self.params.ground_height
         near = [i for i, h in height.items() if -PIT - sway[i] < h <= top + sway[i]]
         level = self.level(scan.points, height, SQUARE, MANY, near)
         return height | {i: height[i] - min(max(level(scan.points[i]), -sway[i]), sway[i]) for i in near}
+
+    @staticmethod
+    def lift(scan: Scan, height: dict[int, float]) -> dict[int, float]:
+        """The middle of the densest layer of a cell near the sensor, of all layers that start at a whole centimetre."""
+        cells: dict[tuple[int, ...], list[int]] = {}
+        for i in height:
+            if math.dist(scan.points[i, :2], scan.position[:2]) <= NEAR:
+                cells.setdefault(tuple(math.floor(float(c) / SQUARE) for c in scan.points[i, :2]), []).append(i)
+        (off, most), thick, (least, share) = OFF, round(LAYER * 100), LAYERED
+        bottom, found = round((-most - LAYER / 2) * 100), {}
+        for members in cells.values():
+            high = Counter(math.floor(height[i] * 100) for i in members if height[i] < math.inf)
+            points = [sum(high[bottom + k + j] for j in range(thick)) for k in range(round(2 * most * 100) + 1)]
+            densest = [k for k, n in enumerate(points) if n == max(points)]
+            middle = (bottom + (densest[0] + densest[-1]) / 2) / 100 + LAYER / 2
+            if max(points) >= max(least, share * len(members)) and abs(middle) > off:
+                found |= dict.fromkeys(members, middle)
+        return found
 
     @staticmethod
     def level(
