@@ -26,9 +26,9 @@
                   this scan or later, 1 in 10 of its points was seen clear, those seen clear after the last hit exceed
                   those between two hits by 7 in 100, and its mean vote exceeds 0.01: a parked car that drives off
         staying:  in dynamic objects, and where one was dynamic lately, look for connected cells with a mean vote of at
-                  most 0.05. If almost no point of such a part was ever seen clear, and something was in its places
-                  for at least 8 scans, from the beginning or before any dynamic object, then it stays: judge the rest
-                  of the object without it. From the beginning: as soon as a square of 3.2 m around them was seen
+                  most 0.05. Such a part stays if almost no point of it was ever seen clear, and something was in its
+                  places for at least 8 scans, from the beginning or before any dynamic object: judge the rest of the
+                  object without it. From the beginning: as soon as a square of 3.2 m around them was seen
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
                   wall that a walker touches; and those of objects that waited around which almost no point was ever
                   seen clear

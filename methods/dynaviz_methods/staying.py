@@ -15,6 +15,8 @@ UNTOUCHED = 0.05  # maximum share of points seen clear
 SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
 EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
+RARELY_TOUCHED = 0.12  # the same share for parts that were there from the beginning, and are for LONG more scans
+LONG = 20  # scans: minimum mean time for that
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
 
 Sums = Callable[[I32, int], I64]
@@ -48,8 +50,9 @@ def staying(
     part = parts[rows]
     of = np.zeros(n, np.int32)
     of[part] = objects[rows]
-    before = (since >= SINCE * size) | (earlier >= earliest[of] * size)
-    stays = (touched <= UNTOUCHED * size) & before & (earlier + later >= LASTING * size)
-    stays &= (size > MANY) & (against >= 3 * size)
+    first = since >= SINCE * size
+    untouched = touched <= np.where(first & (later >= LONG * size), RARELY_TOUCHED, UNTOUCHED) * size
+    before = first | (earlier >= earliest[of] * size)
+    stays = untouched & before & (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
     found: Intp = rows[stays[part]]
     return found

@@ -73,16 +73,17 @@ class Trails:
     def spans(self, parts: I32, n: int, places: I64, now: int, movers: I32) -> I64:
         """(3, n) int64: for how many scans something is in the places of each of n parts, summed over their points.
 
-        First those before the first dynamic object there, at most until now; then those after now. The third row counts
-        points in places where something was as soon as the square around them was seen.
+        First those before the first dynamic object there, at most until now; then those after now. Places where all
+        points were low in their scans count as empty. The third row counts points in places where something was as soon
+        as the square around them was seen.
 
         Args:
             parts: (N,) int32, the part of each point, or -1; places, now, movers: as in ``around``.
         """
         rows = np.flatnonzero(parts >= 0)
         where = places[rows]
-        earlier = np.minimum(movers[2, where], now) - self._first[where]
-        later = self._seen[where] - now
+        earlier = np.maximum(np.minimum(movers[2, where], now) - self._first[where], 0)
+        later = np.maximum(self._seen[where] - now, 0)
         sums = [np.bincount(parts[rows], scans, n) for scans in (earlier, later, self._from_the_beginning(where))]
         return np.array(sums, np.float64).astype(np.int64)
 

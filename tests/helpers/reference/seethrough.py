@@ -364,8 +364,10 @@ class Reference:
             earlier = sum(min(self.movers.get(q, (0, 0, now))[2], now) - self.first[q] for q in places)
             later = sum(self.seen[q] - now for q in places)
             n = len(part)
-            before = sum(map(self.since, places)) >= staying.SINCE * n or earlier >= age * n
-            stays = touched <= staying.UNTOUCHED * n and before and earlier + later >= staying.LASTING * n
+            first = sum(map(self.since, places)) >= staying.SINCE * n
+            most = staying.RARELY_TOUCHED if first and later >= staying.LONG * n else staying.UNTOUCHED
+            before = first or earlier >= age * n
+            stays = touched <= most * n and before and earlier + later >= staying.LASTING * n
             if stays and n > staying.MANY and against >= 3 * n:
                 found.update(part)
         return found
