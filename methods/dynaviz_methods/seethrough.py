@@ -30,8 +30,8 @@
                   places for at least 8 scans, from the beginning or before any dynamic object: judge the rest of the
                   object without it. From the beginning: as soon as a square of 3.2 m around them was seen
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
-                  wall that a walker touches; and those of objects that waited around which almost no point was ever
-                  seen clear
+                  wall that a walker touches. Of objects that waited, keep where almost no point was ever seen clear.
+                  Keep parts with at most 12 % of points seen clear, from the beginning and for 20 more scans
         always:   keep points more than 20 m away if something was in their place for at least 20 scans, from the
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
         feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
@@ -296,7 +296,7 @@ class SeeThrough:
         """
         now, objects, labels = self._number[measured.index], measured.objects, movers is self._trails.labelled
         weighed, reasons = self._judge(measured, objects, measured.evidence, now, movers)
-        stays = self._staying(measured, weighed, reasons, now, movers) if labels else np.empty(0, np.intp)
+        stays, lasts = self._staying(measured, weighed, reasons, now, movers) if labels else staying.NOTHING
         if len(stays):
             sums = measured.evidence - self._tally(measured.voxels[stays], objects[stays], measured.n)
             objects = objects.copy()
@@ -305,7 +305,7 @@ class SeeThrough:
         by_point: U8 = kernels.objects.spread(reasons, objects)
         if labels:  # a mark of a mover in the scans so far may be too large
             vote = weighed[2] / (1000 * self.params.votes * np.maximum(weighed[1], 1))
-            by_point[self._settled(measured, by_point, vote)] = SETTLED
+            by_point[self._settled(measured, by_point, vote, lasts)] = SETTLED
             by_point[stays] = SETTLED * (reasons[measured.objects[stays]] > 0)
             moving = np.flatnonzero(any_of(by_point, REMOVED))
             by_point[moving[self._always(measured, moving)]] = ALWAYS
@@ -332,24 +332,22 @@ class SeeThrough:
         reasons[seen] = SEEN_THROUGH
         return weighed, reasons
 
-    def _staying(self, measured: Measured, weighed: I64, reasons: U8, now: int, movers: I32) -> Intp:
-        """Rows of the points that stay, of objects that are dynamic or where one was dynamic lately."""
+    def _staying(self, measured: Measured, weighed: I64, reasons: U8, now: int, movers: I32) -> tuple[Intp, Intp]:
+        """Rows of the points that stay, or last, of objects that are dynamic or where one was dynamic lately."""
         wanted = (reasons > 0) | ((weighed[4] > 0) & (weighed[5] >= PROOF))
         if not wanted.any() or now + 1 == self._observed:
-            return np.empty(0, np.intp)
+            return staying.NOTHING
         earliest = np.where(reasons == FOLLOWED_ON, staying.EARLIER_FOLLOWED, staying.EARLIER)
         earliest[reasons == WAITED] = 0  # it was always there
         rows = np.flatnonzero(kernels.objects.spread(wanted.view(np.uint8), measured.objects))
         objects, places = measured.objects[rows], measured.places[rows]
         points = kernels.as_readonly(measured.points[rows], np.float32)
         cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels[rows])
+        spans = partial(self._trails.spans, places=places, now=now, movers=movers)
+        stays, lasts = staying.staying(points, objects, cells, self.params.votes, earliest, tally, spans)
+        return rows[stays], rows[lasts]
 
-        def spans(parts: I32, n: int) -> I64:
-            return self._trails.spans(parts, n, places, now, movers)
-
-        return rows[staying.staying(points, objects, cells, self.params.votes, earliest, tally, spans)]
-
-    def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
+    def _settled(self, measured: Measured, verdict: U8, vote: F64, lasts: Intp) -> Intp:
         """Rows of the points in settled parts of objects that were seen through or waited.
 
         The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
@@ -357,7 +355,7 @@ class SeeThrough:
         did, but once it is gone, most of it is seen clear.
 
         Args:
-            measured: the scan.
+            measured, lasts: the scan, and the rows of points in parts that last, which settle.
             verdict: (N,) uint8, why each point's object is dynamic, or 0.
             vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
@@ -367,7 +365,8 @@ class SeeThrough:
         points = kernels.as_readonly(measured.points[rows], np.float32)
         cell, votes, against, touched = kernels.objects.surroundings(points, *cells, *evidence)
         stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
-        settled: Intp = rows[np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)]
+        stops = np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)
+        settled: Intp = rows[stops | np.isin(rows, lasts)]
         return settled
 
     def halo(self) -> Halo:

@@ -12,20 +12,21 @@ from dynaviz.arrays import F32, F64, I32, I64, Intp
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
 MANY = 10  # minimum number of points
 UNTOUCHED = 0.05  # maximum share of points seen clear
+RARELY_TOUCHED = 0.12  # the same for parts that last: there from the beginning, and for LONG more scans
+LONG = 20  # scans: minimum mean time for that
 SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
 EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
-RARELY_TOUCHED = 0.12  # the same share for parts that were there from the beginning, and are for LONG more scans
-LONG = 20  # scans: minimum mean time for that
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
+NOTHING = np.empty(0, np.intp), np.empty(0, np.intp)  # no rows that stay, and none that last
 
 Sums = Callable[[I32, int], I64]
 
 
 def staying(
     points: F32, objects: I32, cells: tuple[float, float], votes: int, earliest: F64, tally: Sums, spans: Sums
-) -> Intp:
-    """Rows of the points of parts that stay: connected cells of an object with hardly any votes.
+) -> tuple[Intp, Intp]:
+    """Rows of the points of parts that stay, and of others that last: connected cells of an object with few votes.
 
     Args:
         points: (N, 3) float32, metres.
@@ -51,8 +52,8 @@ def staying(
     of = np.zeros(n, np.int32)
     of[part] = objects[rows]
     first = since >= SINCE * size
-    untouched = touched <= np.where(first & (later >= LONG * size), RARELY_TOUCHED, UNTOUCHED) * size
     before = first | (earlier >= earliest[of] * size)
-    stays = untouched & before & (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
-    found: Intp = rows[stays[part]]
-    return found
+    firm = before & (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
+    stays = firm & (touched <= UNTOUCHED * size)
+    lasts = firm & ~stays & first & (later >= LONG * size) & (touched <= RARELY_TOUCHED * size)
+    return rows[stays[part]], rows[lasts[part]]

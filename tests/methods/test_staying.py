@@ -12,11 +12,23 @@ from dynaviz_methods.trails import Trails
 POINTS = np.random.default_rng(0).uniform(0, 0.29, (100, 3)).astype(np.float32)  # in one cell
 
 
+STAYS, LASTS, NEITHER = (100, 0), (0, 100), (0, 0)
+
+
 @pytest.mark.parametrize(
-    ("touched", "since", "later", "stays"),
-    [(5, 0, 10, True), (6, 0, 30, False), (6, 100, 19, False), (12, 100, 20, True), (13, 100, 30, False)],
+    ("touched", "since", "later", "expected"),
+    [
+        (5, 0, 10, STAYS),
+        (5, 100, 20, STAYS),
+        (6, 0, 30, NEITHER),
+        (6, 100, 19, NEITHER),
+        (12, 100, 20, LASTS),
+        (13, 100, 30, NEITHER),
+    ],
 )
-def test_what_was_always_there_may_be_seen_clear_more_often(touched: int, since: int, later: int, stays: bool) -> None:
+def test_what_lasts_may_be_seen_clear_more_often_than_what_stays(
+    touched: int, since: int, later: int, expected: tuple[int, int]
+) -> None:
     """Errors of poses let rays pass through the surface of a parked car next to a walker."""
 
     def tally(groups: I32, n: int) -> I64:
@@ -28,8 +40,8 @@ def test_what_was_always_there_may_be_seen_clear_more_often(touched: int, since:
         return np.array([[600], [100 * later], [since]])
 
     objects, earliest = np.zeros(100, np.int32), np.array([staying.EARLIER])
-    rows = staying.staying(POINTS, objects, (0.3, 0.9), 3, earliest, tally, spans)
-    assert len(rows) == (100 if stays else 0)
+    stays, lasts = staying.staying(POINTS, objects, (0.3, 0.9), 3, earliest, tally, spans)
+    assert (len(stays), len(lasts)) == expected
 
 
 def test_places_of_low_points_only_were_empty() -> None:

@@ -189,12 +189,15 @@ class Reference:
         reachable = [i for i in up if not HIGHEST < height[i] < math.inf]
         for members in self.objects(points, reachable):
             verdict = self.verdict(voxel, members, now, movers)
+            lasting: set[int] = set()
             if movers is self.movers:
-                members = sorted(set(members) - self.staying(points, voxel, members, verdict, now))
+                stays, lasting = self.staying(points, voxel, members, verdict, now)
+                members = sorted(set(members) - stays)
                 verdict = self.verdict(voxel, members, now, movers)
             moves, follows, waited, proof, mean = verdict
             if movers is self.movers and (moves or not follows):
-                members = sorted(set(members) - self.settled(points, voxel, members, mean if moves else None))
+                settled = self.settled(points, voxel, members, mean if moves else None)
+                members = sorted(set(members) - settled - lasting)
             if movers is self.movers:
                 members = [i for i in members if not self.always(scan, voxel, i)]
             if moves or follows or waited:
@@ -342,21 +345,22 @@ class Reference:
         members: list[int],
         verdict: tuple[bool, bool, bool, int, float],
         now: int,
-    ) -> set[int]:
-        """The points of parts that nothing passes, and that are there before and after the movers."""
+    ) -> tuple[set[int], set[int]]:
+        """The points of parts that nothing passes, and that are there before and after the movers; and that last."""
         moves, follows, waited, proof, _ = verdict
         if not (moves or follows or waited or proof >= PROOF):
-            return set()
+            return set(), set()
         followed = follows and not moves
         age = staying.EARLIER_FOLLOWED if followed else 0 if waited and not moves else staying.EARLIER
         if now + 1 == self.observed:
-            return set()
+            return set(), set()
         stopping = []
         for inside in self.cells(points, members).values():
             having = sum(self.hits[voxel[i]] > 1 or self.passed[voxel[i]] > 0 for i in inside)
             if sum(self.votes(voxel[i]) for i in inside) <= 1000 * UNSEEN * self.params.votes * max(having, 1):
                 stopping += inside
         found: set[int] = set()
+        lasting: set[int] = set()
         for part in self.objects(points, stopping):
             inside, places = [voxel[i] for i in part], [self.quarter(voxel[i]) for i in part]
             against = sum(self.hits[k] + 3 * (self.passed[k] - self.clear[k]) for k in inside)
@@ -365,12 +369,13 @@ class Reference:
             later = sum(self.seen[q] - now for q in places)
             n = len(part)
             first = sum(map(self.since, places)) >= staying.SINCE * n
-            most = staying.RARELY_TOUCHED if first and later >= staying.LONG * n else staying.UNTOUCHED
             before = first or earlier >= age * n
-            stays = touched <= most * n and before and earlier + later >= staying.LASTING * n
-            if stays and n > staying.MANY and against >= 3 * n:
+            firm = before and earlier + later >= staying.LASTING * n and n > staying.MANY and against >= 3 * n
+            if firm and touched <= staying.UNTOUCHED * n:
                 found.update(part)
-        return found
+            elif firm and first and later >= staying.LONG * n and touched <= staying.RARELY_TOUCHED * n:
+                lasting.update(part)
+        return found, lasting
 
     def settled(self, points: np.ndarray, voxel: dict[int, Key], members: list[int], vote: float | None) -> set[int]:
         """The points of an object that rays stop at; ``vote`` is its mean vote, from 0 to 1, None if it waited."""
