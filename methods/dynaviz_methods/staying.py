@@ -26,7 +26,10 @@ Sums = Callable[[I32, int], I64]
 def staying(
     points: F32, objects: I32, cells: tuple[float, float], votes: int, earliest: F64, tally: Sums, spans: Sums
 ) -> tuple[Intp, Intp]:
-    """Rows of the points of parts that stay, and of others that last: connected cells of an object with few votes.
+    """Rows of the points of parts that stay, and of those that last: connected cells with hardly any votes.
+
+    Hardly any point of a part that stays was ever seen clear. A part that lasts may be seen clear more often, but was
+    there from the beginning and is for long.
 
     Args:
         points: (N, 3) float32, metres.

@@ -10,8 +10,6 @@ from dynaviz_methods import staying
 from dynaviz_methods.trails import Trails
 
 POINTS = np.random.default_rng(0).uniform(0, 0.29, (100, 3)).astype(np.float32)  # in one cell
-
-
 STAYS, LASTS, NEITHER = (100, 0), (0, 100), (0, 0)
 
 
