@@ -31,10 +31,10 @@
                   object without it. From the beginning: as soon as a square of 3.2 m around them was seen
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
                   wall that a walker touches. Of objects that waited, keep where almost no point was ever seen clear.
-                  Keep parts with at most 12 % of points seen clear, from the beginning and for 20 more scans
+                  Unless it waited, keep parts wider than 3 m where something always was, for at least 30 scans
         always:   keep points more than 20 m away if something was in their place for at least 20 scans, from the
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
-        feet:     remove low points under or next to a dynamic object that are more than 3 cm above the other low points
+        feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
                   clear, twice and more often than they were hit
         alone:    remove other points, if not high, in voxels that at least ``votes`` scans saw clear, more than hit or
@@ -76,11 +76,12 @@ TALL = 3  # height of the cells that join points, in gaps: rings are farther apa
 FIRM = 5.0  # scans: minimum mean evidence against votes around it, times the mean vote of its object
 UNTOUCHED = 0.02  # maximum share of points seen clear around a point of a settled part of an object that waited
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
-STANDS_OUT = 0.03  # metres above the ground of this scan
+STANDS_OUT = 0.04  # metres above the ground of this scan
 LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelled
 LEAST = 3  # minimum number of low points there
 EMPTY = 2  # minimum number of scans that saw the voxel of a foot clear
 FAR = 20.0  # metres from the sensor: the guard is too narrow for errors of poses
+LASTING = 20  # scans: minimum time for which something must be in a place to be always there
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 OBJECT = 30.0  # metres
 
@@ -274,7 +275,7 @@ class SeeThrough:
     def _always(self, measured: Measured, rows: Intp) -> Bool:
         """(K,) bool: far away in some rows (K,), in places where something was as long as they were seen."""
         far: Bool = np.hypot(*(measured.points[rows, :2] - measured.position[:2]).T) > FAR
-        far[far] = self._trails.always(measured.places[rows[far]])
+        far[far] = self._trails.always(measured.places[rows[far]], LASTING)
         return far
 
     def _under(self, measured: Measured, verdict: U8) -> Bool:
@@ -303,13 +304,14 @@ class SeeThrough:
             objects[stays] = -1
             weighed, reasons = self._judge(measured, objects, sums, now, movers)
         by_point: U8 = kernels.objects.spread(reasons, objects)
+        follows = (reasons > 0) & (reasons != WAITED)
         if labels:  # a mark of a mover in the scans so far may be too large
             vote = weighed[2] / (1000 * self.params.votes * np.maximum(weighed[1], 1))
-            by_point[self._settled(measured, by_point, vote, lasts)] = SETTLED
+            by_point[self._settled(measured, by_point, vote)] = SETTLED
             by_point[stays] = SETTLED * (reasons[measured.objects[stays]] > 0)
+            by_point[lasts[follows[objects[lasts]]]] = SETTLED
             moving = np.flatnonzero(any_of(by_point, REMOVED))
             by_point[moving[self._always(measured, moving)]] = ALWAYS
-        follows = (reasons > 0) & (reasons != WAITED)
         proven = (weighed[5] + (reasons == SEEN_THROUGH)).astype(np.int32)
         kernels.places.leave(objects, follows, any_of(by_point, REMOVED), proven, measured.places, now, *movers)
         self._judged = Judged(measured, weighed, by_point)
@@ -344,10 +346,11 @@ class SeeThrough:
         points = kernels.as_readonly(measured.points[rows], np.float32)
         cells, tally = (self.params.gap, TALL * self.params.gap), partial(self._tally, measured.voxels[rows])
         spans = partial(self._trails.spans, places=places, now=now, movers=movers)
-        stays, lasts = staying.staying(points, objects, cells, self.params.votes, earliest, tally, spans)
+        always = self._trails.always(places, staying.LONG)
+        stays, lasts = staying.staying(points, objects, cells, self.params.votes, earliest, always, tally, spans)
         return rows[stays], rows[lasts]
 
-    def _settled(self, measured: Measured, verdict: U8, vote: F64, lasts: Intp) -> Intp:
+    def _settled(self, measured: Measured, verdict: U8, vote: F64) -> Intp:
         """Rows of the points in settled parts of objects that were seen through or waited.
 
         The walls and parked cars that a mover touches belong to its object, but rays stop at them. The clearer the rest
@@ -355,7 +358,7 @@ class SeeThrough:
         did, but once it is gone, most of it is seen clear.
 
         Args:
-            measured, lasts: the scan, and the rows of points in parts that last, which settle.
+            measured: the scan.
             verdict: (N,) uint8, why each point's object is dynamic, or 0.
             vote: (objects,) float64, mean vote of each object, from 0 to 1.
         """
@@ -366,7 +369,7 @@ class SeeThrough:
         cell, votes, against, touched = kernels.objects.surroundings(points, *cells, *evidence)
         stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
         stops = np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)
-        settled: Intp = rows[stops | np.isin(rows, lasts)]
+        settled: Intp = rows[stops]
         return settled
 
     def halo(self) -> Halo:

@@ -7,29 +7,37 @@ from collections.abc import Callable
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, Intp
+from dynaviz.arrays import F32, F64, I32, I64, Bool, Intp
 
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
 MANY = 10  # minimum number of points
 UNTOUCHED = 0.05  # maximum share of points seen clear
-RARELY_TOUCHED = 0.12  # the same for parts that last: there from the beginning, and for LONG more scans
-LONG = 20  # scans: minimum mean time for that
 SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
 EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
+ALWAYS = 0.65  # minimum share of points in places where something always was, for a part that lasts
+LONG = 30  # scans: minimum time for that: a crowd, or a car that waits, may be there for less
+WIDE = 3.0  # metres: minimum width of a part that lasts: places of a crowd are always taken, one after the other
 NOTHING = np.empty(0, np.intp), np.empty(0, np.intp)  # no rows that stay, and none that last
 
 Sums = Callable[[I32, int], I64]
 
 
 def staying(
-    points: F32, objects: I32, cells: tuple[float, float], votes: int, earliest: F64, tally: Sums, spans: Sums
+    points: F32,
+    objects: I32,
+    cells: tuple[float, float],
+    votes: int,
+    earliest: F64,
+    always: Bool,
+    tally: Sums,
+    spans: Sums,
 ) -> tuple[Intp, Intp]:
     """Rows of the points of parts that stay, and of those that last: connected cells with hardly any votes.
 
-    Hardly any point of a part that stays was ever seen clear. A part that lasts may be seen clear more often, but was
-    there from the beginning and is for long.
+    Hardly any point of a part that stays was ever seen clear. A part that lasts may be seen clear more often, but is
+    wide, and something always was in its places.
 
     Args:
         points: (N, 3) float32, metres.
@@ -38,6 +46,7 @@ def staying(
         votes: maximum vote of a voxel, scans.
         earliest: (objects,) float64, scans: how long before any dynamic object something must have been in the places
             of a part, if it was not there from the beginning.
+        always: (N,) bool: points in places where something was from the beginning to the end, for ``LONG``.
         tally: from the group of each point, (N,) int32, -1 for none, and the number of groups: the evidence of each,
             as in ``kernels.objects.evidence``.
         spans: from the same, (3, groups) int64: sums of the scans for which something was there earlier, and later; and
@@ -56,7 +65,13 @@ def staying(
     of[part] = objects[rows]
     first = since >= SINCE * size
     before = first | (earlier >= earliest[of] * size)
-    firm = before & (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
-    stays = firm & (touched <= UNTOUCHED * size)
-    lasts = firm & ~stays & first & (later >= LONG * size) & (touched <= RARELY_TOUCHED * size)
+    long = (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
+    stays = before & long & (touched <= UNTOUCHED * size)
+    lasts = ~stays & (np.bincount(part, always[rows], n) >= ALWAYS * size)
+    lasts[lasts] = [_width(points[rows[part == k]]) >= WIDE for k in np.flatnonzero(lasts)]
     return rows[stays[part]], rows[lasts[part]]
+
+
+def _width(points: F32) -> float:
+    """The horizontal diagonal of the box around some points, (N, 3), metres."""
+    return float(np.hypot(*np.ptp(points[:, :2], axis=0)))

@@ -11,7 +11,6 @@ LATELY = 3  # number of scans for which the position of a dynamic object is reme
 BEFORE = 30  # number of scans before the first dynamic object: what was already in its place then stays there
 NEVER = 1 << 30  # later than any scan
 AT_ONCE = 2  # scans between the first or last sight of a square and of what is there from the beginning or to the end
-LASTING = 20  # scans: minimum time for which something must be in a place to be always there
 MOSTLY = 0.5  # minimum share of the scans in that time in which it was seen
 
 
@@ -87,11 +86,16 @@ class Trails:
         sums = [np.bincount(parts[rows], scans, n) for scans in (earlier, later, self._from_the_beginning(where))]
         return np.array(sums, np.float64).astype(np.int64)
 
-    def always(self, places: I64) -> Bool:
-        """(K,) bool: places where something was from the first to the last sight of the square around them."""
+    def always(self, places: I64, lasting: int) -> Bool:
+        """(K,) bool: places where something was from the first to the last sight of the square around them.
+
+        Args:
+            places: (K,) int64.
+            lasting: minimum time for which something must be there, scans.
+        """
         span = self._seen[places] - self._first[places] + 1
         to_the_end = self._seen[places] >= self._viewed[1, self._squares[places >> 2]] - AT_ONCE
-        lasts = (span >= LASTING) & (self._scans[places] >= MOSTLY * span)
+        lasts = (span >= lasting) & (self._scans[places] >= MOSTLY * span)
         always: Bool = self._from_the_beginning(places) & to_the_end & lasts
         return always
 

@@ -80,11 +80,12 @@ def seen(frame: int, *things: np.ndarray) -> Scan:
 GROUND = plane(-1, 13, 0.1)
 
 
-def touched_post() -> list[Scan]:
-    """A post that a walker touches and leaves."""
+def touched_post(low: int = -1) -> list[Scan]:
+    """A post that a walker touches and leaves; in scan ``low``, rays pass its upper half."""
     places = [*np.linspace(-4.0, 0.0, 12), *np.linspace(-0.4, -4.0, 10)]
     post = block(7.0, 1.1, high=1.7, wide=0.5)
-    return [seen(k, GROUND, wall(), block(7.0, y), post) for k, y in enumerate(places)]
+    lower = post[post[:, 2] < 0.9]
+    return [seen(k, GROUND, wall(), block(7.0, y), lower if k == low else post) for k, y in enumerate(places)]
 
 
 def lifted(scans: list[Scan], metres: float, every: int) -> list[Scan]:
@@ -98,14 +99,15 @@ WORLDS = {
     "lifted": (lifted(crossing(9), 0.25, 3), 7, TOO_LITTLE),
     "longer": (crossing(14), 9, ALWAYS),
     "post": (touched_post(), 9, SETTLED),
+    "post_seen_clear": (touched_post(3), 9, SETTLED),
 }
 
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_labels_match_the_reference(world: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scans, step, expected_reason = WORLDS[world]
-    few = ((staying, "MANY", 2), (staying, "LASTING", 3), (trails, "LASTING", 4), (seethrough, "FAR", 0.0))
-    for module, name, value in few:  # the scans are thin, few and near
+    few = ((staying, "MANY", 2), (staying, "LASTING", 3), (seethrough, "LASTING", 4), (seethrough, "FAR", 0.0))
+    for module, name, value in (*few, (staying, "LONG", 4), (staying, "WIDE", 0.4)):  # the scans are thin, few and near
         monkeypatch.setattr(module, name, value)
     thin = [dataclasses.replace(scan, points=scan.points[::step], labels=None, origins=None) for scan in scans]
     reference, method = Reference(COARSE), running(thin, COARSE)

@@ -5,41 +5,58 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.arrays import I32, I64
+from dynaviz.arrays import F32, I32, I64
 from dynaviz_methods import staying
 from dynaviz_methods.trails import Trails
 
-POINTS = np.random.default_rng(0).uniform(0, 0.29, (100, 3)).astype(np.float32)  # in one cell
+# Points in a row of cells along x, 0.1 m apart.
+POINTS = np.stack([np.linspace(0, 3.2, 100), np.full(100, 0.1), np.full(100, 0.5)], 1).astype(np.float32)
+NARROW = POINTS * np.array([0.9, 1, 1], np.float32)
 STAYS, LASTS, NEITHER = (100, 0), (0, 100), (0, 0)
 
 
-@pytest.mark.parametrize(
-    ("touched", "since", "later", "expected"),
-    [
-        (5, 0, 10, STAYS),
-        (5, 100, 20, STAYS),
-        (6, 0, 30, NEITHER),
-        (6, 100, 19, NEITHER),
-        (12, 100, 20, LASTS),
-        (13, 100, 30, NEITHER),
-    ],
-)
-def test_what_lasts_may_be_seen_clear_more_often_than_what_stays(
-    touched: int, since: int, later: int, expected: tuple[int, int]
-) -> None:
-    """Errors of poses let rays pass through the surface of a parked car next to a walker."""
+def _parts(points: F32, touched: int, always: int) -> tuple[int, int]:
+    """The numbers of points that stay and that last, of 100 in one part without votes."""
 
     def tally(groups: I32, n: int) -> I64:
-        assert n == 1
-        assert (groups == 0).all()
-        return np.array([[100], [100], [0], [touched], [0], [0], [1000]])
+        size = np.bincount(groups, minlength=n)
+        nothing = np.zeros(n, np.int64)
+        return np.array([size, size, nothing, touched * size // 100, nothing, nothing, 10 * size])
 
     def spans(parts: I32, n: int) -> I64:
-        return np.array([[600], [100 * later], [since]])
+        assert n == 1
+        return np.array([[600], [1000], [0]])
 
     objects, earliest = np.zeros(100, np.int32), np.array([staying.EARLIER])
-    stays, lasts = staying.staying(POINTS, objects, (0.3, 0.9), 3, earliest, tally, spans)
-    assert (len(stays), len(lasts)) == expected
+    stays, lasts = staying.staying(points, objects, (0.3, 0.9), 3, earliest, np.arange(100) < always, tally, spans)
+    return len(stays), len(lasts)
+
+
+@pytest.mark.parametrize(
+    ("touched", "always", "expected"),
+    [(5, 0, STAYS), (5, 100, STAYS), (6, 64, NEITHER), (6, 65, LASTS), (60, 65, LASTS)],
+)
+def test_what_lasts_may_be_seen_clear_more_often_than_what_stays(
+    touched: int, always: int, expected: tuple[int, int]
+) -> None:
+    """Errors of poses let rays pass through the surface of a parked car next to a walker."""
+    assert _parts(POINTS, touched, always) == expected
+
+
+def test_what_lasts_is_wide() -> None:
+    """The places of people in a crowd are always taken, one person after the other."""
+    assert _parts(NARROW, 6, 100) == NEITHER
+
+
+def test_always_is_from_the_beginning_to_the_end_of_a_square() -> None:
+    """Something may be missing for two scans at both ends, and in half of the others."""
+    trails = Trails(np.zeros(2, np.int32))
+    within, dynamic = np.ones(4, np.bool_), np.zeros(4, np.bool_)
+    for now in range(36):
+        there = np.array([True, 2 <= now < 34, now < 33, now % 3 == 0])
+        trails.observe(np.arange(4), within, there, dynamic, now)
+    assert trails.always(np.arange(4), 30).tolist() == [True, True, False, False]
+    assert trails.always(np.arange(4), 37).tolist() == [False, False, False, False]
 
 
 def test_places_of_low_points_only_were_empty() -> None:

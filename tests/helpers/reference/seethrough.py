@@ -197,9 +197,10 @@ class Reference:
             moves, follows, waited, proof, mean = verdict
             if movers is self.movers and (moves or not follows):
                 settled = self.settled(points, voxel, members, mean if moves else None)
-                members = sorted(set(members) - settled - lasting)
+                members = sorted(set(members) - settled)
             if movers is self.movers:
-                members = [i for i in members if not self.always(scan, voxel, i)]
+                lasting = lasting if moves or follows else set()
+                members = [i for i in members if i not in lasting and not self.always(scan, voxel, i)]
             if moves or follows or waited:
                 whole.update(members)
             if moves:
@@ -305,12 +306,15 @@ class Reference:
 
     def always(self, scan: Scan, voxel: dict[int, Key], i: int) -> bool:
         """Whether a point is far away, where something was as long as the place was seen."""
-        place = self.quarter(voxel[i])
-        span = self.seen.get(place, 0) - self.first.get(place, math.inf) + 1
-        lasts = span >= trails.LASTING and self.scans[place] >= trails.MOSTLY * span
-        to_the_end = self.seen.get(place, -1) >= self.viewed[self.square(place)][1] - AT_ONCE
         far = math.dist(scan.points[i, :2], scan.position[:2]) > seethrough.FAR
-        return far and lasts and to_the_end and self.since(place)
+        return far and self.taken(self.quarter(voxel[i]), seethrough.LASTING)
+
+    def taken(self, place: tuple[int, int], lasting: int) -> bool:
+        """Whether something was in a place as long as the square around it was seen, for a number of scans."""
+        span = self.seen.get(place, 0) - self.first.get(place, math.inf) + 1
+        lasts = span >= lasting and self.scans[place] >= trails.MOSTLY * span
+        to_the_end = self.seen.get(place, -1) >= self.viewed[self.square(place)][1] - AT_ONCE
+        return lasts and to_the_end and self.since(place)
 
     def verdict(
         self, voxel: dict[int, Key], members: list[int], now: int, movers: dict
@@ -371,9 +375,11 @@ class Reference:
             first = sum(map(self.since, places)) >= staying.SINCE * n
             before = first or earlier >= age * n
             firm = before and earlier + later >= staying.LASTING * n and n > staying.MANY and against >= 3 * n
+            always = sum(self.taken(q, staying.LONG) for q in places)
+            wide = math.hypot(*(float(max(x) - min(x)) for x in points[part, :2].T)) >= staying.WIDE
             if firm and touched <= staying.UNTOUCHED * n:
                 found.update(part)
-            elif firm and first and later >= staying.LONG * n and touched <= staying.RARELY_TOUCHED * n:
+            elif always >= staying.ALWAYS * n and wide:
                 lasting.update(part)
         return found, lasting
 
