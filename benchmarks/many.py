@@ -82,7 +82,7 @@ _FRAMES = {
 REAL = tuple(
     _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
     for preset, (frames, scenes) in _FRAMES.items()
-    for seed in range(900, 900 + scenes)
+    for seed in range(1000, 1000 + scenes)
 )
 _SENSORS = {
     710: ("os1_128", "os2_128"),

@@ -12,11 +12,12 @@ from dynaviz.arrays import F32, F64, I32, I64, Bool, Intp
 UNSEEN = 0.05  # maximum mean vote of a cell whose rays stop
 MANY = 10  # minimum number of points
 UNTOUCHED = 0.05  # maximum share of points seen clear
+TOUCHED = 0.3  # the same for a part that lasts
 SINCE = 0.8  # share of points in places where something was from the beginning
 EARLIER = 0.5  # scans: or minimum mean time for which something was there before any dynamic object
 EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a car that parks was there a moment before
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
-ALWAYS = 0.65  # minimum share of points in places where something always was, for a part that lasts
+ALWAYS = 0.7  # minimum share of points in places where something always was, for a part that lasts
 LONG = 30  # scans: minimum time for that: a crowd, or a car that waits, may be there for less
 WIDE = 3.0  # metres: minimum width of a part that lasts: places of a crowd are always taken, one after the other
 NOTHING = np.empty(0, np.intp), np.empty(0, np.intp)  # no rows that stay, and none that last
@@ -67,7 +68,7 @@ def staying(
     before = first | (earlier >= earliest[of] * size)
     long = (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
     stays = before & long & (touched <= UNTOUCHED * size)
-    lasts = ~stays & (np.bincount(part, always[rows], n) >= ALWAYS * size)
+    lasts = ~stays & (touched <= TOUCHED * size) & (np.bincount(part, always[rows], n) >= ALWAYS * size)
     lasts[lasts] = [_width(points[rows[part == k]]) >= WIDE for k in np.flatnonzero(lasts)]
     return rows[stays[part]], rows[lasts[part]]
 

@@ -34,7 +34,7 @@ def _parts(points: F32, touched: int, always: int) -> tuple[int, int]:
 
 @pytest.mark.parametrize(
     ("touched", "always", "expected"),
-    [(5, 0, STAYS), (5, 100, STAYS), (6, 64, NEITHER), (6, 65, LASTS), (60, 65, LASTS)],
+    [(5, 0, STAYS), (5, 100, STAYS), (6, 69, NEITHER), (6, 70, LASTS), (30, 70, LASTS), (31, 100, NEITHER)],
 )
 def test_what_lasts_may_be_seen_clear_more_often_than_what_stays(
     touched: int, always: int, expected: tuple[int, int]

@@ -379,7 +379,7 @@ class Reference:
             wide = math.hypot(*(float(max(x) - min(x)) for x in points[part, :2].T)) >= staying.WIDE
             if firm and touched <= staying.UNTOUCHED * n:
                 found.update(part)
-            elif always >= staying.ALWAYS * n and wide:
+            elif touched <= staying.TOUCHED * n and always >= staying.ALWAYS * n and wide:
                 lasting.update(part)
         return found, lasting
 
