@@ -44,7 +44,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "nothing stays because it was there from the beginning": ({"staying.SINCE": 2.0}, ()),
     "nothing is kept because something always was there": ({"staying.ALWAYS": 2.0}, ()),
     "dynamic objects as a whole": (
-        {"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0, "staying.MANY": 1 << 30},
+        {"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0, "staying.MANY": 1 << 30, "staying.ALWAYS": 2.0},
         (),
     ),
     "places far away may be empty": ({"seethrough.FAR": 1e9}, ()),
