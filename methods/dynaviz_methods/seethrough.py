@@ -329,10 +329,8 @@ class SeeThrough:
         lately, proof, left, old = self._trails.around(objects, measured.n, measured.places, now, movers)
         weighed = np.array([size, having, votes, touched, lately, proof, left, between, after, old])
         waited, followed, seen = verdicts(weighed, self.params.votes, self.params.share)
-        reasons = np.zeros(measured.n, np.uint8)
-        reasons[waited], reasons[followed] = WAITED, FOLLOWED_ON
-        reasons[seen] = SEEN_THROUGH
-        return weighed, reasons
+        codes = [SEEN_THROUGH, FOLLOWED_ON, WAITED]  # the first that applies
+        return weighed, np.select([seen, followed, waited], codes).astype(np.uint8)
 
     def _staying(self, measured: Measured, weighed: I64, reasons: U8, now: int, movers: I32) -> tuple[Intp, Intp]:
         """Rows of the points that stay, or last, of objects that are dynamic or where one was dynamic lately."""
