@@ -82,7 +82,7 @@ _FRAMES = {
 REAL = tuple(
     _of(f"{preset.removesuffix('_real')}_{seed}", preset, frames, seed)
     for preset, (frames, scenes) in _FRAMES.items()
-    for seed in range(1000, 1000 + scenes)
+    for seed in range(1100, 1100 + scenes)
 )
 _SENSORS = {
     710: ("os1_128", "os2_128"),
