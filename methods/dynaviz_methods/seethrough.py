@@ -36,7 +36,7 @@
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
         feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points
                   of this scan around them (pose errors move both), or that most scans which crossed their voxel saw
-                  clear, twice and more often than they were hit
+                  clear, at least 10 times and more often than they were hit
         alone:    remove other points, if not high, in voxels that at least ``votes`` scans saw clear, more than hit or
                   passed them: rays pass between the leaves of a tree crown
     label the points of dynamic objects, their feet and points alone as dynamic
