@@ -42,7 +42,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "what was there before may follow": ({"trails.BEFORE": trails.NEVER}, ()),
     "objects with what stays": ({"staying.MANY": 1 << 30}, ()),
     "nothing stays because it was there from the beginning": ({"staying.SINCE": 2.0}, ()),
-    "nothing is kept because something always was there": ({"staying.ALWAYS": 2.0}, ()),
+    "nothing is kept because something always is there": ({"staying.ALWAYS": 2.0}, ()),
     "dynamic objects as a whole": (
         {"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0, "staying.MANY": 1 << 30, "staying.ALWAYS": 2.0},
         (),

@@ -31,7 +31,7 @@
                   object without it. From the beginning: as soon as a square of 3.2 m around them was seen
         settled:  keep the parts of dynamic objects that stay, or that rays stop at while they pass through the rest: a
                   wall that a walker touches. Of objects that waited, keep where almost no point was ever seen clear.
-                  Unless it waited, keep parts wider than 3 m where something always was, for at least 30 scans
+                  Unless it waited, keep parts wider than 3.5 m where something always was, for at least 30 scans
         always:   keep points more than 20 m away if something was in their place for at least 20 scans, from the
                   beginning to the end, and was seen in half of them: errors of poses let rays pass there
         feet:     remove low points under or next to a dynamic object that are more than 4 cm above the other low points

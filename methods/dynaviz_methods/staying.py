@@ -19,7 +19,7 @@ EARLIER_FOLLOWED = 6.0  # the same for parts of an object that is followed: a ca
 LASTING = 8  # scans: minimum mean time for which something is there before any dynamic object, or after this scan
 ALWAYS = 0.7  # minimum share of points in places where something always was, for a part that lasts
 LONG = 30  # scans: minimum time for that: a crowd, or a car that waits, may be there for less
-WIDE = 3.0  # metres: minimum width of a part that lasts: places of a crowd are always taken, one after the other
+WIDE = 3.5  # metres: minimum width of a part that lasts: places of a crowd are always taken, one after the other
 NOTHING = np.empty(0, np.intp), np.empty(0, np.intp)  # no rows that stay, and none that last
 
 Sums = Callable[[I32, int], I64]

@@ -10,7 +10,7 @@ from dynaviz_methods import staying
 from dynaviz_methods.trails import Trails
 
 # Points in a row of cells along x, 0.1 m apart.
-POINTS = np.stack([np.linspace(0, 3.2, 100), np.full(100, 0.1), np.full(100, 0.5)], 1).astype(np.float32)
+POINTS = np.stack([np.linspace(0, 3.7, 100), np.full(100, 0.1), np.full(100, 0.5)], 1).astype(np.float32)
 NARROW = POINTS * np.array([0.9, 1, 1], np.float32)
 STAYS, LASTS, NEITHER = (100, 0), (0, 100), (0, 0)
 
