@@ -9,7 +9,7 @@ from dynaviz.arrays import F32, I32, I64
 from dynaviz_methods import staying
 from dynaviz_methods.trails import Trails
 
-# Points in a row of cells along x, 0.1 m apart.
+# Points in a row along x, through several cells
 POINTS = np.stack([np.linspace(0, 3.7, 100), np.full(100, 0.1), np.full(100, 0.5)], 1).astype(np.float32)
 NARROW = POINTS * np.array([0.9, 1, 1], np.float32)
 STAYS, LASTS, NEITHER = (100, 0), (0, 100), (0, 0)
