@@ -81,7 +81,7 @@ LEVEL = 3.2  # metres: edge of the cells in which a scan's own ground is levelle
 LEAST = 3  # minimum number of low points there
 EMPTY = 10  # minimum number of scans that saw the voxel of a foot clear
 FAR = 20.0  # metres from the sensor: the guard is too narrow for errors of poses
-LASTING = 20  # scans: minimum time for which something must be in a place to be always there
+ALWAYS_FAR = 20  # scans: minimum time for which something must be in a place far away to be always there
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 OBJECT = 30.0  # metres
 
@@ -275,7 +275,7 @@ class SeeThrough:
     def _always(self, measured: Measured, rows: Intp) -> Bool:
         """(K,) bool: far away in some rows (K,), in places where something was as long as they were seen."""
         far: Bool = np.hypot(*(measured.points[rows, :2] - measured.position[:2]).T) > FAR
-        far[far] = self._trails.always(measured.places[rows[far]], LASTING)
+        far[far] = self._trails.always(measured.places[rows[far]], ALWAYS_FAR)
         return far
 
     def _under(self, measured: Measured, verdict: U8) -> Bool:
@@ -366,8 +366,7 @@ class SeeThrough:
         points = kernels.as_readonly(measured.points[rows], np.float32)
         cell, votes, against, touched = kernels.objects.surroundings(points, *cells, *evidence)
         stops = (votes[cell] <= staying.UNSEEN) & (against[cell] * vote[measured.objects[rows]] >= FIRM)
-        stops = np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)
-        settled: Intp = rows[stops]
+        settled: Intp = rows[np.where(verdict[rows] == WAITED, touched[cell] <= UNTOUCHED, stops)]
         return settled
 
     def halo(self) -> Halo:

@@ -66,8 +66,8 @@ def staying(
     of[part] = objects[rows]
     first = since >= SINCE * size
     before = first | (earlier >= earliest[of] * size)
-    long = (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
-    stays = before & long & (touched <= UNTOUCHED * size)
+    stays = before & (earlier + later >= LASTING * size) & (size > MANY) & (against >= 3 * size)
+    stays &= touched <= UNTOUCHED * size
     lasts = ~stays & (touched <= TOUCHED * size) & (np.bincount(part, always[rows], n) >= ALWAYS * size)
     lasts[lasts] = [_width(points[rows[part == k]]) >= WIDE for k in np.flatnonzero(lasts)]
     return rows[stays[part]], rows[lasts[part]]

@@ -106,9 +106,10 @@ WORLDS = {
 @pytest.mark.parametrize("world", WORLDS)
 def test_labels_match_the_reference(world: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scans, step, expected_reason = WORLDS[world]
-    few = ((staying, "MANY", 2), (staying, "LASTING", 3), (seethrough, "LASTING", 4), (seethrough, "FAR", 0.0))
-    for module, name, value in (*few, (staying, "LONG", 4), (staying, "WIDE", 0.4)):  # the scans are thin, few and near
-        monkeypatch.setattr(module, name, value)
+    for name, value in (("MANY", 2), ("LASTING", 3), ("LONG", 4), ("WIDE", 0.4)):  # the scans are thin, few and near
+        monkeypatch.setattr(staying, name, value)
+    for name, value in (("ALWAYS_FAR", 4), ("FAR", 0.0)):
+        monkeypatch.setattr(seethrough, name, value)
     thin = [dataclasses.replace(scan, points=scan.points[::step], labels=None, origins=None) for scan in scans]
     reference, method = Reference(COARSE), running(thin, COARSE)
     for scan in thin:

@@ -196,8 +196,7 @@ class Reference:
                 verdict = self.verdict(voxel, members, now, movers)
             moves, follows, waited, proof, mean = verdict
             if movers is self.movers and (moves or not follows):
-                settled = self.settled(points, voxel, members, mean if moves else None)
-                members = sorted(set(members) - settled)
+                members = sorted(set(members) - self.settled(points, voxel, members, mean if moves else None))
             if movers is self.movers:
                 lasting = lasting if moves or follows else set()
                 members = [i for i in members if i not in lasting and not self.always(scan, voxel, i)]
@@ -307,7 +306,7 @@ class Reference:
     def always(self, scan: Scan, voxel: dict[int, Key], i: int) -> bool:
         """Whether a point is far away, where something was as long as the place was seen."""
         far = math.dist(scan.points[i, :2], scan.position[:2]) > seethrough.FAR
-        return far and self.taken(self.quarter(voxel[i]), seethrough.LASTING)
+        return far and self.taken(self.quarter(voxel[i]), seethrough.ALWAYS_FAR)
 
     def taken(self, place: tuple[int, int], lasting: int) -> bool:
         """Whether something was in a place as long as the square around it was seen, for a number of scans."""
