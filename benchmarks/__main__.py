@@ -24,7 +24,7 @@ from typing import Any
 
 from curves import YARDSTICK, draw, table
 
-from dynaviz import registry
+from dynaviz.contracts import registry
 
 QUICK = ((30_000, 60_000, 120_000), (24, 120))
 FULL = ((30_000, 60_000, 120_000, 240_000), (100, 500, 2_000, 5_000))

@@ -17,10 +17,10 @@ from unittest.mock import patch
 import numpy as np
 
 from dynaviz import api
-from dynaviz.method import Context
-from dynaviz.scan import Label, Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods import ground_height, judgement, seethrough, sky, staying, trails
 from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
 

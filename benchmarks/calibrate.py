@@ -18,9 +18,9 @@ import numpy as np
 
 import dynaviz
 from dynaviz.arrays import F64, Bool
-from dynaviz.implants.lidar import LidarModel, _by_mount
-from dynaviz.implants.pattern import Rings
-from dynaviz.scan import Sequence
+from dynaviz.contracts.scan import Sequence
+from dynaviz.synthetic.implants.lidar import LidarModel, _by_mount
+from dynaviz.synthetic.implants.pattern import Rings
 
 SCANS = 6
 WINDOW, ORDER = 7, 2  # returns in a window, order of the polynomial

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from dynaviz import api
-from dynaviz.simulate import simulate
+from dynaviz.synthetic.simulate import simulate
 
 METHODS = ("octomap", "dufomap")
 ROUNDS = 3

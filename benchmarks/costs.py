@@ -20,14 +20,15 @@ from typing import Any
 import numpy as np
 from scenes import SENSOR, Drive
 
-from dynaviz import api, kernels, registry
-from dynaviz.datasets import open_sequence
+from dynaviz import api, kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.engine.loop import RunSpec, execute, peak_rss_mb
-from dynaviz.engine.summary import summarize
-from dynaviz.method import Context
-from dynaviz.metric import Labelled
-from dynaviz.reporting import report as write_report
-from dynaviz.scan import Scan, stream
+from dynaviz.reports.reporting import report as write_report
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.summary import summarize
 
 Figures = dict[str, Any]
 QUICKEST = "octomap"  # fastest method that labels each point individually; recorded and compared here

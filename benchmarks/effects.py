@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import params, registry
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.scan import Label, Scan
-from dynaviz.sensors import Sensor
-from dynaviz.simulate.effects import BEHAVIOUR
-from dynaviz.simulate.options import Chosen
-from dynaviz.simulate.presets import PRESETS, REAL
-from dynaviz.simulate.sequence import SimulatedSequence
+from dynaviz.synthetic.simulate.effects import BEHAVIOUR
+from dynaviz.synthetic.simulate.options import Chosen
+from dynaviz.synthetic.simulate.presets import PRESETS, REAL
+from dynaviz.synthetic.simulate.sequence import SimulatedSequence
 
 FRAMES, SPEED, SEED = 20, 8.0, 3
 

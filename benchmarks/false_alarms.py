@@ -16,9 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import dynaviz as dv
+from dynaviz.contracts.scan import Sequence
 from dynaviz.diagnosis import Confidence, doctor
-from dynaviz.scan import Sequence
-from dynaviz.simulate import PRESETS
+from dynaviz.synthetic.simulate import PRESETS
 
 SWEEP, JITTER, DRIFT = "sweep_s=0.1", "jitter_m=0.03&jitter_deg=0.1", "drift_m=0.3&drift_deg=0.1"
 VARIANTS = {  # options, and the frames that are examined

@@ -35,16 +35,17 @@ from typing import Any
 import numpy as np
 from agreement import AVERAGES, Scores, agreement, compared, rank_correlation
 
-from dynaviz import api, params, registry
+from dynaviz import api
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.scan import Label, Scan, Sequence
 from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.implants.lidar import LidarModel
-from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.panel import default_panel, votes
-from dynaviz.implants.scene import CLASSES
-from dynaviz.implants.sequence import ImplantedSequence, planned
-from dynaviz.implants.survey import Survey
-from dynaviz.scan import Label, Scan, Sequence
-from dynaviz.simulate import simulate
+from dynaviz.synthetic.implants.lidar import LidarModel
+from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.panel import default_panel, votes
+from dynaviz.synthetic.implants.scene import CLASSES
+from dynaviz.synthetic.implants.sequence import ImplantedSequence, planned
+from dynaviz.synthetic.implants.survey import Survey
+from dynaviz.synthetic.simulate import simulate
 
 DEFAULT = ("simulate:demo", "simulate:street_hdl64")
 KINDS = ("true", "implants", "panel")

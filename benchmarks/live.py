@@ -21,10 +21,11 @@ import numpy as np
 from scenes import Drive
 
 import dynaviz as dv
-from dynaviz import kernels, registry
+from dynaviz import kernels
 from dynaviz.arrays import Bool
-from dynaviz.method import Live
-from dynaviz.scan import Scan, Sequence
+from dynaviz.contracts import registry
+from dynaviz.contracts.method import Live
+from dynaviz.contracts.scan import Scan, Sequence
 
 SIZES = (30_000, 60_000, 120_000)
 SCANS, WARM = 80, 10

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import registry
 from dynaviz.benchmarking.bench import bench
+from dynaviz.contracts import registry
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.io.benchmark import BenchmarkWriter
-from dynaviz.sensors import load_sensor
-from dynaviz.simulate.classes import CLASS_NAMES
-from dynaviz.simulate.presets import PRESETS
-from dynaviz.simulate.recording import build, record_sweeps
-from dynaviz.simulate.write import simulate
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.classes import CLASS_NAMES
+from dynaviz.synthetic.simulate.presets import PRESETS
+from dynaviz.synthetic.simulate.recording import build, record_sweeps
+from dynaviz.synthetic.simulate.write import simulate
 
 FAIR, GOOD, POOR = (0.015, 0.05), (0.005, 0.02), (0.05, 0.2)  # pose errors, metres and degrees
 

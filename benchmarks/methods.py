@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 from scenes import SENSOR, arguments_parser, read, street
 
-from dynaviz import kernels, registry
+from dynaviz import kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.loop import peak_rss_mb
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
 
 ROUNDS, FRAMES = 3, 60
 

@@ -25,14 +25,14 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64, I64, U8
-from dynaviz.odometry.opening import open_estimated
-from dynaviz.odometry.refine import refine
-from dynaviz.scan import Scan, Sequence, SequenceView
-from dynaviz.simulate.lidar import sweep_rays
-from dynaviz.simulate.presets import PRESETS, Preset
-from dynaviz.simulate.recording import Recorder, build
-from dynaviz.simulate.sweep import ray_shares, sensor_pose
+from dynaviz.contracts.scan import Scan, Sequence, SequenceView
+from dynaviz.sources.odometry.estimated import open_estimated
+from dynaviz.sources.odometry.refine import refine
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.lidar import sweep_rays
+from dynaviz.synthetic.simulate.presets import PRESETS, Preset
+from dynaviz.synthetic.simulate.recording import Recorder, build
+from dynaviz.synthetic.simulate.sweep import ray_shares, sensor_pose
 
 SWEEP = 0.1  # seconds
 START = 1_700_000_000_000_000_000  # nanoseconds

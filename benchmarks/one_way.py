@@ -11,10 +11,11 @@ import time
 
 import numpy as np
 
-from dynaviz import kernels, registry
-from dynaviz.method import Context
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz import kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Scan
 from dynaviz.testing.world import SENSOR
 
 FRAMES = (300, 1200, 4800)

@@ -25,9 +25,9 @@ from numba import njit
 from scenes import SENSOR, read, street
 
 from dynaviz import kernels
-from dynaviz.method import Context
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.dufomap import DufoMap
 from dynaviz_methods.dynablox import Dynablox, DynabloxParams
 from dynaviz_methods.erasor import Erasor, ErasorParams

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import dynaviz as dv
-from dynaviz import registry
 from dynaviz.arrays import F64
-from dynaviz.scan import Scan, Sequence, SequenceView
-from dynaviz.simulate.poses import transforms
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.poses import transforms
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dynaviz.datasets import open_sequence
 from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
 from dynaviz.io.velodyne import read_velodyne
+from dynaviz.sources.datasets import open_sequence
 
 ROUNDS = 7
 

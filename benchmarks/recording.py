@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dynaviz import api
-from dynaviz.scan import Sequence
+from dynaviz.contracts.scan import Sequence
 
 MODES = ("none", "scores", "errors", "full")
 STANDARD = 141 * 120_000
@@ -52,7 +52,7 @@ def main(path: str | None = None, method: str = "octomap_gf", rounds: int = 3) -
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         if path is None:
-            from dynaviz.simulate import simulate
+            from dynaviz.synthetic.simulate import simulate
 
             simulate("street_hdl64", folder / "street", frames=60)
         sequence = api.open(path or folder / "street")

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.io.pcd import read_pcd
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor, load_sensor
 
 SENSOR = load_sensor("hdl64e")
 KINDS = ("points", "T_world_sensor", "labels")

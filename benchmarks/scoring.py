@@ -23,10 +23,10 @@ from scipy.spatial import cKDTree
 import dynaviz as dv
 from dynaviz import kernels
 from dynaviz.arrays import F32
+from dynaviz.contracts.method import MethodInfo, Reason
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.io.points import read_points
-from dynaviz.method import MethodInfo, Reason
-from dynaviz.metric import Labelled
-from dynaviz.scan import Scan, stream
 from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_eval.breakdown import Breakdown
 from dynaviz_eval.confusion import Confusion

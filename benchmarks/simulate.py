@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.io.pcd import read_pcd
-from dynaviz.simulate import PRESETS, simulate
-from dynaviz.simulate.options import Chosen
+from dynaviz.synthetic.simulate import PRESETS, simulate
+from dynaviz.synthetic.simulate.options import Chosen
 
 
 def main(names: list[str]) -> None:

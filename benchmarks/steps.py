@@ -15,11 +15,12 @@ from typing import Any
 
 from scenes import SENSOR, arguments_parser, read, street
 
-from dynaviz import kernels, registry
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz import kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.scan import Scan
 
 FRAMES, WARM = 24, 4  # frames; the first few run once before, to load kernels
 LEAST = 0.5  # milliseconds per frame of the steps to print

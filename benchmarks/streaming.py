@@ -13,9 +13,9 @@ import time
 
 from scenes import Drive
 
-from dynaviz import registry
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.loop import RunSpec, execute, peak_rss_mb
-from dynaviz.scan import Scan
 from dynaviz.testing.world import SENSOR, crossing
 
 SHORT, LONG = 500, 4500

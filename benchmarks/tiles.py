@@ -26,10 +26,10 @@ import numpy as np
 from scenes import Drive
 
 import dynaviz as dv
-from dynaviz import registry
+from dynaviz.contracts import registry
 from dynaviz.engine.loop import peak_rss_mb
-from dynaviz.results.result import Result
-from dynaviz.tiling.run import TileOptions, label_tiles, tileable
+from dynaviz.runs.tiles.run import TileOptions, label_tiles, tileable
+from dynaviz.scores.result import Result
 
 BLOCK = 18.0  # metres after which a drive repeats
 FRAMES = 8  # in that distance: 80 km/h at 10 Hz

@@ -22,11 +22,11 @@ import generate
 import numpy as np
 
 import dynaviz as dv
-from dynaviz import registry
 from dynaviz.arrays import U8
-from dynaviz.simulate import simulate
-from dynaviz.viz.layout import WRONG
-from dynaviz.viz.shot import shot
+from dynaviz.contracts import registry
+from dynaviz.synthetic.simulate import simulate
+from dynaviz.views.layout import WRONG
+from dynaviz.views.read.shot import shot
 
 DOCS = Path(__file__).resolve().parent
 MEASURED = DOCS / "methods/measured.json"

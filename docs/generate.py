@@ -29,7 +29,7 @@ from typing import Any, get_type_hints
 
 from griffe import Docstring, DocstringSectionAttributes
 
-from dynaviz import registry
+from dynaviz.contracts import registry
 from dynaviz_eval.attribution import sentence
 
 DOCS = Path(__file__).resolve().parent

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from dynaviz.benchmarking.tune import tune
     from dynaviz.cleaning import clean
     from dynaviz.diagnosis import doctor
-    from dynaviz.explanation import why
     from dynaviz.explorer import explore
-    from dynaviz.online import live
-    from dynaviz.reporting import report
-    from dynaviz.results.result import Result
+    from dynaviz.live import live
+    from dynaviz.reports.reporting import report
+    from dynaviz.runs.explanation import why
+    from dynaviz.scores.result import Result
 
 __all__ = [
     "Result",
@@ -46,14 +46,14 @@ _HOMES = {
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "explore": "dynaviz.explorer",
-    "live": "dynaviz.online",
+    "live": "dynaviz.live",
     "open": "dynaviz.api",
-    "report": "dynaviz.reporting",
+    "report": "dynaviz.reports.reporting",
     "run": "dynaviz.api",
     "score": "dynaviz.api",
     "tune": "dynaviz.benchmarking.tune",
-    "why": "dynaviz.explanation",
-    "Result": "dynaviz.results.result",
+    "why": "dynaviz.runs.explanation",
+    "Result": "dynaviz.scores.result",
 }
 
 

@@ -12,12 +12,10 @@ from typing import Any, Literal, cast, get_args
 
 import msgspec
 
-from dynaviz import params, registry
-from dynaviz.attributes import origin_of
-from dynaviz.comparison.summary import Comparison
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.drives import Drives
-from dynaviz.datasets.in_memory import ArraySequence
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.probe import SILENT, Probe
+from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.external import RADIUS, read_external
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.needs import suited
@@ -25,16 +23,15 @@ from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutpu
 from dynaviz.engine.source_check import SourceCheck, source_check
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
-from dynaviz.odometry.opening import is_odometry, open_estimated
-from dynaviz.odometry.refine import refine
-from dynaviz.probe import SILENT, Probe
 from dynaviz.progress import Progress, silent
-from dynaviz.results.result import RecordMode, Result
-from dynaviz.scan import Sequence, select_frames
-from dynaviz.sensors import load_sensor
-from dynaviz.tiling.counts import TileCounts
-from dynaviz.tiling.run import TileOptions, label_tiles
-from dynaviz.viz.quota import parse_bytes
+from dynaviz.runs.tiles.counts import TileCounts
+from dynaviz.runs.tiles.run import TileOptions, label_tiles
+from dynaviz.scores.comparison.summary import Comparison
+from dynaviz.scores.result import RecordMode, Result
+from dynaviz.sources.odometry.refine import refine
+from dynaviz.sources.opening import open_source
+from dynaviz.sources.options import SequenceOptions
+from dynaviz.views.record.quota import parse_bytes
 
 Record = Literal[RecordMode, "none"]
 
@@ -71,24 +68,8 @@ def open(
         DataError: if the path contains no known format.
         UsageError: for invalid frames or sensors, or options that the format does not support.
     """
-    chosen = load_sensor(sensor) if sensor else None
-    if isinstance(path, list | tuple) and path and all(isinstance(each, str | os.PathLike) for each in path):
-        drives = [
-            open(each, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew, extrinsic=extrinsic)
-            for each in path
-        ]
-        return select_frames(Drives.of(drives), frames, stride)
-    if not isinstance(path, str | os.PathLike):
-        return select_frames(ArraySequence.of(path, points_in), frames, stride, chosen)
-    pose_source = None if poses is None else os.fspath(poses)
-    if pose_source is not None and is_odometry(pose_source):
-        options: dict[str, Any] = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
-        sequence, _ = open_estimated(os.fspath(path), pose_source, None, frames, **options)
-        return select_frames(sequence, None, stride, chosen)
-    sequence = open_sequence(
-        os.fspath(path), poses=pose_source, points_in=points_in, deskew=deskew, extrinsic=extrinsic
-    )
-    return select_frames(sequence, frames, stride, chosen)
+    options = SequenceOptions(frames, stride, sensor, poses, points_in, deskew, extrinsic)
+    return open_source(path, options)
 
 
 def run(
@@ -123,7 +104,8 @@ def run(
         record: how much the recording ``run.rrd`` in ``out`` contains (``recordings/README.md``); or the path of an
             ``.rrd`` file, which records in the mode ``errors``, with or without ``out``.
         view: show the run in a viewer while it is running.
-        preset, config, settings: layers of parameters (``dynaviz.params.resolve``); settings may be a dictionary.
+        preset, config, settings: layers of parameters (``dynaviz.contracts.params.resolve``); settings may be a
+            dictionary.
         online: label each scan right after it was observed, instead of after all scans.
         seed: for all randomness in the method.
         refine_poses: register each scan to the scans around it (open3d), and run with the refined poses. They are kept
@@ -275,7 +257,7 @@ def compare(
         UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
         DataError: for recordings that cannot be read or compared (``recordings/README.md``).
     """
-    from dynaviz.viz.compare import compare as compare_recordings
+    from dynaviz.views.compare.compare import compare as compare_recordings
 
     return compare_recordings(recordings, out, progress)
 
@@ -369,7 +351,7 @@ def _run_tiles(
         whole, counts = replace(spec, labeller=labeller, summary=labeller.summary), TileCounts(options.size)
         others: list[Listener] = [counts]
         if drawn:
-            from dynaviz.viz.overview import Overview
+            from dynaviz.views.record.overview import Overview
 
             others.append(Overview(folder / "overview.rrd", counts))
         budget = share if drawn else options.budget
@@ -404,7 +386,7 @@ def _run_and_record(
             if maps:
                 listeners.append(stack.enter_context(MapFiles(folder, origin_of(spec.sequence))))
         if recording is not None:
-            from dynaviz.viz.recorder import Recorder
+            from dynaviz.views.record.recorder import Recorder
 
             recorder = stack.enter_context(Recorder(recording, mode, live=view, budget=budget))
             listeners.append(recorder)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 
-from dynaviz.scan import Outcome
+from dynaviz.contracts.scan import Outcome
 
 Colour = tuple[int, int, int]  # RGB, 0 to 255
 

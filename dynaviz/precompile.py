@@ -21,7 +21,8 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
     Args:
         late: names of methods to leave out.
     """
-    from dynaviz import kernels, registry
+    from dynaviz import kernels
+    from dynaviz.contracts import registry
 
     if kernels.compiled():
         yield
@@ -42,9 +43,9 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
 
 def _label(names: list[str]) -> None:
     """Run methods on a few scans, with all their states."""
-    from dynaviz import registry
+    from dynaviz.contracts import registry
+    from dynaviz.contracts.probe import MemoryProbe
     from dynaviz.engine.loop import RunSpec, execute
-    from dynaviz.probe import MemoryProbe
     from dynaviz.testing import InMemory, crossing
 
     with contextlib.redirect_stderr(io.StringIO()):

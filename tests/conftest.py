@@ -14,8 +14,8 @@ import hypothesis
 import pytest
 from helpers.worlds import InMemory, room
 
-from dynaviz import registry
 from dynaviz.cli import main
+from dynaviz.contracts import registry
 
 # The threads of OpenMP must not spin while they wait: each pytest-xdist worker has as many of them as there are cores.
 # Read when numba loads its threading layer, and inherited by subprocesses.

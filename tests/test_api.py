@@ -10,14 +10,14 @@ import pytest
 from helpers.worlds import InMemory
 
 import dynaviz as dv
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
-from dynaviz.results.collect import combined
-from dynaviz.results.result import Result
-from dynaviz.sensors import Sensor
+from dynaviz.scores.collect import combined
+from dynaviz.scores.result import Result
 
 
 def test_a_recording_alone(little_room: InMemory, tmp_path: Path) -> None:
-    from dynaviz.viz.reader import RunRecording
+    from dynaviz.views.read.reader import RunRecording
 
     result = dv.run("octomap", little_room, record=tmp_path / "here.rrd")
     assert [file.name for file in tmp_path.iterdir()] == ["here.rrd"]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 from helpers.colour_vision import EYES, contrast, smallest_difference
 
-from dynaviz import colours, registry
-from dynaviz.scan import Outcome
-from dynaviz.viz.case_timeline import RAY_COLOURS
+from dynaviz import colours
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Outcome
+from dynaviz.views.record.case_timeline import RAY_COLOURS
 
 WHITE, BLACK = (255, 255, 255), (16, 18, 20)
 SCORED = (Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)

@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynaviz import kernels, registry
-from dynaviz.datasets.files import numbered_files
+from dynaviz import kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.extent import FAR, Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine import loop
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, DynavizError, UsageError
 from dynaviz.io import records
-from dynaviz.method import Context
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
+from dynaviz.sources.datasets.files import numbered_files
+from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial import grid
-from dynaviz.spatial.extent import FAR, Extent
 from dynaviz.testing import InMemory, crossing
 from dynaviz.testing.world import SENSOR, moved, turn
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz import params, registry
+from dynaviz.contracts import params, registry
 from dynaviz.errors import DataError, UsageError
 
 

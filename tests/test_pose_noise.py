@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.pose_noise import PoseNoiseMeter, pose_noise
-from dynaviz.scan import Scan
-from dynaviz.simulate.poses import transforms
+from dynaviz.contracts.scan import Scan
+from dynaviz.sources.pose_noise import PoseNoiseMeter, pose_noise
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.poses import transforms
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import crossing, moved
 

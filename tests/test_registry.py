@@ -4,7 +4,7 @@ from importlib import metadata
 
 import pytest
 
-from dynaviz import registry
+from dynaviz.contracts import registry
 from dynaviz.errors import PluginError, UsageError
 
 

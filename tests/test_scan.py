@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dynaviz.contracts.scan import Label, Outcome, Scan, Sequence, outcomes, select_frames, stream
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.scan import Label, Outcome, Scan, Sequence, outcomes, select_frames, stream
-from dynaviz.sensors import Sensor
 
 
 class Counting:

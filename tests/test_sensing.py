@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64
+from dynaviz.contracts.scan import Scan, Sequence, select_frames
+from dynaviz.contracts.sensors import Sensor, load_sensor, sensor_names
 from dynaviz.engine.needs import suited
 from dynaviz.errors import DataError, UsageError
-from dynaviz.scan import Scan, Sequence, select_frames
-from dynaviz.sensing import estimate_sensor, sentence
-from dynaviz.sensors import Sensor, load_sensor, sensor_names
+from dynaviz.sources.sensing import estimate_sensor, sentence
 from dynaviz.testing.world import InMemory
 from dynaviz_methods.octomap import OctoMap, OctoMapParams
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams

@@ -18,7 +18,7 @@ from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
-from dynaviz.results.result import Result, environment
+from dynaviz.scores.result import Result, environment
 
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
 

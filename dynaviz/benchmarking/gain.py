@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F64, I64
-from dynaviz.results.result import Result
+from dynaviz.scores.result import Result
 
 LEVEL = 0.95
 DRAWS = 2000

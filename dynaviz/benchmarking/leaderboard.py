@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynaviz.benchmarking.plan import BenchCell, ParameterSet
-from dynaviz.results.collect import combined
-from dynaviz.results.result import Result
+from dynaviz.scores.collect import combined
+from dynaviz.scores.result import Result
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -95,7 +95,7 @@ class Leaderboard:
         from rich.markup import escape
         from rich.table import Table
 
-        from dynaviz.results.result import result_table
+        from dynaviz.scores.result import result_table
 
         parts: list[RenderableType] = []
         training = [row.result for row in self.rows if row.result and row.cell.source.name not in self.holdout]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynaviz import params, registry
+from dynaviz.contracts import params, registry
 
 
 @dataclass(frozen=True)

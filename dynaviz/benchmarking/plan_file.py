@@ -12,12 +12,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from dynaviz import params, registry
 from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec, variant
-from dynaviz.datasets import is_sequence
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
-from dynaviz.registry import suggest
-from dynaviz.results.result import RecordMode
+from dynaviz.scores.result import RecordMode
+from dynaviz.sources.datasets import is_sequence
 
 RECORDS = (*get_args(RecordMode), "none")
 KEYS: dict[str, dict[str, Any]] = {
@@ -153,14 +153,14 @@ def _source(entry: Any, place: str) -> SequenceSpec:
     if source.name != re.sub(r"[/\\:\s]", "", source.name) or source.name in ("", ".", "..", "sequences"):
         raise UsageError(f"{place}: name = {source.name!r} is not a valid folder name. Give another name")
     if source.sensor:
-        from dynaviz.sensors import load_sensor
+        from dynaviz.contracts.sensors import load_sensor
 
         load_sensor(source.sensor)
     return source
 
 
 def _simulated(entry: Mapping[str, Any], place: str) -> SequenceSpec:
-    from dynaviz.simulate.presets import PRESETS
+    from dynaviz.synthetic.simulate.presets import PRESETS
 
     scene, frames, seed = entry["simulate"], entry.get("frames"), entry.get("seed", 0)
     if scene not in PRESETS:

@@ -93,7 +93,7 @@ class CellRunner:
 
     def _digest(self, source: SequenceSpec) -> str | DynavizError:
         """The digest of a sequence, or the error if it cannot be read. Called once per sequence."""
-        from dynaviz.engine.summary import summarize
+        from dynaviz.sources.summary import summarize
 
         def report(task: str) -> Callable[[int, int], None]:
             return lambda done, total: self.callbacks.preparing(f"{task} {source.name}", done, total)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from dynaviz import params, registry
 from dynaviz.benchmarking.leaderboard import BenchRow, SearchResult
 from dynaviz.benchmarking.plan import BenchPlan, ParameterSet, SearchSpec, SequenceSpec
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.registry import suggest
 from dynaviz.errors import DynavizError, MissingDependency, UsageError
 from dynaviz.io.atomic import write_atomic
-from dynaviz.registry import suggest
-from dynaviz.results.collect import combined
+from dynaviz.scores.collect import combined
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.runner import CellRunner

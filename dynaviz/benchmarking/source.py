@@ -9,10 +9,10 @@ from pathlib import Path
 
 from dynaviz import api
 from dynaviz.benchmarking.plan import SequenceSpec
+from dynaviz.contracts.params import read_toml
+from dynaviz.contracts.scan import Sequence, SequenceSlice
 from dynaviz.errors import DataError
-from dynaviz.params import read_toml
-from dynaviz.scan import Sequence, SequenceSlice
-from dynaviz.simulate.presets import PRESETS
+from dynaviz.synthetic.simulate.presets import PRESETS
 
 
 def open_source(source: SequenceSpec) -> Sequence:
@@ -45,7 +45,7 @@ def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> Non
     Raises:
         DataError: if it cannot be written, or the folder contains something else.
     """
-    from dynaviz.simulate.write import VERSION, simulate
+    from dynaviz.synthetic.simulate.write import VERSION, simulate
 
     folder, frames = Path(source.path), source.frames or PRESETS[source.scene].frames
     if folder.exists():

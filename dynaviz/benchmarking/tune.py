@@ -9,27 +9,28 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dynaviz import api, registry
+from dynaviz import api
 from dynaviz.benchmarking.bench import bench
 from dynaviz.benchmarking.gain import Gain, gain
 from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard
 from dynaviz.benchmarking.plan_file import anchored
 from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.benchmarking.search import default_ranges
+from dynaviz.contracts import registry
+from dynaviz.contracts.params import read_toml
+from dynaviz.contracts.scan import Scan, SequenceView
+from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.errors import UsageError
-from dynaviz.implants.lidar import LidarModel
-from dynaviz.implants.options import ImplantOptions, parse
-from dynaviz.implants.panel import default_panel, votes
-from dynaviz.implants.sequence import ImplantedSequence, planned
-from dynaviz.implants.survey import Survey
-from dynaviz.implants.write import write
 from dynaviz.io.atomic import write_atomic
-from dynaviz.params import read_toml
 from dynaviz.progress import Progress, silent
-from dynaviz.results.collect import combined
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan, SequenceView
-from dynaviz.scan import Sequence as ScanSequence
+from dynaviz.scores.collect import combined
+from dynaviz.scores.result import Result
+from dynaviz.synthetic.implants.lidar import LidarModel
+from dynaviz.synthetic.implants.options import ImplantOptions, parse
+from dynaviz.synthetic.implants.panel import default_panel, votes
+from dynaviz.synthetic.implants.sequence import ImplantedSequence, planned
+from dynaviz.synthetic.implants.survey import Survey
+from dynaviz.synthetic.implants.write import write
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -11,18 +11,18 @@ import numpy as np
 
 from dynaviz import api
 from dynaviz.cleaning.cleaned import Cleaned
+from dynaviz.contracts.scan import Sequence, SequenceSlice, select_frames
+from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.engine.cleaned_map import MapFile, check_voxel_size, write_maps
 from dynaviz.engine.region import Region
 from dynaviz.errors import NoPoses, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.maps import check_map_path
-from dynaviz.odometry.estimate import EstimatedPoses
-from dynaviz.odometry.opening import DEFAULT, is_odometry, open_estimated
 from dynaviz.progress import Progress, silent
-from dynaviz.results.result import RecordMode
-from dynaviz.scan import Sequence, SequenceSlice, select_frames
-from dynaviz.sensing import estimate_sensor, sentence
-from dynaviz.sensors import Sensor, load_sensor
+from dynaviz.scores.result import RecordMode
+from dynaviz.sources.odometry.estimate import EstimatedPoses
+from dynaviz.sources.odometry.estimated import DEFAULT, is_odometry, open_estimated
+from dynaviz.sources.sensing import estimate_sensor, sentence
 
 __all__ = ["BEST", "Cleaned", "clean"]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from dynaviz.engine.cleaned_map import WrittenMap
-from dynaviz.odometry.estimate import EstimatedPoses
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Removals
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Removals
+from dynaviz.sources.odometry.estimate import EstimatedPoses
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

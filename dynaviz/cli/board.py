@@ -14,8 +14,8 @@ from dynaviz.cli.console import program, progress, show
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from dynaviz.board.check import CheckedEntry
-    from dynaviz.board.sequences import SequenceFinder
+    from dynaviz.reports.board.check import CheckedEntry
+    from dynaviz.runs.sequences import SequenceFinder
 
 
 def add_to(app: typer.Typer) -> None:
@@ -56,8 +56,8 @@ def board(
     dynaviz board recordings/demo/octomap -o recordings/demo/board --check --rerun
     dynaviz board results -o site --sequence semantickitti:kitti/sequences/08
     """
-    from dynaviz.board.sequences import SequenceFinder
     from dynaviz.errors import UsageError
+    from dynaviz.runs.sequences import SequenceFinder
 
     if rerun and not check:
         raise UsageError("--rerun: only with --check")
@@ -70,7 +70,7 @@ def board(
 
 
 def _write(folder: Path, site: Path, finder: SequenceFinder) -> None:
-    from dynaviz.board.write import write_board
+    from dynaviz.reports.board.write import write_board
 
     with progress("board", unit={"score": "runs"}) as report:
         written = write_board(folder, site, finder, report)
@@ -85,7 +85,7 @@ def _write(folder: Path, site: Path, finder: SequenceFinder) -> None:
 
 
 def _check(folder: Path, site: Path, finder: SequenceFinder, rerun: bool) -> None:
-    from dynaviz.board.check import check_board
+    from dynaviz.reports.board.check import check_board
 
     with progress("check", unit="runs") as report:
         checked = check_board(folder, site, finder, rerun, report)
@@ -107,7 +107,7 @@ def _table(checked: Several[CheckedEntry]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from dynaviz.board.check import DIFFERENT, PARTS
+    from dynaviz.reports.board.check import DIFFERENT, PARTS
 
     table = Table("run", "sequence", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for part in PARTS:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from dynaviz.results.sections import FailureCase, RemovedCluster
+from dynaviz.scores.sections import FailureCase, RemovedCluster
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from dynaviz.results.result import Result
+    from dynaviz.scores.result import Result
 
 TOP = 3  # listed after a run
 RANKING = "Suspicion runs from 0 (looks like a mover) to 1 (looks like a static surface)."

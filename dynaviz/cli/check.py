@@ -13,7 +13,7 @@ from dynaviz.cli.console import show
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from dynaviz.results.regression import CheckedValue, RegressionCheck
+    from dynaviz.scores.regression import CheckedValue, RegressionCheck
 
 ROWS = 40  # rows of a table; passed checks beyond that are only counted
 
@@ -53,8 +53,8 @@ def check(
     dynaviz check bench --baseline baseline.json
     """
     from dynaviz.errors import UsageError
-    from dynaviz.results import regression as core
-    from dynaviz.results.collect import collect
+    from dynaviz.scores import regression as core
+    from dynaviz.scores.collect import collect
 
     if not minima and baseline is None and write_baseline is None:
         raise UsageError("nothing to check. Give --min METRIC=PERCENT or --baseline FILE")
@@ -84,7 +84,7 @@ def _limit(text: str) -> tuple[str, float]:
 
 def _summary(checked: RegressionCheck, results: int, baseline: Path | None) -> str:
     """The closing line: how many checks failed, and whether the baseline could be raised."""
-    from dynaviz.results.regression import CheckOutcome
+    from dynaviz.scores.regression import CheckOutcome
 
     total = sum(value.outcome is not CheckOutcome.INFO for value in checked.values)
     improved = {value.run for value in checked.values if value.outcome is CheckOutcome.IMPROVED}
@@ -104,7 +104,7 @@ def _remarks(checked: RegressionCheck, failed: bool) -> Iterator[str]:
     """Lines for the entries without numbers: failures are shown above the table, all others below it."""
     from rich.markup import escape
 
-    from dynaviz.results.regression import CheckOutcome
+    from dynaviz.scores.regression import CheckOutcome
 
     for value in checked.values:
         if value.is_text and value.remark and (value.outcome is CheckOutcome.FAILED) == failed:
@@ -118,7 +118,7 @@ def table(checked: RegressionCheck) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from dynaviz.results.regression import CheckOutcome
+    from dynaviz.scores.regression import CheckOutcome
 
     styles = {
         CheckOutcome.FAILED: "[bold red]FAIL[/]",
@@ -160,7 +160,7 @@ ERRORS = {"SA": ("static_removed",), "DA": ("dynamic_kept",)}  # the counts that
 
 def _points(checked: CheckedValue) -> Iterator[str]:
     """The remark, and for a change the number of wrong points with its difference from the baseline."""
-    from dynaviz.results.regression import CheckOutcome
+    from dynaviz.scores.regression import CheckOutcome
 
     if checked.remark:
         yield checked.remark

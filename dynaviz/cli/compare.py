@@ -58,7 +58,7 @@ def compare(
     if json is not None and not printed:
         show(f"Written to {json}.")
     if view:
-        from dynaviz.viz.view import view as open_viewer
+        from dynaviz.views.read.view import view as open_viewer
 
         open_viewer([out])
     if fail_below is not None and (drops := comparison.drops_below(fail_below)):

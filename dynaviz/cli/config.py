@@ -47,8 +47,8 @@ def config(
     from rich.markup import escape
     from rich.table import Table
 
-    from dynaviz import params, registry
-    from dynaviz.sensors import load_sensor
+    from dynaviz.contracts import params, registry
+    from dynaviz.contracts.sensors import load_sensor
 
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, file, settings or ())

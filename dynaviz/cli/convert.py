@@ -40,7 +40,7 @@ def convert(
     classes) and, if there is ground truth, gt_cloud.pcd (intensity 0 static, 1 dynamic, 255 unlabelled). The original
     licence still applies to the copy.
     """
-    from dynaviz.datasets.convert import convert as write
+    from dynaviz.sources.datasets.convert import convert as write
 
     opened = open_sequence(
         sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew

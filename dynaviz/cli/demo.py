@@ -35,11 +35,12 @@ def demo(
     dynaviz demo
     dynaviz demo -o out --no-view
     """
-    from dynaviz import api, registry
-    from dynaviz.params import read_toml
+    from dynaviz import api
+    from dynaviz.contracts import registry
+    from dynaviz.contracts.params import read_toml
     from dynaviz.precompile import LATE, compiling
-    from dynaviz.results.result import result_table
-    from dynaviz.simulate import simulate
+    from dynaviz.scores.result import result_table
+    from dynaviz.synthetic.simulate import simulate
 
     folder = out / "street"
     facts = folder / "sequence.toml"
@@ -68,13 +69,13 @@ def demo(
         f"Click the failures, and see which scans decided a point: {command} explore {recording.parent}",
     )
     if view or (view is None and should_open_viewer()):
-        from dynaviz.viz.view import view as open_viewer
+        from dynaviz.views.read.view import view as open_viewer
 
         open_viewer([recording])
 
 
 def should_open_viewer() -> bool:
     """Whether a window can open and the session is interactive."""
-    from dynaviz.viz.viewer import has_screen
+    from dynaviz.views.viewer import has_screen
 
     return has_screen() and sys.stdout.isatty() and "CI" not in os.environ

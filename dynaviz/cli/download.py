@@ -40,8 +40,8 @@ def download(
     NAME.download.json next to the sequence. A sequence.toml with the sensor is added. The data keep
     their original licences.
     """
-    from dynaviz.datasets.download import BASE, SEQUENCES
-    from dynaviz.datasets.download import download as fetch
+    from dynaviz.sources.datasets.download import BASE, SEQUENCES
+    from dynaviz.sources.datasets.download import download as fetch
 
     with progress(name, unit={"fetch": "MB", "unpack": "files"}) as report:
         folder = fetch(name, out, url or BASE, report)

@@ -34,7 +34,7 @@ def explore(
     import webbrowser
 
     from dynaviz.explorer import explore as start
-    from dynaviz.viz.viewer import has_screen
+    from dynaviz.views.viewer import has_screen
 
     with start(run, other, port=port) as server:
         print(f"Explore at {server.url} until interrupted (Ctrl-C).", flush=True)

@@ -35,7 +35,7 @@ def export_labels(
     Writes one file per frame, NNNNNN.label with the frame number, and one uint32 per point in the order of the
     sequence: 9 for static and 251 for moving, as in SemanticKITTI's moving object segmentation task.
     """
-    from dynaviz.datasets.export import export_labels as write
+    from dynaviz.runs.export import export_labels as write
 
     opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in, deskew=deskew)
     with progress(f"export labels of {opened.name}") as report:

@@ -13,7 +13,7 @@ from dynaviz.cli.options import Json, recording_in
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from dynaviz.results.sections import Failures, Removals
+    from dynaviz.scores.sections import Failures, Removals
 
 
 def add_to(app: typer.Typer) -> None:
@@ -37,7 +37,7 @@ def failures(
     """
     import msgspec
 
-    from dynaviz.results.sections import Failures
+    from dynaviz.scores.sections import Failures
 
     section = _section(run)
     if print_json(msgspec.to_builtins(section), json):
@@ -72,13 +72,13 @@ def _clusters(section: Removals, top: int) -> list[RenderableType]:
 def _section(run: Path) -> Failures | Removals:
     """The failures of a run, or its removals without ground truth, from its result file or its recording."""
     from dynaviz.errors import DataError
-    from dynaviz.results.result import Result
+    from dynaviz.scores.result import Result
 
     run = recording_in(run)
     if not run.is_file() and run.with_name("result.json").is_file():
         run = run.with_name("result.json")  # a run without a recording
     if run.suffix == ".rrd":
-        from dynaviz.viz.failures import failures_of, removals_of
+        from dynaviz.views.read.failures import failures_of, removals_of
 
         return removals_of(run) or failures_of(run)
     result = Result.load(run)

@@ -59,10 +59,10 @@ def implant(
     dynaviz implant path/to/sequence out/again --scene out/implants/implants.toml
     dynaviz run dufomap "implant:path/to/sequence?cars=6&seed=3"
     """
-    from dynaviz.implants.options import ImplantOptions
-    from dynaviz.implants.panel import default_panel
-    from dynaviz.implants.sequence import ImplantedSequence
-    from dynaviz.implants.write import SCENE_FILE, write
+    from dynaviz.synthetic.implants.options import ImplantOptions
+    from dynaviz.synthetic.implants.panel import default_panel
+    from dynaviz.synthetic.implants.sequence import ImplantedSequence
+    from dynaviz.synthetic.implants.write import SCENE_FILE, write
 
     opened = open_sequence(sequence, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
     methods: tuple[str, ...] = () if opened.has_labels else default_panel()

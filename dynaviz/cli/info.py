@@ -16,8 +16,8 @@ from dynaviz.cli.options import Deskew, Extrinsic, Json, PointsIn, Poses, Quiet,
 
 if TYPE_CHECKING:
     from dynaviz.arrays import F64
-    from dynaviz.results.result import Result
-    from dynaviz.scan import Scan, Sequence
+    from dynaviz.contracts.scan import Scan, Sequence
+    from dynaviz.scores.result import Result
 
 
 @runtime_checkable
@@ -64,13 +64,13 @@ def info(
         path = str(Path(path) / "result.json")
     suffix = Path(path).suffix
     if suffix == ".json":
-        from dynaviz.results.result import Result
+        from dynaviz.scores.result import Result
 
         result = Result.load(path)
         if not print_json(result.to_dict(), json):
             _show_result(result)
     elif suffix == ".rrd" or path.endswith(".rrd.part"):
-        from dynaviz.viz.reader import RunRecording, read
+        from dynaviz.views.read.reader import RunRecording, read
 
         recording = read(path)
         if print_json(recording.facts(), json):
@@ -91,7 +91,7 @@ def info(
 def _show_result(result: Result) -> None:
     from rich.table import Table
 
-    from dynaviz.results.sections import Reasons, Removals
+    from dynaviz.scores.sections import Reasons, Removals
 
     show(result)
     reasons, removals = result.sections.reasons or Reasons(), result.sections.removals or Removals()
@@ -109,7 +109,7 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
-    from dynaviz.engine.summary import summarize
+    from dynaviz.sources.summary import summarize
 
     with progress(sequence.name) as report:
         counted = _Counted(sequence)
@@ -133,7 +133,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
 
 def _sensor(sequence: Sequence) -> str:
     """The sensor, or estimates of an unknown one."""
-    from dynaviz.sensing import estimate_sensor, sentence
+    from dynaviz.sources.sensing import estimate_sensor, sentence
 
     sensor = sequence.sensor
     if sensor.name != "unknown":

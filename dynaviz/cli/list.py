@@ -12,7 +12,7 @@ from dynaviz.cli.console import print_json, show
 from dynaviz.cli.options import Json
 
 if TYPE_CHECKING:
-    from dynaviz.registry import PluginHandle
+    from dynaviz.contracts.registry import PluginHandle
 
 
 class Listing(StrEnum):
@@ -73,14 +73,14 @@ def list_(
 def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
     from rich.markup import escape
 
-    from dynaviz import registry
+    from dynaviz.contracts import registry
 
     if kind == "sensors":
-        from dynaviz.sensors import load_sensor, sensor_names
+        from dynaviz.contracts.sensors import load_sensor, sensor_names
 
         yield from ((name, load_sensor(name).title, "dynaviz") for name in sensor_names())
     elif kind == "presets":
-        from dynaviz.params import preset_description
+        from dynaviz.contracts.params import preset_description
 
         for name, files in sorted(registry.preset_files().items()):
             yield (
@@ -89,7 +89,7 @@ def _rows(kind: str) -> Iterator[tuple[str, str, str]]:
                 ", ".join(sorted({file.parent.parent.name for file in files})),
             )
     elif kind == "scenes":
-        from dynaviz.simulate import PRESETS
+        from dynaviz.synthetic.simulate import PRESETS
 
         yield from ((name, preset.title, "dynaviz") for name, preset in PRESETS.items())
     else:

@@ -30,7 +30,7 @@ from dynaviz.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from dynaviz.online.player import PlayReport
+    from dynaviz.live.player import PlayReport
 
 
 def add_to(app: typer.Typer) -> None:
@@ -86,7 +86,7 @@ def live(
     dynaviz live drive.bag -m dufomap --serve --port 9090
     dynaviz live simulate:demo --rate 0 -o recordings/live --minutes 2
     """
-    from dynaviz.playback import play_live
+    from dynaviz.runs.playback import play_live
 
     sequence = open_sequence(
         source,

@@ -12,7 +12,7 @@ import typer
 from dynaviz.cli.console import set_quiet
 
 if TYPE_CHECKING:
-    from dynaviz.scan import Sequence
+    from dynaviz.contracts.scan import Sequence
 
 
 class PointFrame(StrEnum):
@@ -35,7 +35,7 @@ def plugin_names(kind: str) -> Callable[[str], list[str]]:
     """Completes names of plug-ins of a kind."""
 
     def complete(incomplete: str) -> list[str]:
-        from dynaviz import registry
+        from dynaviz.contracts import registry
 
         return [handle.name for handle in registry.handles(kind) if handle.name.startswith(incomplete)]
 
@@ -44,14 +44,14 @@ def plugin_names(kind: str) -> Callable[[str], list[str]]:
 
 def sensor_completions(incomplete: str) -> list[str]:
     """Completes names of sensors."""
-    from dynaviz.sensors import sensor_names
+    from dynaviz.contracts.sensors import sensor_names
 
     return [name for name in sensor_names() if name.startswith(incomplete)]
 
 
 def preset_completions(incomplete: str) -> list[str]:
     """Completes names of presets."""
-    from dynaviz import registry
+    from dynaviz.contracts import registry
 
     return [name for name in sorted(registry.preset_files()) if name.startswith(incomplete)]
 

@@ -10,7 +10,7 @@ import typer
 from dynaviz.cli.console import program, show
 
 if TYPE_CHECKING:
-    from dynaviz.viz.repair import SalvagedRecording
+    from dynaviz.views.read.repair import SalvagedRecording
 
 PARTIAL, NOTHING = 3, 1
 
@@ -42,7 +42,7 @@ def repair(
     dynaviz repair recordings/demo/octomap/.run.rrd.part
     dynaviz repair run.rrd -o recovered.rrd
     """
-    from dynaviz.viz.repair import repair as salvage
+    from dynaviz.views.read.repair import repair as salvage
 
     salvaged = salvage(broken, out)
     for line in _summary(broken, salvaged):

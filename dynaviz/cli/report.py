@@ -34,7 +34,7 @@ def report(
     dynaviz report bench/ -o tables.tex
     dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
     """
-    from dynaviz.reporting import report as write_report
+    from dynaviz.reports.reporting import report as write_report
 
     with progress("report", unit="steps") as show_progress:
         text = write_report(*results, out=out, format=format, progress=show_progress)

@@ -30,6 +30,6 @@ def rescore(
     dynaviz explore recordings/demo/octomap
     dynaviz rescore recordings/demo/octomap
     """
-    from dynaviz.relabelling import rescore as score_again
+    from dynaviz.runs.relabelling import rescore as score_again
 
     show(str(score_again(run, sequence)))

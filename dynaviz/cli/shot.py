@@ -47,8 +47,8 @@ def shot(
     dynaviz shot run.rrd --case 4 --size 3840x2160 -o case.png
     dynaviz shot run.rrd --case 4 --clip case.mp4
     """
-    from dynaviz.viz.shot import parse_size
-    from dynaviz.viz.shot import shot as render
+    from dynaviz.views.read.shot import parse_size
+    from dynaviz.views.read.shot import shot as render
 
     if out is None and clip is None:
         raise UsageError("nothing to write. Give -o IMAGE.png, or --case N --clip VIDEO.mp4")

@@ -40,7 +40,7 @@ def simulate(
     dynaviz simulate "street_hdl64?jitter_m=0.03&brushing=6" out/jitter
     dynaviz run dufomap "simulate:street_hdl64?frames=20&jitter_m=0.03"
     """
-    from dynaviz.simulate import simulate as write
+    from dynaviz.synthetic.simulate import simulate as write
 
     with progress(preset.partition("?")[0]) as report:
         folder = write(

@@ -34,6 +34,6 @@ def view(
     dynaviz view a.rrd b.rrd --web
     dynaviz view recordings/demo/octomap --web --port 9090
     """
-    from dynaviz.viz.view import view as open_viewer
+    from dynaviz.views.read.view import view as open_viewer
 
     open_viewer([recording_in(each) for each in recordings], web=web, port=port)

@@ -42,8 +42,8 @@ def why(
     """
     import json
 
-    from dynaviz.explanation import why as explain
     from dynaviz.io.atomic import write_atomic
+    from dynaviz.runs.explanation import why as explain
 
     with progress("replay") as report:
         found = explain(run, frame, point, sequence=sequence, threads=threads, progress=report)

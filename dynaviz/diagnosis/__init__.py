@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.in_memory import ArraySequence
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
@@ -20,9 +19,10 @@ from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
 from dynaviz.diagnosis.views import ScanView, around, pairs
 from dynaviz.errors import DataError
-from dynaviz.pose_noise import PoseNoiseMeter
 from dynaviz.progress import Progress, silent
-from dynaviz.scan import Scan, Sequence, SequenceSlice, SequenceView
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.in_memory import ArraySequence
+from dynaviz.sources.pose_noise import PoseNoiseMeter
 
 __all__ = ["Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 

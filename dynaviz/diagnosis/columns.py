@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynaviz.attributes import attributes_of
+from dynaviz.contracts.attributes import attributes_of
+from dynaviz.contracts.scan import HasScanFiles, Sequence, SequenceSlice
 from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.errors import DataError
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne
-from dynaviz.scan import HasScanFiles, Sequence, SequenceSlice
 
 FEWEST = 500  # points from which an order is judged
 NEGATIVE = 0.05  # share of negative values from which a column is a coordinate

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
-from dynaviz.results.sections import PoseNoise
+from dynaviz.sources.origin import PoseNoise
 
 if TYPE_CHECKING:
     from rich.console import RenderResult
@@ -150,7 +150,7 @@ class Diagnosis:
 
 def settable(parameter: str, value: str) -> str:
     """The option that sets a parameter, and the methods that have it, in words."""
-    from dynaviz import registry
+    from dynaviz.contracts import registry
     from dynaviz.errors import PluginError
 
     names = []

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.contracts.extent import FAR
+from dynaviz.contracts.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, SequenceSlice
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
-from dynaviz.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, SequenceSlice
 from dynaviz.spatial import geometry
-from dynaviz.spatial.extent import FAR
 
 HOUSING = 0.05  # metres; a nearer point is a ray without return, written at the sensor's own position
 NEAR = 0.5  # metres; an object at this range blocks everything behind it

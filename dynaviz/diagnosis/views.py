@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from dynaviz.arrays import F64, Intp
+from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.trajectory import Pose, angle
-from dynaviz.scan import Scan
 from dynaviz.spatial import geometry
 from dynaviz.spatial.grid import voxel_downsample
 

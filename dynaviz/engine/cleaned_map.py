@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, Bool
-from dynaviz.attributes import Attributes, attributes_of, origin_of
+from dynaviz.contracts.attributes import Attributes, attributes_of, origin_of
+from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
 from dynaviz.io.map_tiles import MapTiles
 from dynaviz.io.maps import MapWriter, TiledMap, open_map
 from dynaviz.progress import Progress, silent
-from dynaviz.scan import Sequence as ScanSequence
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 

@@ -16,15 +16,15 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from dynaviz.arrays import F32, F64, Bool, single
-from dynaviz.attributes import origin_of
+from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, read_fields
 from dynaviz.io.npy import open_npy
 from dynaviz.io.points import read_points
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.scan import Scan, Sequence
+from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.nearest import Nearest
 
 RADIUS = 0.05  # metres: that of the public benchmark, half of its 0.1 m voxel
@@ -66,7 +66,8 @@ class ExternalMap:
         path: the map (``dynaviz.io.points.read_points``), in the world frame of the sequence.
         name: for tables.
         radius: metres, 0 or more.
-        origin: (3,) float64, metres: subtracted from the map, as from the sequence (``dynaviz.attributes.origin_of``).
+        origin: (3,) float64, metres: subtracted from the map, as from the sequence
+            (``dynaviz.contracts.attributes.origin_of``).
 
     Raises:
         UsageError: for an invalid radius.

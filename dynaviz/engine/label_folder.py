@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.errors import DataError
 from dynaviz.io.scan_labels import SUFFIXES, read_moving
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.scan import Scan, Sequence
 
 _STATIC, _MOVING, _UNANSWERED = range(3)
 UNANSWERED = "unanswered"

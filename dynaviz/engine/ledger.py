@@ -11,13 +11,13 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, Bool, Intp
+from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Verdict, voxels_around
+from dynaviz.contracts.method import Reason
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import PluginError, UsageError
-from dynaviz.evidence import Asked, Evidence, Explains, Quantity, Rule, Verdict, voxels_around
-from dynaviz.method import Reason
-from dynaviz.metric import Labelled
-from dynaviz.scan import Label, Scan
+from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.surface import surface_normal
 
 EDGE = 0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
@@ -27,7 +27,7 @@ GRAZING = 10.0  # degrees: a ray that meets the surface at a smaller angle only 
 
 @dataclass(frozen=True, slots=True)
 class TermValue:
-    """A comparison with its numbers, such as ``log-odds -0.4 < 0``; fields as in ``dynaviz.evidence.Term``."""
+    """A comparison with its numbers, such as ``log-odds -0.4 < 0``; fields as in ``contracts.evidence.Term``."""
 
     name: str
     value: float | None
@@ -42,7 +42,7 @@ class RuleValue:
     """A rule with its numbers.
 
     Attributes:
-        name: as in ``dynaviz.evidence.Rule``.
+        name: as in ``dynaviz.contracts.evidence.Rule``.
         terms: with the numbers that decided. For a rule that one scan may fulfil: those of the first scan that did, or
             of the scan that came closest.
         holds: whether it removes the point.
@@ -88,7 +88,7 @@ class LedgerEntry:
 
 @dataclass(frozen=True, slots=True)
 class QuantityInfo:
-    """A quantity of the ledger; fields as in ``dynaviz.evidence.Quantity``."""
+    """A quantity of the ledger; fields as in ``dynaviz.contracts.evidence.Quantity``."""
 
     name: str
     unit: str

@@ -14,20 +14,20 @@ import msgspec
 import numpy as np
 
 from dynaviz import kernels
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context, Labeller, Labels, Method
+from dynaviz.contracts.metric import Figure, Labelled, Metric
+from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
+from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.engine.packed_bits import PackedBits
-from dynaviz.engine.summary import SequenceSummary, summarize
 from dynaviz.errors import PluginError, UsageError
-from dynaviz.method import Context, Labeller, Labels, Method
-from dynaviz.metric import Figure, Labelled, Metric
-from dynaviz.pose_noise import PoseNoiseMeter
-from dynaviz.probe import SILENT, MemoryProbe, Probe
 from dynaviz.progress import Progress, silent
-from dynaviz.results.answers import RunAnswers
-from dynaviz.results.labels import RunLabels
-from dynaviz.results.result import Result, environment
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo, Source
-from dynaviz.scan import Scan, Sequence, stream
-from dynaviz.spatial.extent import Extent
+from dynaviz.scores.answers import RunAnswers
+from dynaviz.scores.labels import RunLabels
+from dynaviz.scores.result import Result, environment
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo, Source
+from dynaviz.sources.pose_noise import PoseNoiseMeter
+from dynaviz.sources.summary import SequenceSummary, summarize
 
 MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
@@ -207,7 +207,8 @@ def _passes(run: RunSpec, observe: Step, label: Step) -> list[list[Step]]:
 def _check(method: str, labels: Any, points: int) -> None:
     """Reject labels of another type: integers would select points by number where files are written."""
     if not isinstance(labels, Labels):
-        raise PluginError(f"{method}: label() returned {type(labels).__name__}, not dynaviz.method.Labels. {_KIT}")
+        expected = "dynaviz.contracts.method.Labels"
+        raise PluginError(f"{method}: label() returned {type(labels).__name__}, not {expected}. {_KIT}")
     for name, values, dtype in (("dynamic", labels.dynamic, np.bool_), ("reasons", labels.reasons, np.uint8)):
         if not isinstance(values, np.ndarray) or values.dtype != dtype or values.shape != (points,):
             found = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__

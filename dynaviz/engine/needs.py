@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from dynaviz.method import Context, Method
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensing import with_needed_facts
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context, Method
+from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.sensors import Sensor
+from dynaviz.sources.sensing import with_needed_facts
 
 
 def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:

@@ -12,13 +12,13 @@ from typing import IO, Any
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.params import to_toml
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.io.atomic import atomic_file, remove, write_atomic
 from dynaviz.io.pcd import PcdWriter
-from dynaviz.metric import Figure, Labelled
-from dynaviz.params import to_toml
-from dynaviz.results.result import Result
+from dynaviz.scores.result import Result
+from dynaviz.sources.summary import SequenceSummary
 
 FILES = ("labels.npz", "static_map.pcd", "dynamic_points.pcd")
 """Written by the listeners in this module."""

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Label
 from dynaviz.engine.external import External, ExternalMap, PrecomputedLabels, TakesMap, finite
 from dynaviz.engine.label_folder import LabelFolder
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.io.atomic import open_file
-from dynaviz.metric import Labelled
-from dynaviz.results.sections import Source
-from dynaviz.scan import Label
+from dynaviz.scores.sections import Source
+from dynaviz.sources.summary import SequenceSummary
 
 _OTHER_FRAME = 1.0  # percent of static points near the map, below which map and sequence are in different frames
 _SAMPLE = 50  # use every N-th static point for that check

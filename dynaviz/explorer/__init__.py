@@ -10,7 +10,7 @@ from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:
     from dynaviz.explorer.server import Explorer
-    from dynaviz.results.result import Result
+    from dynaviz.scores.result import Result
 
 
 def explore(

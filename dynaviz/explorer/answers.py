@@ -16,9 +16,9 @@ from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
-from dynaviz.viz.focus import CASE, LAYOUTS, MAP
-from dynaviz.viz.shot import shot
+from dynaviz.runs.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
+from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
+from dynaviz.views.read.shot import shot
 
 PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels

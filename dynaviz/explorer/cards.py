@@ -10,10 +10,10 @@ import numpy as np
 
 from dynaviz import colours
 from dynaviz.arrays import F64, I64, Bool
+from dynaviz.contracts.scan import Outcome
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.relabelling import Corner
-from dynaviz.results.sections import FailureCase, RemovedCluster
-from dynaviz.scan import Outcome
+from dynaviz.runs.relabelling import Corner
+from dynaviz.scores.sections import FailureCase, RemovedCluster
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded

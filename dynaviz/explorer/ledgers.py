@@ -10,9 +10,9 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64
 from dynaviz.errors import UsageError
-from dynaviz.explanation import Why, why
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.viz.focus import CROSSED, HIT
+from dynaviz.runs.explanation import Why, why
+from dynaviz.views.read.focus import CROSSED, HIT
 
 MOST = 64  # ledgers that are kept
 BEYOND = 40.0  # metres behind a point at which drawn rays end at the latest

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz import registry
 from dynaviz.arrays import F64, I64, U8, Bool
-from dynaviz.comparison.answers import Answers
+from dynaviz.contracts import registry
+from dynaviz.contracts.probe import Voxels
+from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.errors import DataError, UsageError
-from dynaviz.explanation import sentence
-from dynaviz.probe import Voxels
-from dynaviz.results.result import Result
-from dynaviz.saved_run import run_file
-from dynaviz.scan import Label, Outcome
-from dynaviz.viz import paths
-from dynaviz.viz.cases import WRONG
-from dynaviz.viz.focus import Focus
-from dynaviz.viz.reader import DrawnPoints, RunRecording, viewable
+from dynaviz.runs.explanation import sentence
+from dynaviz.runs.saved_run import run_file
+from dynaviz.scores.comparison.answers import Answers
+from dynaviz.scores.result import Result
+from dynaviz.views import paths
+from dynaviz.views.cases import WRONG
+from dynaviz.views.read.focus import Focus
+from dynaviz.views.read.reader import DrawnPoints, RunRecording, viewable
 
 NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
 GATHERED = (paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)  # of all frames; none is right and kept

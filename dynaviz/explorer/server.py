@@ -29,7 +29,7 @@ except ImportError:
     ) from None
 
 from dynaviz.explorer.answers import RRD, Explored, Query
-from dynaviz.viz.chunks import with_passive_layout
+from dynaviz.views.read.chunks import with_passive_layout
 
 HOME = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")

@@ -4,7 +4,7 @@ A ray goes from the sensor to the centre of a voxel. It is traversed voxel by vo
 voxels only where the grid has a block. Times along it are integers, ``UNIT`` per edge of a voxel; their two lowest bits
 encode the axis, so no two borders have the same time: for borders at the same place x comes first, then y, then z.
 
-Scratch memory is that of ``dynaviz.spatial.blocks``: each lane has its own rows of 16 words, 8 for observed voxels and
+Scratch memory is that of ``dynaviz.blocks.blocks``: each lane has its own rows of 16 words, 8 for observed voxels and
 8 for hit voxels, which ``raycast.collect`` merges. Bit v of word w is voxel 64 w + v of a block. In live use, voxels
 around the sensor are marked at addresses first, as in ``raycast``.
 """

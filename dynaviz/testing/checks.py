@@ -13,13 +13,13 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I64, U8, Bool
+from dynaviz.contracts.evidence import Asked, Explains, Verdict
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context, Live, Method
+from dynaviz.contracts.params import resolve, to_toml
+from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.evidence import Asked, Explains, Verdict
-from dynaviz.method import Context, Live, Method
-from dynaviz.params import resolve, to_toml
-from dynaviz.probe import SILENT, MemoryProbe, Probe
-from dynaviz.scan import Label, Scan
-from dynaviz.spatial.extent import Extent
 from dynaviz.testing.live import check_live
 from dynaviz.testing.world import SENSOR, InMemory, crossing, moved, turn
 

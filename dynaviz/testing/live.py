@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import U8, Bool
-from dynaviz.method import Context, Live, Method
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
-from dynaviz.spatial.window import Window
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context, Live, Method
+from dynaviz.contracts.scan import Scan
 from dynaviz.testing.world import SENSOR, moved, turn
 
 Answers = tuple[list[Bool], list[U8]]  # dynamic and reasons, scan by scan

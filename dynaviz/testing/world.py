@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.scan import Label, Scan
-from dynaviz.sensors import Sensor
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor
 
 RINGS, ELEVATION, HEIGHT = 24, (-24.0, 10.0), 1.8  # degrees, metres
 SENSOR = Sensor(name="check", title="a sensor of 24 rings", rings=RINGS, elevation=ELEVATION, height=HEIGHT)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F32
-from dynaviz.method import Cause, Reason
-from dynaviz.results.behaviour import Behaviour
+from dynaviz.contracts.method import Cause, Reason
+from dynaviz.scores.behaviour import Behaviour
 
 SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apart
 STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences

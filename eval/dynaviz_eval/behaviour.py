@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, Bool
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.kernels.keys import REACH as KEY_REACH
 from dynaviz.kernels.keys import X_SHIFT
-from dynaviz.metric import Labelled
-from dynaviz.results.behaviour import Behaviour
-from dynaviz.scan import Label, Scan
+from dynaviz.scores.behaviour import Behaviour
 from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT

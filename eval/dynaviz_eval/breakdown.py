@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F32, I64, U8
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import RANGE_EDGES
-from dynaviz.scan import Label, Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 

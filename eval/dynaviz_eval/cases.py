@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I64, U8, Bool, Intp
-from dynaviz.metric import FrameBoxes
-from dynaviz.scan import Outcome
+from dynaviz.contracts.metric import FrameBoxes
+from dynaviz.contracts.scan import Outcome
 from dynaviz.spatial.grid import pack
 
 EDGE = 0.5  # metres: points in touching cells belong to one case

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import U8
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import SCORES, associated_accuracy, harmonic_mean, percent
-from dynaviz.scan import Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.scores import SCORES, associated_accuracy, harmonic_mean, percent
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import I32, I64
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, FrameHistograms, Labelled
-from dynaviz.scan import Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
+from dynaviz.contracts.scan import Outcome
 from dynaviz.spatial.nearest import nearest_distance
 from dynaviz_eval.spool import PointSpool
 

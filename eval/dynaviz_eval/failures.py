@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, Bool
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import percentage_points_lost
-from dynaviz.scan import Label, Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.scores.scores import percentage_points_lost
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, Places, groups_of

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from dynaviz.arrays import F32
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
 from dynaviz_eval.ground import heights_above_ground
 
 T = TypeVar("T")

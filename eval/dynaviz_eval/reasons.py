@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import percentage_points_lost
-from dynaviz.scan import Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.scores import percentage_points_lost
 from dynaviz_eval.confusion import Counts
 
 _CODES = 256

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I64, Bool
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import RANGE_EDGES
-from dynaviz.scan import Label, Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import shape
 from dynaviz_eval.behaviour import Places

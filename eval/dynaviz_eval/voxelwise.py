@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F32, I64
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.results.scores import harmonic_mean, percent
-from dynaviz.scan import Label, Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.scores.scores import harmonic_mean, percent
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 from dynaviz_eval.sorted_runs import HELD, SortedRuns
 

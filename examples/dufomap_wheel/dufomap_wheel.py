@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.probe import Scalar, State
-from dynaviz.scan import Scan
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Scalar, State
+from dynaviz.contracts.scan import Scan
 
 
 @dataclass(frozen=True)

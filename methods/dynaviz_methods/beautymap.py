@@ -37,11 +37,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
-from dynaviz.probe import Mask, Scalar, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.window import Window
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term
+from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Mask, Scalar, State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.column_map import GAP, REACH, SLICES, Cloud, ColumnMap, Placed
 
 BLIND = 2.0  # metres around the sensor where nothing is judged

@@ -10,8 +10,8 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.contracts.extent import Extent
 from dynaviz.spatial.grid import SHIFTS
 from dynaviz_methods.voids import widened
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, U64, Intp
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.blocks import BlockGrid, Marks
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import BlockGrid, Marks
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import in_key_range, pack, unpack
 from dynaviz_methods.sky import sensor_image
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I64, U8, U64
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, voxels_of
-from dynaviz.spatial.extent import CELL, Extent
-from dynaviz.spatial.window import Window
+from dynaviz.blocks.blocks import VOXELS, BlockGrid, voxels_of
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.belief_map import lane_marks, merged, neighbours_of
 from dynaviz_methods.lookups import around, known
 from dynaviz_methods.voids import widened

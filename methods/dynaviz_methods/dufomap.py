@@ -26,11 +26,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import I64, Bool
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, read, voxels_of
+from dynaviz.blocks.blocks import VOXELS, read, voxels_of
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.lookups import around, marked
 from dynaviz_methods.voids import VoidGrid, VoidMarks
 

@@ -30,13 +30,13 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import I64, U8, Bool, Intp
+from dynaviz.blocks.blocks import read
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import PointClasses, RangeImage, Scalar, State, Voxels
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.blocks import read
 from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.free_space import Bits, FreeSpace, SensorView
 from dynaviz_methods.lookups import around, known

@@ -22,11 +22,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Points, PolarGrid, State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import UsageError
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import Points, PolarGrid, State, Voxels
-from dynaviz.scan import Scan
 from dynaviz_methods.polar import PolarBins
 from dynaviz_methods.tiles import laid_out, thinned
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
-from dynaviz.probe import Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, read, voxels_of
-from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.blocks.blocks import VOXELS, BlockGrid, read, voxels_of
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.probe import Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.grid import SHIFTS
-from dynaviz.spatial.window import Window
 
 Bits = tuple[I32, U64]
 

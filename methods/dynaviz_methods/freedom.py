@@ -29,13 +29,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz.arrays import F64, I64, U8
+from dynaviz.blocks.blocks import read, voxels_of
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import PointClasses, RangeImage, Scalar, State, Voxels
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import PointClasses, RangeImage, Scalar, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.blocks import read, voxels_of
 from dynaviz_methods.clear_space import GROWTH, LEVEL, RAISED, SUB_VOXELS, ClearSpace
 from dynaviz_methods.sky import DepthImage, rows_of
 

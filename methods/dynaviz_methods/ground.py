@@ -8,7 +8,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, Bool
-from dynaviz.probe import Plane
+from dynaviz.contracts.probe import Plane
 
 LEAST = 50  # minimum number of points
 SAMPLES = 50  # maximum number of RANSAC iterations, PCL's default

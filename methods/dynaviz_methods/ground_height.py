@@ -8,7 +8,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, Bool
-from dynaviz.spatial.blocks import BlockGrid
+from dynaviz.blocks.blocks import BlockGrid
 
 STEEP = 0.2  # metres per metre: anything steeper is an object on the ground
 SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline

@@ -32,11 +32,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I32, I64, U8, Bool
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
-from dynaviz.probe import PointClasses, Scalar, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS
+from dynaviz.blocks.blocks import VOXELS
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import PointClasses, Scalar, State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.belief_map import BeliefMap, Scores
 from dynaviz_methods.codes import pack_codes, unpack_codes
 from dynaviz_methods.lookups import around, known

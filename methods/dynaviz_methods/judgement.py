@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, Bool, Intp
-from dynaviz.evidence import Rule, Term
+from dynaviz.contracts.evidence import Rule, Term
 
 FEW = 3  # minimum number of voting points of a dynamic object
 PROOF = 2  # number of earlier scans in which a followed object must have been dynamic

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynaviz.arrays import F64, I32, I64, Bool
-from dynaviz.spatial.blocks import BlockGrid, read
+from dynaviz.blocks.blocks import BlockGrid, read
 
 
 def known(values: ArrayLike, voxels: I64) -> F64:

@@ -11,7 +11,7 @@ Hornung et al. 2013; the variants are those of the benchmark (Zhang et al. 2023,
 
 Noise casts no ray. A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. If a
 scan both crosses and hits a voxel, both updates count. Log-odds are float32; only voxels near points store them
-(``dynaviz.spatial.blocks``).
+(``dynaviz.blocks.blocks``).
 Keys have 16 bits per axis, as in the original: points more than 32768 voxels from the world's origin, and points that
 are not finite, are kept unjudged. A sensor beyond that reach casts no rays, but its points still hit.
 """
@@ -26,11 +26,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import Mask, Plane, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
+from dynaviz.blocks.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Mask, Plane, State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.ground import ground_plane
 from dynaviz_methods.lookups import known
 from dynaviz_methods.noise import outliers

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, Bool
-from dynaviz.probe import PolarGrid
+from dynaviz.contracts.probe import PolarGrid
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64
-from dynaviz.probe import RangeImage
+from dynaviz.contracts.probe import RangeImage
 
 
 def image_views(resolutions: tuple[float, ...], elevation: tuple[float, ...], azimuth: tuple[float, ...]) -> F64:

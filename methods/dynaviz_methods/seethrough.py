@@ -59,11 +59,11 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool, Intp
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, voxels_around
-from dynaviz.method import Cause, Context, Halo, Labels, MethodInfo, Reason
-from dynaviz.probe import Mask, PointClasses, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS, Marks, voxels_of
+from dynaviz.blocks.blocks import VOXELS, Marks, voxels_of
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, voxels_around
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods import staying
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes

@@ -9,8 +9,8 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, U8, Bool
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published

@@ -8,12 +8,12 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, I32, I64, Bool
+from dynaviz.blocks.blocks import BlockGrid
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz.kernels.keys import REACH
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import BlockGrid
-from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import SHIFTS, unpack
-from dynaviz.spatial.window import Window
 
 
 @dataclass(frozen=True, slots=True, eq=False)

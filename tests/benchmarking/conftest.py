@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from helpers.toy_method import TOY, InProcessExecutor, write_room
 
-from dynaviz import registry
 from dynaviz.benchmarking import bench as bench_module
+from dynaviz.contracts import registry
 
 
 @pytest.fixture(scope="session")

@@ -24,10 +24,10 @@ from dynaviz.benchmarking.leaderboard import Leaderboard
 from dynaviz.cli import main
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import write_pcd
-from dynaviz.results.collect import combined
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo
-from dynaviz.simulate import write as writing
+from dynaviz.scores.collect import combined
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
+from dynaviz.synthetic.simulate import write as writing
 
 MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
 NONE = {"methods": ["toy"], "record": "none"}

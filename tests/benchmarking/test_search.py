@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from helpers.toy_method import InProcessExecutor, write_room
 
-from dynaviz import params, registry
 from dynaviz.benchmarking import source as sources
 from dynaviz.benchmarking.bench import bench
+from dynaviz.contracts import params, registry
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.results.collect import combined
+from dynaviz.scores.collect import combined
 
 pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
 

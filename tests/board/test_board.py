@@ -18,19 +18,19 @@ from helpers.made_results import result
 from helpers.scan_folders import write_kitti_poses, write_scans
 from helpers.worlds import InMemory, room
 
-from dynaviz import registry
 from dynaviz.api import _run_into, run
-from dynaviz.board.check import check_board
-from dynaviz.board.entries import read_board
-from dynaviz.board.sequences import SequenceFinder
-from dynaviz.board.write import write_board
+from dynaviz.contracts import registry
+from dynaviz.contracts.protocol import ProtocolScores
+from dynaviz.contracts.scan import Sequence, select_frames
 from dynaviz.errors import DataError
-from dynaviz.protocol import ProtocolScores
-from dynaviz.reporting import Study
-from dynaviz.results.collect import collect
-from dynaviz.results.result import Result
-from dynaviz.results.sections import SequenceInfo
-from dynaviz.scan import Sequence, select_frames
+from dynaviz.reports.board.check import check_board
+from dynaviz.reports.board.entries import read_board
+from dynaviz.reports.board.write import write_board
+from dynaviz.reports.reporting import Study
+from dynaviz.runs.sequences import SequenceFinder
+from dynaviz.scores.collect import collect
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import SequenceInfo
 
 PROTOCOLS = {handle.name for handle in registry.handles("protocols")}
 

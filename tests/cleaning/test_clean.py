@@ -12,14 +12,14 @@ import pytest
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz import registry
 from dynaviz.arrays import F64
+from dynaviz.contracts import registry
 from dynaviz.engine.external import read_external
 from dynaviz.errors import UsageError
 from dynaviz.io.fields import coordinates, read_fields
 from dynaviz.io.maps import TiledMap
 from dynaviz.io.pcd import write_pcd
-from dynaviz.odometry.estimate import estimate
+from dynaviz.sources.odometry.estimate import estimate
 from dynaviz.spatial import geometry
 
 Command = Callable[..., tuple[int, str, str]]

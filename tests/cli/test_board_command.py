@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from helpers.mos_files import write_helimos
 
-from dynaviz.board.sequences import by_command
-from dynaviz.results.result import Result
-from dynaviz.results.sections import SequenceInfo
+from dynaviz.runs.sequences import by_command
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import SequenceInfo
 
 
 def test_write_and_recompute(run_command, tmp_path: Path) -> None:

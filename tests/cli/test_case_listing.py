@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from dynaviz.cli.cases import listing, top_of
-from dynaviz.results.result import Result, result_table
-from dynaviz.results.sections import FailureCase, RangeSpan, Removals, RemovedCluster, Sections, SequenceInfo
+from dynaviz.scores.result import Result, result_table
+from dynaviz.scores.sections import FailureCase, RangeSpan, Removals, RemovedCluster, Sections, SequenceInfo
 
 WHERE = {
     "points": 1234,

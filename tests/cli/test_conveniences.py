@@ -14,8 +14,8 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.benchmarking.plan_file import _source
-from dynaviz.datasets import open_sequence
 from dynaviz.io.pcd import write_pcd
+from dynaviz.sources.datasets import open_sequence
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.datasets import fetch
-from dynaviz.datasets.convert import convert
+from dynaviz.sources.datasets import fetch
+from dynaviz.sources.datasets.convert import convert
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from dynaviz import api, precompile, simulate
-from dynaviz.results.result import Result
-from dynaviz.results.sections import SequenceInfo
+from dynaviz import api, precompile
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import SequenceInfo
+from dynaviz.synthetic import simulate
 
 
 def test_a_broken_method_is_left_out(

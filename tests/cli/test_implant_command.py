@@ -11,7 +11,7 @@ import pytest
 
 import dynaviz
 from dynaviz.io.pcd import read_pcd
-from dynaviz.simulate import simulate
+from dynaviz.synthetic.simulate import simulate
 
 Command = Callable[..., tuple[int, str, str]]
 FEW = ("--cars", 0, "--trucks", 0, "--cyclists", 1, "--persons", 2, "--parks", 0, "--seed", 3)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from helpers.worlds import room
 
 from dynaviz import api
-from dynaviz.datasets.convert import convert
+from dynaviz.sources.datasets.convert import convert
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import bootstrap
 
-from dynaviz.comparison.counts import (
+from dynaviz.contracts.scan import Outcome, outcomes
+from dynaviz.scores.comparison.counts import (
     BOTH,
     FIRST,
     SECOND,
@@ -21,8 +22,7 @@ from dynaviz.comparison.counts import (
     scores,
     spatial_gains,
 )
-from dynaviz.results.scores import SCORES
-from dynaviz.scan import Outcome, outcomes
+from dynaviz.scores.scores import SCORES
 from dynaviz_eval.confusion import Counts
 
 

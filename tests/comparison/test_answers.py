@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dynaviz.comparison.answers import BAND_NAMES, Answers, range_bands
-from dynaviz.metric import Labelled
-from dynaviz.scan import Label, Scan
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.scores.comparison.answers import BAND_NAMES, Answers, range_bands
 
 
 @settings(deadline=None)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 from helpers.two_runs import compared, two_runs
 
-from dynaviz.comparison.counts import ByScore
-from dynaviz.comparison.pair import ComparedRun, ScoreChange
-from dynaviz.comparison.summary import Comparison
 from dynaviz.errors import UsageError
-from dynaviz.results.sections import Runtime, SequenceInfo
+from dynaviz.scores.comparison.counts import ByScore
+from dynaviz.scores.comparison.pair import ComparedRun, ScoreChange
+from dynaviz.scores.comparison.summary import Comparison
+from dynaviz.scores.sections import Runtime, SequenceInfo
 
 UNDEFINED = ScoreChange(None, None, None, None)
 SAME = ScoreChange(50.0, 50.0, 0.0, (0.0, 0.0))

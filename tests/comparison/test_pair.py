@@ -10,9 +10,9 @@ import pytest
 from helpers.two_runs import REASONS, TwoRuns, any_two_runs, compared, two_runs
 from hypothesis import given, settings
 
-from dynaviz.comparison.answers import BAND_NAMES
-from dynaviz.comparison.counts import AGREEMENT, TRUTHS
-from dynaviz.comparison.pair import AgreementByTruth, RangeAgreement, ReasonPair, WrongPoints
+from dynaviz.scores.comparison.answers import BAND_NAMES
+from dynaviz.scores.comparison.counts import AGREEMENT, TRUTHS
+from dynaviz.scores.comparison.pair import AgreementByTruth, RangeAgreement, ReasonPair, WrongPoints
 
 
 def by_truth(points: AgreementByTruth | RangeAgreement) -> dict[tuple[str, str], int]:

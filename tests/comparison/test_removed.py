@@ -11,12 +11,12 @@ from helpers.two_runs import REASONS, TwoRuns, compared, two_runs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynaviz.comparison.answers import BAND_NAMES
-from dynaviz.comparison.pair import ComparedRun
-from dynaviz.comparison.removed import RemovalComparison
-from dynaviz.comparison.summary import Comparison
-from dynaviz.comparison.tables import sections
-from dynaviz.results.sections import Runtime, SequenceInfo
+from dynaviz.scores.comparison.answers import BAND_NAMES
+from dynaviz.scores.comparison.pair import ComparedRun
+from dynaviz.scores.comparison.removed import RemovalComparison
+from dynaviz.scores.comparison.summary import Comparison
+from dynaviz.scores.comparison.tables import sections
+from dynaviz.scores.sections import Runtime, SequenceInfo
 
 KINDS = ("neither", "only_first", "only_second", "both")
 

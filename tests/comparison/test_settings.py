@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from dynaviz.comparison.settings import names, runtime_ratio, setting_changes
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Environment, Machine, Runtime, Sections, SequenceInfo, Source
+from dynaviz.scores.comparison.settings import names, runtime_ratio, setting_changes
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Environment, Machine, Runtime, Sections, SequenceInfo, Source
 
 BASE = Result("octomap", {"resolution": 0.1}, SequenceInfo("s"), runtime=Runtime(mean_s=0.2, threads=2))
 

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F32, F64
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.diagnosis import Confidence, Diagnosis, doctor
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import read_pcd, write_pcd
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.simulate import simulate
+from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing
 

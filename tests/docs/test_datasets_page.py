@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from dynaviz import registry
-from dynaviz.datasets.download import SEQUENCES
+from dynaviz.contracts import registry
+from dynaviz.sources.datasets.download import SEQUENCES
 from dynaviz_eval.published import published, published_sequences
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs/datasets.md").read_text(encoding="utf-8")

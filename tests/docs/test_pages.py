@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from dynaviz import registry
+from dynaviz.contracts import registry
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -37,7 +37,7 @@ Site = Callable[[str], str]
 @pytest.fixture(scope="session")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The demo's street, shorter."""
-    from dynaviz.simulate import simulate
+    from dynaviz.synthetic.simulate import simulate
 
     return simulate("demo", tmp_path_factory.mktemp("demo") / "street", frames=FRAMES)
 

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
+from dynaviz.contracts.scan import Scan, select_frames
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import read_pcd, write_pcd
-from dynaviz.results.sections import Runtime
-from dynaviz.scan import Scan, select_frames
+from dynaviz.scores.sections import Runtime
 
 
 def save(path: Path, points: np.ndarray) -> Path:
@@ -139,7 +139,7 @@ def test_the_runtime_of_another_program_is_unknown(little_room: InMemory, tmp_pa
 
 
 def test_the_recording_contains_every_label(little_room: InMemory, tmp_path: Path) -> None:
-    from dynaviz.viz.reader import RunRecording
+    from dynaviz.views.read.reader import RunRecording
 
     points, labels = cloud(little_room)
     path = save(tmp_path / "clean.pcd", points[labels == 0])

@@ -12,11 +12,11 @@ import pytest
 from helpers.worlds import InMemory, room
 
 import dynaviz as dv
-from dynaviz.datasets.export import export_labels
+from dynaviz.contracts.scan import Scan, select_frames
 from dynaviz.engine.external import default_name
 from dynaviz.errors import DataError, UsageError
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan, select_frames
+from dynaviz.runs.export import export_labels
+from dynaviz.scores.result import Result
 
 
 @pytest.fixture(scope="module")

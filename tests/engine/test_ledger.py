@@ -14,14 +14,14 @@ from helpers.worlds import pose, room
 
 from dynaviz import api
 from dynaviz.cli import app
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.errors import DataError, PluginError, UsageError
-from dynaviz.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.explanation import explain, why
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.saved_run import _FLAGS, sequence_options
-from dynaviz.scan import Scan
+from dynaviz.runs.explanation import explain, why
+from dynaviz.runs.saved_run import _FLAGS, sequence_options
 from dynaviz.testing import InMemory
 
 HIT, MISS = np.log(0.7 / 0.3), np.log(0.4 / 0.6)

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from helpers.worlds import InMemory
 
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.probe import SILENT, MemoryProbe, Scalar, State
+from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.outputs import LabelsFile, MapFiles
 from dynaviz.engine.packed_bits import PackedBits
-from dynaviz.engine.summary import SequenceSummary
 from dynaviz.errors import PluginError
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.metric import Figure, Labelled
-from dynaviz.probe import SILENT, MemoryProbe, Scalar, State
-from dynaviz.results.result import Result
-from dynaviz.scan import Outcome, Scan
+from dynaviz.scores.result import Result
+from dynaviz.sources.summary import SequenceSummary
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def test_the_result_describes_the_run(little_room: InMemory) -> None:
 def test_labels_of_the_wrong_type_or_shape_are_rejected(little_room: InMemory, answer: Any) -> None:
     run = a_run(little_room)
     run.labeller.label = lambda scan: answer(len(scan))  # type: ignore[method-assign]
-    with pytest.raises(PluginError, match=r"above: label\(\) returned .*, not (dynaviz.method.Labels|bool |uint8 )"):
+    with pytest.raises(PluginError, match=r"above: label\(\) returned .*, not (dynaviz.*Labels|bool |uint8 )"):
         execute(run)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from helpers.worlds import InMemory, room
 
-from dynaviz.engine.summary import summarize
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DynavizError
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.sources.summary import summarize
 
 
 def test_it_counts_and_bounds() -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaviz.method import MethodInfo, Reason
-from dynaviz.metric import Labelled
-from dynaviz.reporting import Study
-from dynaviz.results.collect import collect
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan
+from dynaviz.contracts.method import MethodInfo, Reason
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan
+from dynaviz.reports.reporting import Study
+from dynaviz.scores.collect import collect
+from dynaviz.scores.result import Result
 
 INFO = MethodInfo("m", "M", "none", (Reason("seen_free", "a ray went through"), Reason("never_seen", "no ray did")))
 

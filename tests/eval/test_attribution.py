@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynaviz.method import Cause, Reason
+from dynaviz.contracts.method import Cause, Reason
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.cases import Cases, summed
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from helpers.failure_cases import INFO, section
 
-from dynaviz.metric import Labelled
-from dynaviz.results.behaviour import Behaviour
-from dynaviz.scan import Scan
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan
+from dynaviz.scores.behaviour import Behaviour
 from dynaviz_eval.behaviour import Objects, Places, behaviour_of_object, behaviour_of_place, shift, standing
 from dynaviz_eval.cases import Cases, summed
 from dynaviz_eval.failures import Failures

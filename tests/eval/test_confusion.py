@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.scan import Outcome, outcomes
+from dynaviz.contracts.scan import Outcome, outcomes
 from dynaviz_eval.confusion import Confusion, Counts
 
 pytestmark = pytest.mark.boundscheck

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError
-from dynaviz.scan import Outcome
 from dynaviz_eval.error_distance import EDGES, ErrorDistance, distances, summary
 from dynaviz_eval.spool import PointSpool
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from helpers.failure_cases import INFO, labelled, section
 
-from dynaviz.metric import Labelled
-from dynaviz.scan import Outcome, Scan
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz_eval.cases import KEEP
 from dynaviz_eval.failures import Failures
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from dynaviz.metric import FrameBoxes, Labelled
-from dynaviz.scan import Outcome, Scan
+from dynaviz.contracts.metric import FrameBoxes, Labelled
+from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 from dynaviz_eval.failures import Failures
 

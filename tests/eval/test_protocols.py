@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from dynaviz import registry
-from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolScores
-from dynaviz.scan import Scan
+from dynaviz.contracts import registry
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.protocol import ProtocolScores
+from dynaviz.contracts.scan import Scan
 
 NAMES = {0: "unlabelled", 1: "outlier", 9: "static", 40: "road", 252: "moving car"}
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from helpers.failure_cases import INFO
 
-from dynaviz.metric import FrameBoxes, Labelled
-from dynaviz.results.sections import Sections
-from dynaviz.scan import Outcome, Scan
+from dynaviz.contracts.metric import FrameBoxes, Labelled
+from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.scores.sections import Sections
 from dynaviz_eval.removals import Removals
 
 pytestmark = pytest.mark.boundscheck

@@ -14,16 +14,16 @@ from helpers.made_results import result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.reporting import Study
-from dynaviz.results.collect import collect
-from dynaviz.results.result import Result
-from dynaviz.results.sections import SequenceInfo
+from dynaviz.reports.reporting import Study
+from dynaviz.scores.collect import collect
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import SequenceInfo
 from dynaviz_eval.report import boards
 from dynaviz_eval.report.tables import tables
 
 
 def report(study: Study, format: str) -> str:
-    from dynaviz import registry
+    from dynaviz.contracts import registry
 
     text: str = registry.load("reports", format)(study)
     return text

@@ -6,7 +6,7 @@ import pytest
 from helpers.html_pages import Page, markdown_table
 from helpers.made_results import REMOVALS, case, result, thing, without_truth
 
-from dynaviz import registry
+from dynaviz.contracts import registry
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.report.tables import tables
 

@@ -14,10 +14,10 @@ from helpers.html_pages import Page
 from helpers.made_results import REMOVALS, case, result, thing, without_truth
 
 import dynaviz as dv
-from dynaviz import registry
-from dynaviz.reporting import Overview
-from dynaviz.results.sections import Sections
-from dynaviz.scan import Outcome
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Outcome
+from dynaviz.reports.reporting import Overview
+from dynaviz.scores.sections import Sections
 from dynaviz_eval.report import birdseye
 from dynaviz_eval.report.cases import ALIKE, MOST, Spot, shared_cases
 from dynaviz_eval.report.gallery import crop, gallery

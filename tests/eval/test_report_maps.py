@@ -17,8 +17,8 @@ from helpers.html_pages import Page
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz.reporting import Overview
-from dynaviz.scan import Outcome
+from dynaviz.contracts.scan import Outcome
+from dynaviz.reports.reporting import Overview
 from dynaviz_eval.report import birdseye
 
 

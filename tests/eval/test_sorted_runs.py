@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from helpers.worlds import room
 
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Labelled
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Labelled
 from dynaviz_eval.behaviour import Places
 from dynaviz_eval.sorted_runs import SortedRuns
 from dynaviz_eval.voxelwise import Voxelwise

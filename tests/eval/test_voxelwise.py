@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Labelled
-from dynaviz.scan import Scan
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan
 from dynaviz_eval.voxelwise import EDGE, Voxelwise
 
 pytestmark = pytest.mark.boundscheck

@@ -11,7 +11,7 @@ from helpers.browser import CHROMIUM
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz.datasets.convert import convert
+from dynaviz.sources.datasets.convert import convert
 
 pytest.importorskip("starlette", reason="the extra explore is not installed")
 pytest.importorskip("rerun_notebook", reason="the extra explore is not installed")

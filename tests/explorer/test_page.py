@@ -20,9 +20,9 @@ from dynaviz.arrays import F64
 from dynaviz.explorer.cards import Card, cards
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
-from dynaviz.results.result import Result
-from dynaviz.viz.focus import ASIDE, CLOSEST
-from dynaviz.viz.reader import RunRecording
+from dynaviz.scores.result import Result
+from dynaviz.views.read.focus import ASIDE, CLOSEST
+from dynaviz.views.read.reader import RunRecording
 
 pytestmark = pytest.mark.skipif(
     "DYNAVIZ_BROWSER" not in os.environ, reason="draws in Chromium without a GPU; run: make browser"

@@ -13,8 +13,8 @@ import pytest
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError
-from dynaviz.relabelling import Box, Correction, correct, read_corrections, rescore
-from dynaviz.results.result import Result
+from dynaviz.runs.relabelling import Box, Correction, correct, read_corrections, rescore
+from dynaviz.scores.result import Result
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
+from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explorer.server import Explorer
-from dynaviz.results.result import Result
-from dynaviz.scan import Outcome
-from dynaviz.viz.reader import RunRecording
+from dynaviz.scores.result import Result
+from dynaviz.views.read.reader import RunRecording
 
 
 @pytest.fixture(scope="module")

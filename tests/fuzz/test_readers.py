@@ -17,8 +17,8 @@ from helpers.readable_files import DATASETS, SUBJECTS
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from dynaviz import registry
 from dynaviz.cli import app
+from dynaviz.contracts import registry
 
 DEFAULT_EXAMPLES = 5  # damaged files per reader
 SLOW = ("dynaviz tune (with the search)", "dynaviz report (HTML, drawn)", "dynaviz bench")  # a second or more per file

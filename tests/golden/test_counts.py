@@ -17,11 +17,12 @@ from typing import Any
 
 import pytest
 
-from dynaviz import kernels, registry
-from dynaviz.datasets import open_sequence
+from dynaviz import kernels
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Sequence, select_frames
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.scan import Sequence, select_frames
-from dynaviz.simulate.write import simulate
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.synthetic.simulate.write import simulate
 
 FILE = Path(__file__).with_name("counts.json")
 REWRITE = "DYNAVIZ_REWRITE" in os.environ

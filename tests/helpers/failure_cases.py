@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.method import Cause, MethodInfo, Reason
-from dynaviz.metric import Labelled
-from dynaviz.scan import Scan
+from dynaviz.contracts.method import Cause, MethodInfo, Reason
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Scan
 from dynaviz_eval.failures import Failures
 
 INFO = MethodInfo(

@@ -9,13 +9,24 @@ from typing import Any, ClassVar
 import numpy as np
 import rerun as rr
 
-from dynaviz import registry
+from dynaviz.contracts import registry
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.metric import FrameHistograms, Labelled
+from dynaviz.contracts.probe import (
+    Mask,
+    Plane,
+    PointClasses,
+    Points,
+    PolarGrid,
+    RangeImage,
+    Scalar,
+    State,
+    Text,
+    Voxels,
+)
+from dynaviz.contracts.scan import Outcome, Scan, Sequence
 from dynaviz.engine.loop import RunSpec, execute
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.metric import FrameHistograms, Labelled
-from dynaviz.probe import Mask, Plane, PointClasses, Points, PolarGrid, RangeImage, Scalar, State, Text, Voxels
-from dynaviz.scan import Outcome, Scan, Sequence
-from dynaviz.viz.recorder import Recorder
+from dynaviz.views.record.recorder import Recorder
 
 
 @dataclass(frozen=True)

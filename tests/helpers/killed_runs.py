@@ -15,10 +15,10 @@ import time
 from pathlib import Path
 
 from dynaviz.api import _run_into
+from dynaviz.contracts.extent import Extent
 from dynaviz.engine.loop import execute
-from dynaviz.spatial.extent import Extent
-from dynaviz.viz import recorder  # noqa: F401  imported once, before all forks
-from dynaviz.viz.layout import Findings, layout
+from dynaviz.views.layout import Findings, layout
+from dynaviz.views.record import recorder  # noqa: F401  imported once, before all forks
 from helpers.guessing_method import guess_run
 from helpers.worlds import room
 

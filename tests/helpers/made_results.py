@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from dynaviz.results.result import Result
+from dynaviz.scores.result import Result
 from dynaviz_eval.confusion import Counts
 
 Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept

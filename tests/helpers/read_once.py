@@ -13,8 +13,8 @@ from rosbags.highlevel import anyreader
 from rosbags.typesys.store import Typestore
 from ruamel.yaml import YAML
 
-from dynaviz import registry
-from dynaviz.viz import chunks
+from dynaviz.contracts import registry
+from dynaviz.views.read import chunks
 
 
 def read_once() -> None:

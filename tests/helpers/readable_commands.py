@@ -21,7 +21,8 @@ from dynaviz.benchmarking import bench, tune
 from dynaviz.cli import main
 from dynaviz.explorer import server
 from dynaviz.explorer.answers import Explored
-from dynaviz.viz import shot, viewer
+from dynaviz.views import viewer
+from dynaviz.views.read import shot
 from dynaviz_eval.report import figures
 from helpers.damage import remove
 from helpers.guessing_method import record_with_metrics

@@ -12,7 +12,9 @@ import numpy as np
 
 from dynaviz.api import _run_into, run
 from dynaviz.benchmarking.plan_file import plan_of, read
-from dynaviz.datasets import open_sequence
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.registry import load
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.io.boxes import read_boxes
@@ -21,12 +23,10 @@ from dynaviz.io.maps import open_map
 from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import read_poses
-from dynaviz.params import resolve
-from dynaviz.registry import load
-from dynaviz.results.regression import read_baseline, write_baseline
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan
-from dynaviz.viz.reader import RunRecording
+from dynaviz.scores.regression import read_baseline, write_baseline
+from dynaviz.scores.result import Result
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.views.read.reader import RunRecording
 from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
 from helpers.guessing_method import guess_run, record

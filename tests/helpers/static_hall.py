@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dynaviz.arrays import F64, Bool
-from dynaviz.scan import Label, Scan
-from dynaviz.sensors import Sensor
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor
 
 RINGS, ELEVATION, HEIGHT = 40, (-22.0, 8.0), 1.8
 AZIMUTHS, VIEW = 220, 180.0  # columns, and the degrees ahead that they cover; half a turn takes half the time

@@ -20,7 +20,7 @@ TOY = '''
 import os, signal, time
 from dataclasses import dataclass
 import numpy as np
-from dynaviz.method import Labels, MethodInfo, Reason
+from dynaviz.contracts.method import Labels, MethodInfo, Reason
 
 @dataclass(frozen=True)
 class Params:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from dynaviz.comparison.answers import Answers
-from dynaviz.comparison.counts import SpatialCells, count_agreement, spatial_gains
-from dynaviz.comparison.pair import PairComparison, compare_pair
-from dynaviz.results.result import Result
-from dynaviz.results.sections import SequenceInfo
+from dynaviz.scores.comparison.answers import Answers
+from dynaviz.scores.comparison.counts import SpatialCells, count_agreement, spatial_gains
+from dynaviz.scores.comparison.pair import PairComparison, compare_pair
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import SequenceInfo
 
 REASONS = {0: "zero", 1: "one", 2: "two"}
 TwoRuns = tuple[list[Answers], list[Answers], list[np.ndarray]]

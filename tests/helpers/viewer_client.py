@@ -12,8 +12,8 @@ import pytest
 from rerun.experimental import ViewerClient
 
 from dynaviz.errors import MissingDependency
-from dynaviz.viz import viewer
-from dynaviz.viz.shot import push
+from dynaviz.views import viewer
+from dynaviz.views.read.shot import push
 
 
 @contextlib.contextmanager

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.testing import InMemory
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from dynaviz.datasets import open_sequence
-from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.sequence import ImplantedSequence
-from dynaviz.scan import Scan, Sequence
-from dynaviz.simulate import simulate
+from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 
 FRAMES = 12

@@ -9,13 +9,13 @@ import numpy as np
 import open3d as o3d
 
 from dynaviz.arrays import F64
-from dynaviz.implants.cast import implant
-from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.scene import CLASSES, Implant
-from dynaviz.implants.sequence import ImplantedSequence
-from dynaviz.scan import Label, Scan
-from dynaviz.simulate.shapes import Mesh
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.implants.cast import implant
+from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.scene import CLASSES, Implant
+from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.simulate.shapes import Mesh
 from dynaviz.testing import InMemory
 
 Pairs = list[tuple[Scan, Scan]]

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from dynaviz.arrays import F64, Bool
-from dynaviz.implants.cast import Target, cast, implant
-from dynaviz.implants.lidar import LidarModel
-from dynaviz.implants.pattern import Pattern, find_beams
-from dynaviz.implants.scene import Implant, ImplantScene
-from dynaviz.scan import Label, Scan
-from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.simulate.lidar import sweep_rays
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor, load_sensor
+from dynaviz.synthetic.implants.cast import Target, cast, implant
+from dynaviz.synthetic.implants.lidar import LidarModel
+from dynaviz.synthetic.implants.pattern import Pattern, find_beams
+from dynaviz.synthetic.implants.scene import Implant, ImplantScene
+from dynaviz.synthetic.simulate.lidar import sweep_rays
 from dynaviz.testing import InMemory
 
 SENSOR = load_sensor("vlp16")

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from dynaviz import params, registry
 from dynaviz.arrays import Bool
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.scan import Label
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import UsageError
-from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.panel import around, default_panel, votes
-from dynaviz.implants.scene import CLASSES
-from dynaviz.implants.sequence import ImplantedSequence
-from dynaviz.implants.survey import Survey
-from dynaviz.metric import Labelled
-from dynaviz.scan import Label
-from dynaviz.sensors import Sensor
+from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.panel import around, default_panel, votes
+from dynaviz.synthetic.implants.scene import CLASSES
+from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.implants.survey import Survey
 from dynaviz.testing import InMemory
 
 PANEL = ("beautymap", "removert")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.implants.options import ImplantOptions
-from dynaviz.implants.plan import Plan, footprints, plan
-from dynaviz.implants.space import FreeSpace
-from dynaviz.implants.survey import Survey
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
+from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.plan import Plan, footprints, plan
+from dynaviz.synthetic.implants.space import FreeSpace
+from dynaviz.synthetic.implants.survey import Survey
 from dynaviz.testing import InMemory
 
 FRAMES = 12

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.implants.options import ImplantOptions, parse
-from dynaviz.implants.paths import Path as MoverPath
-from dynaviz.implants.paths import paced
-from dynaviz.implants.scene import Implant, ImplantScene
-from dynaviz.implants.schedule import cruise, park, pause, stand
-from dynaviz.implants.sequence import ImplantedSequence
-from dynaviz.scan import Scan
+from dynaviz.synthetic.implants.options import ImplantOptions, parse
+from dynaviz.synthetic.implants.paths import Path as MoverPath
+from dynaviz.synthetic.implants.paths import paced
+from dynaviz.synthetic.implants.scene import Implant, ImplantScene
+from dynaviz.synthetic.implants.schedule import cruise, park, pause, stand
+from dynaviz.synthetic.implants.sequence import ImplantedSequence
 from dynaviz.testing import InMemory
 
 PATH = np.array([[0.0, 0, 0], [10, 0, 1], [20, 0, 2]])

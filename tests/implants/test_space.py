@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dynaviz.implants.space import FreeSpace
-from dynaviz.implants.survey import Survey, part
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
+from dynaviz.synthetic.implants.space import FreeSpace
+from dynaviz.synthetic.implants.survey import Survey, part
 from dynaviz.testing import InMemory
 
 FRAMES = 12

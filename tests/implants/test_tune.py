@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from helpers.toy_method import InProcessExecutor
 
-from dynaviz import params, registry
 from dynaviz.benchmarking import bench as bench_module
 from dynaviz.benchmarking import tune as tune_module
 from dynaviz.benchmarking.search import default_ranges, distributions
 from dynaviz.benchmarking.tune import Tuned, tune
-from dynaviz.datasets import open_sequence
+from dynaviz.contracts import params, registry
+from dynaviz.contracts.scan import Label
 from dynaviz.errors import UsageError
-from dynaviz.implants.scene import CLASSES
-from dynaviz.scan import Label
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.synthetic.implants.scene import CLASSES
 
 pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
 

@@ -8,8 +8,8 @@ from helpers.reference.hmm_mos import line, look
 from scipy.spatial import cKDTree
 
 from dynaviz import kernels
-from dynaviz.spatial.blocks import VOXELS, voxels_of
-from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.blocks.blocks import VOXELS, voxels_of
+from dynaviz.contracts.extent import CELL, Extent
 from dynaviz_methods.belief_map import BeliefMap
 
 pytestmark = pytest.mark.boundscheck

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import BlockGrid, voxels_of
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import BlockGrid, voxels_of
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.scan import Scan
 
 pytestmark = pytest.mark.boundscheck
 

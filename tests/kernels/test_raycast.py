@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz import kernels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import BlockGrid, voxels_of
-from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.blocks.blocks import BlockGrid, voxels_of
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.scan import Scan
 
 pytestmark = pytest.mark.boundscheck
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.method import Context
-from dynaviz.scan import Label
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Label
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 
 pytestmark = pytest.mark.boundscheck

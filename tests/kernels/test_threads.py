@@ -65,7 +65,7 @@ def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) ->
 
 def test_recordings_in_threads(tmp_path: Path) -> None:
     """Files of runs at once, in different folders, are those of a single run."""
-    from dynaviz.viz.reader import RunRecording  # not needed by the child process above
+    from dynaviz.views.read.reader import RunRecording  # not needed by the child process above
 
     with ThreadPoolExecutor(3) as pool:
         results = list(pool.map(lambda k: api.run("octomap", room(3, 300), out=tmp_path / str(k)), range(3)))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dynaviz import kernels
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import CELL, Extent
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.voids import VoidGrid, VoidMarks
 
 pytestmark = pytest.mark.boundscheck

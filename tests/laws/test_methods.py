@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from helpers.static_hall import PLACES, SENSOR, hall, seen_through
 
-from dynaviz import registry
 from dynaviz.arrays import Bool
-from dynaviz.method import Context
-from dynaviz.scan import Label, Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts import registry
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Label, Scan
 
 METHODS = [handle.name for handle in registry.handles("methods")]
 STILL = 6  # frames of a static world

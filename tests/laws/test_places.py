@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from dynaviz import kernels
+from dynaviz.blocks.blocks import BlockGrid, read, voxels_of
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz.kernels.keys import REACH
-from dynaviz.scan import Scan
 from dynaviz.spatial import geometry
-from dynaviz.spatial.blocks import BlockGrid, read, voxels_of
-from dynaviz.spatial.extent import Extent
 from dynaviz.spatial.grid import in_key_range, pack, unpack, voxel_downsample
 from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_methods.polar import PolarBins

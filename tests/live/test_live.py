@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
-from dynaviz import kernels, registry
+from dynaviz import kernels
+from dynaviz.blocks.blocks import BlockGrid
+from dynaviz.blocks.window import Window
+from dynaviz.contracts import registry
+from dynaviz.contracts.method import Context, Live
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import UsageError
-from dynaviz.method import Context, Live
-from dynaviz.online.session import LiveSession, Settings
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import BlockGrid
-from dynaviz.spatial.window import Window
+from dynaviz.live.session import LiveSession, Settings
 from dynaviz.testing.checks import ask
 from dynaviz.testing.world import SENSOR, crossing, turn
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import dynaviz as dv
-from dynaviz import registry
+from dynaviz.contracts import registry
+from dynaviz.contracts.method import Labels
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.method import Labels
-from dynaviz.online.player import PlayReport, play
-from dynaviz.playback import play_live
-from dynaviz.scan import Scan
+from dynaviz.live.player import PlayReport, play
+from dynaviz.runs.playback import play_live
 from dynaviz.testing.world import InMemory, crossing
 
 
@@ -110,7 +110,7 @@ def test_invalid_options_are_refused(options: dict[str, Any], message: str) -> N
 
 
 def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dynaviz.viz.viewer.has_screen", lambda: False)
+    monkeypatch.setattr("dynaviz.views.viewer.has_screen", lambda: False)
     with pytest.raises(UsageError, match=r"--view: there is no screen to open a viewer on\. Use --serve for a browser"):
         play_live(InMemory(crossing(1)), "octomap", view=True)
 
@@ -118,7 +118,7 @@ def test_without_a_screen_a_browser_is_suggested(monkeypatch: pytest.MonkeyPatch
 def test_a_drive_is_played_and_its_last_minutes_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from rerun.chunk import RrdReader
 
-    from dynaviz.viz import live as recording
+    from dynaviz.views import live as recording
 
     monkeypatch.setattr(recording, "SEGMENT", 0.0)  # a file per scan
     monkeypatch.setattr(recording, "STATES_EVERY", 0.0)
@@ -159,14 +159,14 @@ def test_a_stopped_session_reports_what_was_played(stop: type[BaseException], mo
         raise stop
 
     said: list[str] = []
-    monkeypatch.setattr("dynaviz.playback.play", stopped)
+    monkeypatch.setattr("dynaviz.runs.playback.play", stopped)
     with pytest.raises(stop):
         play_live(InMemory(crossing(2)), "octomap", rate=0, reach=20, announce=said.append)
     assert "1 of 1 scans labelled" in said[-1]
 
 
 def test_the_view_shows_a_trail_of_dynamic_points_on_both_timelines() -> None:
-    from dynaviz.viz.live import TRACES, _layout
+    from dynaviz.views.live import TRACES, _layout
 
     layout = _layout(registry.load("methods", "octomap").info, period=0.05)
     view = layout.root_container.contents[0].contents[0]
@@ -176,7 +176,7 @@ def test_the_view_shows_a_trail_of_dynamic_points_on_both_timelines() -> None:
 
 
 def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    from dynaviz.viz import viewer
+    from dynaviz.views import viewer
 
     announced: list[str] = []
 
@@ -201,9 +201,9 @@ def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.Monkey
 
 
 def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
-    from dynaviz.viz.reader import AnyRecording, RunRecording
-    from dynaviz.viz.repair import repair
-    from dynaviz.viz.shot import shot
+    from dynaviz.views.read.reader import AnyRecording, RunRecording
+    from dynaviz.views.read.repair import repair
+    from dynaviz.views.read.shot import shot
 
     play_live(InMemory(crossing(5)), "dufomap", rate=0, reach=100, out=tmp_path / "live", minutes=1.0)
     whole = tmp_path / "live" / "live-000000.rrd"

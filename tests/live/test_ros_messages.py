@@ -12,8 +12,8 @@ import pytest
 from helpers.bags import BagWriter
 from scipy.spatial.transform import Rotation
 
-from dynaviz import registry
-from dynaviz.online.session import LiveSession, Settings
+from dynaviz.contracts import registry
+from dynaviz.live.session import LiveSession, Settings
 from dynaviz.testing.world import SENSOR
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ros2_live"

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.io.pcd import read_pcd
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.scan import Scan
-from dynaviz.sensors import load_sensor
-from dynaviz.spatial.extent import Extent
 
 
 class Golden:

@@ -8,11 +8,11 @@ from helpers.marks import compiled_only
 from helpers.reference.beautymap import Reference
 
 from dynaviz import kernels
-from dynaviz.method import Context
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
-from dynaviz.spatial.window import Window
+from dynaviz.blocks.window import Window
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
 from dynaviz.testing.world import moved, turn
 from dynaviz_methods.beautymap import BeautyMap, BeautyMapParams
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.method import Context
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
 from dynaviz_methods.dufomap import DufoMap
 
 FAR = 50.0  # metres, as in the public program's example

@@ -10,13 +10,13 @@ from helpers.reference.dynablox import Reference
 from helpers.worlds import pose
 
 from dynaviz import kernels
+from dynaviz.blocks.blocks import read
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import UsageError
-from dynaviz.method import Context
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.spatial.blocks import read
-from dynaviz.spatial.extent import Extent
 from dynaviz_methods.dynablox import (
     BESIDE,
     FREE,

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from dynaviz import kernels
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.method import Context
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import Extent
 from dynaviz_methods import tiles
 from dynaviz_methods.erasor import REASONS, Erasor, ErasorParams
 from dynaviz_methods.tiles import laid_out, thinned

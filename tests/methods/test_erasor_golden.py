@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from dynaviz.contracts.params import resolve
 from dynaviz.io.pcd import read_pcd
-from dynaviz.params import resolve
 from dynaviz_methods.erasor import Erasor
 
 PUBLISHED = {"mini": (89.65, 26.58), "kitti_tracking_0012": (97.90, 80.86)}  # SA and DA

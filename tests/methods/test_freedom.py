@@ -10,13 +10,13 @@ from helpers.reference.freedom import Reference
 from helpers.worlds import pose
 
 from dynaviz import kernels
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import Extent
 from dynaviz_methods.freedom import REASONS, Freedom, FreedomParams, image_of
 from dynaviz_methods.sky import DepthImage
 

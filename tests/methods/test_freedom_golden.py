@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
 from dynaviz_methods.freedom import Freedom
 
 FEW = 10  # frames of the real sequence

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from dynaviz import kernels
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.clear_grid import ClearGrid
 from dynaviz_methods.ground_height import AROUND, SLOPE, STEEP, GroundHeight
 from dynaviz_methods.seethrough import SeeThroughParams

@@ -9,11 +9,11 @@ from helpers.reference.hmm_mos import Reference
 from helpers.worlds import pose
 
 from dynaviz import kernels
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.hmm_mos import CLASS, REASONS, HmmMos, HmmMosParams
 
 pytestmark = pytest.mark.boundscheck

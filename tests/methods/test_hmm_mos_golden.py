@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.spatial.extent import Extent
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
 from dynaviz_methods.hmm_mos import HmmMos
 
 FEW = 12  # frames of the real sequence; the method is online, so later frames do not change them

@@ -8,11 +8,11 @@ from helpers.marks import compiled_only
 from helpers.reference.octomap import Reference, key
 
 from dynaviz import kernels
-from dynaviz.method import Context
-from dynaviz.probe import SILENT, Mask, MemoryProbe, Plane, Voxels
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import VOXELS
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import VOXELS
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.probe import SILENT, Mask, MemoryProbe, Plane, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF, OctoMapParams
 
 pytestmark = pytest.mark.boundscheck

@@ -9,13 +9,13 @@ from helpers.reference.removert import Reference
 from scipy.spatial.transform import Rotation
 
 from dynaviz import kernels
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.params import resolve
+from dynaviz.contracts.probe import SILENT, MemoryProbe
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.method import Context
-from dynaviz.params import resolve
-from dynaviz.probe import SILENT, MemoryProbe
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.extent import Extent
 from dynaviz_methods.range_images import image_views, picture, whole
 from dynaviz_methods.removert import REASONS, Removert, RemovertParams
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial import cKDTree
 
 import dynaviz as dv
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Scan
 from dynaviz.engine.external import ExternalMap
 from dynaviz.io.pcd import write_pcd
-from dynaviz.method import Context
-from dynaviz.scan import Scan
-from dynaviz.spatial.extent import Extent
 
 # SA, DA and AA of the public scripts, on the small sequence
 PRINTED = {

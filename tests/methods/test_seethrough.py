@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz import kernels
-from dynaviz.method import Context
-from dynaviz.probe import MemoryProbe
-from dynaviz.scan import Label, Scan
-from dynaviz.spatial.blocks import Marks
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import Marks
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.probe import MemoryProbe
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.testing import crossing
 from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.clear_grid import RUNS, ClearGrid, _distinct, _runs

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from helpers.worlds import pose
 
-from dynaviz.method import Context
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
-from dynaviz.spatial.blocks import voxels_of
-from dynaviz.spatial.extent import Extent
+from dynaviz.blocks.blocks import voxels_of
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.method import Context
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods.clear_grid import ClearGrid, _by_sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 from dynaviz_methods.sky import sensor_image

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dynaviz import registry
 from dynaviz.arrays import F64
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Scan
 from dynaviz.io.poses import read_poses
-from dynaviz.odometry.contract import Odometry
-from dynaviz.odometry.estimate import estimate
-from dynaviz.odometry.kiss_icp import KissIcp
-from dynaviz.odometry.small_gicp import SmallGicp
-from dynaviz.scan import Scan
+from dynaviz.sources.odometry.contract import Odometry
+from dynaviz.sources.odometry.estimate import estimate
+from dynaviz.sources.odometry.kiss_icp import KissIcp
+from dynaviz.sources.odometry.small_gicp import SmallGicp
 from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import deskewed_to_middle
 from dynaviz.testing.world import InMemory, crossing

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
 from dynaviz.arrays import F64
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import MissingDependency
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.poses import read_poses
-from dynaviz.odometry.refine import RefinedSequence, refine
-from dynaviz.scan import Scan
-from dynaviz.simulate.poses import transforms
+from dynaviz.sources.odometry.refine import RefinedSequence, refine
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.poses import transforms
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import crossing, moved
 

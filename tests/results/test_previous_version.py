@@ -13,11 +13,11 @@ import pytest
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz.results.collect import collect
-from dynaviz.results.result import Result
-from dynaviz.scan import Outcome
-from dynaviz.viz.failures import failures_of
-from dynaviz.viz.reader import RunRecording
+from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.collect import collect
+from dynaviz.scores.result import Result
+from dynaviz.views.read.failures import failures_of
+from dynaviz.views.read.reader import RunRecording
 
 DATA = Path(__file__).resolve().parents[1] / "data/previous"
 RUNS = ("fine", "coarse")

@@ -15,17 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.results.collect import StudyRun, collect
-from dynaviz.results.regression import (
-    BaselineEntry,
-    CheckOutcome,
-    RegressionCheck,
-    check,
-    read_baseline,
-    write_baseline,
-)
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo
+from dynaviz.scores.collect import StudyRun, collect
+from dynaviz.scores.regression import BaselineEntry, CheckOutcome, RegressionCheck, check, read_baseline, write_baseline
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
 Command = Callable[..., tuple[int, str, str]]
 

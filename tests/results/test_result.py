@@ -9,8 +9,8 @@ import pytest
 from helpers.made_results import case
 
 from dynaviz.errors import DataError
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
 RESULT = Result(
     "octomap",

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.results.scores import SCORES, accuracies, harmonic_mean, percent, percentage_points_lost
+from dynaviz.scores.scores import SCORES, accuracies, harmonic_mean, percent, percentage_points_lost
 
 COUNT = st.integers(0, 10**12)
 

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from dynaviz.results.result import Result, result_table
+from dynaviz.scores.result import Result, result_table
 
 COUNTS = {"static_kept": 900, "static_removed": 100, "dynamic_removed": 64, "dynamic_kept": 36, "unlabelled": 5}
 

@@ -7,18 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.errors import UsageError
-from dynaviz.sensors import load_sensor
-from dynaviz.simulate import measurement, optics, poses
-from dynaviz.simulate.classes import ObjectClass
-from dynaviz.simulate.effects import BEHAVIOUR, NAMES, Effects
-from dynaviz.simulate.lidar import Hits, RayScene
-from dynaviz.simulate.movers import Motion, Route, cruise
-from dynaviz.simulate.options import Chosen
-from dynaviz.simulate.presets import PRESETS, REAL
-from dynaviz.simulate.recording import Recorder, build
-from dynaviz.simulate.scene import SimulatedScene
-from dynaviz.simulate.shapes import box, quads
+from dynaviz.synthetic.simulate import measurement, optics, poses
+from dynaviz.synthetic.simulate.classes import ObjectClass
+from dynaviz.synthetic.simulate.effects import BEHAVIOUR, NAMES, Effects
+from dynaviz.synthetic.simulate.lidar import Hits, RayScene
+from dynaviz.synthetic.simulate.movers import Motion, Route, cruise
+from dynaviz.synthetic.simulate.options import Chosen
+from dynaviz.synthetic.simulate.presets import PRESETS, REAL
+from dynaviz.synthetic.simulate.recording import Recorder, build
+from dynaviz.synthetic.simulate.scene import SimulatedScene
+from dynaviz.synthetic.simulate.shapes import box, quads
 
 SMALL = dataclasses.replace(
     load_sensor("vlp16"),

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.sensors import load_sensor, sensor_names
-from dynaviz.simulate.classes import ObjectClass
-from dynaviz.simulate.lidar import Hits, RayScene, mounts, receive, sweep_rays
-from dynaviz.simulate.movers import Motion, Route, cruise
-from dynaviz.simulate.scene import SimulatedScene
-from dynaviz.simulate.shapes import box, quads
+from dynaviz.contracts.sensors import load_sensor, sensor_names
+from dynaviz.synthetic.simulate.classes import ObjectClass
+from dynaviz.synthetic.simulate.lidar import Hits, RayScene, mounts, receive, sweep_rays
+from dynaviz.synthetic.simulate.movers import Motion, Route, cruise
+from dynaviz.synthetic.simulate.scene import SimulatedScene
+from dynaviz.synthetic.simulate.shapes import box, quads
 
 
 def flat(x, y):

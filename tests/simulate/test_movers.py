@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.simulate.movers import Motion, Route, arrive, cruise, depart
+from dynaviz.synthetic.simulate.movers import Motion, Route, arrive, cruise, depart
 
 
 def flat(x, y):

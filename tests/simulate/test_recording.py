@@ -9,13 +9,13 @@ import tomllib
 import numpy as np
 import pytest
 
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.errors import DataError, DynavizError, UsageError
-from dynaviz.sensors import load_sensor
-from dynaviz.simulate import PRESETS, parallel, record_sweeps, simulate
-from dynaviz.simulate.classes import CLASS_NAMES, ObjectClass
-from dynaviz.simulate.recording import build
-from dynaviz.simulate.sweep import HEIGHT, sensor_pose
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate import PRESETS, parallel, record_sweeps, simulate
+from dynaviz.synthetic.simulate.classes import CLASS_NAMES, ObjectClass
+from dynaviz.synthetic.simulate.recording import build
+from dynaviz.synthetic.simulate.sweep import HEIGHT, sensor_pose
 
 FRAMES = 12
 
@@ -183,7 +183,8 @@ def test_sequence_toml_describes_the_sequence(folder):
 
 def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, folder):
     real = simulate("hall_vlp16_real", tmp_path / "hall", frames=2)
-    code = "import sys; from dynaviz.simulate import simulate; simulate('demo', sys.argv[1] + '/demo', frames=3); "
+    code = "import sys; from dynaviz.synthetic.simulate import simulate; "
+    code += "simulate('demo', sys.argv[1] + '/demo', frames=3); "
     code += "simulate('hall_vlp16_real', sys.argv[1] + '/hall', frames=2)"
     limit = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     pin = "import os; hasattr(os, 'sched_setaffinity') and os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
@@ -246,7 +247,8 @@ def test_progress_counts_the_sweeps(tmp_path):
 
 
 def test_importing_the_package_loads_nothing_heavy():
-    code = "import sys, dynaviz.simulate; print([m for m in ('open3d', 'scipy', 'numba', 'rerun') if m in sys.modules])"
+    code = "import sys, dynaviz.synthetic.simulate; "
+    code += "print([m for m in ('open3d', 'scipy', 'numba', 'rerun') if m in sys.modules])"
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )

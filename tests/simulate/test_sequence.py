@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 
 import dynaviz
-from dynaviz.simulate import simulate
+from dynaviz.synthetic.simulate import simulate
 
 TEXT = "hall_vlp16_real?frames=2&seed=4&brushing=3"
 

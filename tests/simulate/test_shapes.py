@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.simulate import objects
-from dynaviz.simulate.shapes import Mesh, boxes, ellipsoid, grid, join, layers, leaves, quads, tube
+from dynaviz.synthetic.simulate import objects
+from dynaviz.synthetic.simulate.shapes import Mesh, boxes, ellipsoid, grid, join, layers, leaves, quads, tube
 
 metres = st.floats(0.1, 10)
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynaviz import registry
-from dynaviz.evidence import Asked, Evidence, Rule, Term, voxels_around
-from dynaviz.method import Context, Labels, MethodInfo, Reason
-from dynaviz.probe import Mask, Scalar, State
-from dynaviz.scan import Label, Scan
+from dynaviz.contracts import registry
+from dynaviz.contracts.evidence import Asked, Evidence, Rule, Term, voxels_around
+from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Mask, Scalar, State
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.testing import CHECKS, check_method, crossing
 
 # The base of a BeautyMap column depends on columns at lower x and y, so it changes in a rotated world.

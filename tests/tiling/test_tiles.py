@@ -15,17 +15,17 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.arrays import F32
-from dynaviz.datasets.drives import OBJECTS, Drives
+from dynaviz.blocks.blocks import BlockGrid
+from dynaviz.contracts.extent import Extent
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.scan import Scan
-from dynaviz.spatial.blocks import BlockGrid
-from dynaviz.spatial.extent import Extent
+from dynaviz.runs.tiles.grid import TileGrid, packed, unpacked
+from dynaviz.runs.tiles.index import SequenceIndex
+from dynaviz.runs.tiles.tile import CYCLE, NEAR, TileFrames, TileTask
+from dynaviz.sources.datasets.drives import OBJECTS, Drives
 from dynaviz.tasks.local import WorkerProcesses
 from dynaviz.testing import InMemory
-from dynaviz.tiling.grid import TileGrid, packed, unpacked
-from dynaviz.tiling.index import SequenceIndex
-from dynaviz.tiling.tile import CYCLE, NEAR, TileFrames, TileTask
-from dynaviz.viz.reader import AnyRecording, RunRecording
+from dynaviz.views.read.reader import AnyRecording, RunRecording
 from dynaviz_methods.clear_grid import ClearGrid
 
 SIZE = 12.0  # metres: the room lies in four tiles

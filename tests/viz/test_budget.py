@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from dynaviz import kernels
 from dynaviz.arrays import F32
-from dynaviz.scan import Label, Scan
-from dynaviz.viz.budget import REACH, Budget
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.views.record.budget import REACH, Budget
 
 _XY = np.mgrid[-40:40:0.2, -40:40:0.2] + 0.05
 GROUND = np.stack([*_XY, np.zeros((400, 400))], -1).reshape(-1, 3).astype(np.float32)

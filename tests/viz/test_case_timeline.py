@@ -11,14 +11,14 @@ from helpers.guessing_method import Guess, record_with_metrics
 from helpers.viewer_client import headless, problems
 from helpers.worlds import InMemory, room
 
-from dynaviz.method import MethodInfo
-from dynaviz.probe import RangeImage, State, Voxels
-from dynaviz.results.sections import FailureCase
-from dynaviz.scan import Outcome
-from dynaviz.viz import paths, witnesses
-from dynaviz.viz.case_timeline import place_of, see
-from dynaviz.viz.cases import DID, ShownCase, listed, suspicious
-from dynaviz.viz.reader import RunRecording
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.probe import RangeImage, State, Voxels
+from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.sections import FailureCase
+from dynaviz.views import paths, witnesses
+from dynaviz.views.cases import DID, ShownCase, listed, suspicious
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record.case_timeline import place_of, see
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from dynaviz import colours
-from dynaviz.method import Reason
-from dynaviz.scan import Outcome
-from dynaviz.viz import classes
+from dynaviz.contracts.method import Reason
+from dynaviz.contracts.scan import Outcome
+from dynaviz.views import classes
 
 REASONS = (Reason("never_crossed", "no ray"), Reason("crossed", "rays"))
 

@@ -15,13 +15,13 @@ from helpers.guessing_method import record
 from helpers.worlds import InMemory, room
 
 import dynaviz as dv
-from dynaviz.comparison.pair import ScoreChange
-from dynaviz.comparison.settings import SettingChange
+from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan
-from dynaviz.viz import merge
-from dynaviz.viz.reader import read
+from dynaviz.scores.comparison.pair import ScoreChange
+from dynaviz.scores.comparison.settings import SettingChange
+from dynaviz.scores.result import Result
+from dynaviz.views.compare import merge
+from dynaviz.views.read.reader import read
 
 KINDS = [(truth, who) for truth in ("static", "dynamic") for who in ("neither", "only_first", "only_second", "both")]
 

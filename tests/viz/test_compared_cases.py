@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from helpers.compared_recordings import pair
 
-from dynaviz.scan import Label
-from dynaviz.viz import compare_layout, paths
-from dynaviz.viz.reader import RunRecording, read
+from dynaviz.contracts.scan import Label
+from dynaviz.views import paths
+from dynaviz.views.compare import compare_layout
+from dynaviz.views.read.reader import RunRecording, read
 
 
 def test_each_case_shows_where_only_one_run_is_wrong(runs: dict[str, Path], merged: dict[str, Path]) -> None:

@@ -17,10 +17,11 @@ from rerun.chunk import RrdReader
 
 from dynaviz.errors import DataError
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.viz import chunks, drawn
-from dynaviz.viz.focus import CASE
-from dynaviz.viz.reader import RunRecording, read
-from dynaviz.viz.repair import repair
+from dynaviz.views import drawn
+from dynaviz.views.read import chunks
+from dynaviz.views.read.focus import CASE
+from dynaviz.views.read.reader import RunRecording, read
+from dynaviz.views.read.repair import repair
 
 Command = Callable[..., tuple[int, str, str]]
 Damage = Callable[[bytes], bytes]

@@ -21,15 +21,15 @@ from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
 
 from dynaviz.api import _run_into
+from dynaviz.contracts.scan import Scan, outcomes
 from dynaviz.engine.loop import execute
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import sha256
 from dynaviz.io.lock import NAME
-from dynaviz.results.result import Result
-from dynaviz.scan import Scan, outcomes
-from dynaviz.viz.reader import RunRecording
-from dynaviz.viz.recorder import Recorder
-from dynaviz.viz.repair import repair
+from dynaviz.scores.result import Result
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.read.repair import repair
+from dynaviz.views.record.recorder import Recorder
 
 Command = Callable[..., tuple[int, str, str]]
 UNWRITTEN = 1  # frames that may be lost by a kill: the one that is written in the background
@@ -112,7 +112,7 @@ sys.path[:0] = {folders!r}
 from helpers.worlds import room
 from helpers.guessing_method import guess_run
 from dynaviz.engine.loop import Listener, execute
-from dynaviz.viz.recorder import Recorder
+from dynaviz.views.record.recorder import Recorder
 
 class Killer(Listener):
     def labelled(self, labelled, curves):

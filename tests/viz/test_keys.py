@@ -11,9 +11,10 @@ from helpers.guessing_method import Guess
 from helpers.worlds import pose
 
 from dynaviz import colours
-from dynaviz.probe import PointClasses, PolarGrid, RangeImage, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.viz import keys, states
+from dynaviz.contracts.probe import PointClasses, PolarGrid, RangeImage, State, Voxels
+from dynaviz.contracts.scan import Scan
+from dynaviz.views import keys
+from dynaviz.views.record import states
 
 
 def picture(*shown: State) -> np.ndarray:

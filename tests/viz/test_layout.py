@@ -9,7 +9,7 @@ from helpers.guessing_method import Guess, record
 from helpers.viewer_client import headless, problems
 from helpers.worlds import room
 
-from dynaviz.viz.layout import SCORE_CURVES, WRONG
+from dynaviz.views.layout import SCORE_CURVES, WRONG
 
 
 def test_a_run_is_shown_without_problems(tmp_path: Path) -> None:

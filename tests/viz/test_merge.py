@@ -14,11 +14,12 @@ from helpers.colour_vision import EYES, contrast, smallest_difference
 from helpers.compared_recordings import dynamic_labels, odd_room, pair
 
 import dynaviz as dv
-from dynaviz.comparison.counts import BOTH, FIRST, NEITHER, SECOND
 from dynaviz.errors import DataError
-from dynaviz.viz import compare_layout, merge, paths
-from dynaviz.viz.agreement import EVERYBODY, NOBODY
-from dynaviz.viz.reader import RunRecording, read
+from dynaviz.scores.comparison.counts import BOTH, FIRST, NEITHER, SECOND
+from dynaviz.views import paths
+from dynaviz.views.compare import compare_layout, merge
+from dynaviz.views.compare.agreement import EVERYBODY, NOBODY
+from dynaviz.views.read.reader import RunRecording, read
 
 README = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
 

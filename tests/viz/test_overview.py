@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.scan import Outcome
-from dynaviz.viz.overview import ERRORS, Overview, ranking
+from dynaviz.contracts.scan import Outcome
+from dynaviz.views.record.overview import ERRORS, Overview, ranking
 
 
 def test_the_ranking_lists_tiles_with_wrong_points_only() -> None:

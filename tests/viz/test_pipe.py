@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaviz.viz.pipe import PipeWriter
+from dynaviz.views.pipe import PipeWriter
 
 
 def test_every_byte_reaches_the_file(tmp_path: Path) -> None:
@@ -44,8 +44,8 @@ for name in ("fcntl", "termios", "resource"):
     sys.modules[name] = None  # importing it raises an ImportError, as on Windows
 sys.path[:0] = {folders!r}
 import dynaviz as dv
-from dynaviz.viz.pipe import PIPES
-from dynaviz.viz.reader import RunRecording
+from dynaviz.views.pipe import PIPES
+from dynaviz.views.read.reader import RunRecording
 from helpers.worlds import room
 
 assert not PIPES

@@ -10,8 +10,8 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.errors import UsageError
-from dynaviz.viz.quota import ANSWER, DRAWN, Quota, fixed, parse_bytes
-from dynaviz.viz.reader import RunRecording
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record.quota import ANSWER, DRAWN, Quota, fixed, parse_bytes
 
 
 @pytest.mark.parametrize(

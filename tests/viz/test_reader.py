@@ -13,8 +13,8 @@ from helpers.guessing_method import record
 from helpers.worlds import InMemory, room
 
 from dynaviz.errors import DataError
-from dynaviz.viz import paths
-from dynaviz.viz.reader import RunRecording
+from dynaviz.views import paths
+from dynaviz.views.read.reader import RunRecording
 
 Command = Callable[..., tuple[int, str, str]]
 

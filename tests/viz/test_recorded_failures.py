@@ -12,16 +12,16 @@ import pytest
 from helpers.guessing_method import Guess, GuessParams, guess_run, record_with_metrics
 from helpers.worlds import InMemory
 
-from dynaviz import registry
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Outcome
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import DataError
-from dynaviz.results.sections import CaseTotals
-from dynaviz.scan import Outcome
-from dynaviz.viz import paths
-from dynaviz.viz.cases import listed
-from dynaviz.viz.failures import failures_of, removals_of
-from dynaviz.viz.reader import RunRecording
-from dynaviz.viz.recorder import Recorder
+from dynaviz.scores.sections import CaseTotals
+from dynaviz.views import paths
+from dynaviz.views.cases import listed
+from dynaviz.views.read.failures import failures_of, removals_of
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record.recorder import Recorder
 
 
 def record(sequence: InMemory, path: Path, mode: str = "errors", *listeners: Listener) -> Path:

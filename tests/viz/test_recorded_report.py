@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from helpers.guessing_method import Guess
 
-from dynaviz.results.result import Result
-from dynaviz.results.sections import Runtime, Sections, SequenceInfo
-from dynaviz.scan import Outcome
-from dynaviz.viz import report
+from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.result import Result
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
+from dynaviz.views.record import report
 
 
 def outcome_counts() -> report.OutcomeCounts:

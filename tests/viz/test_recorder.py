@@ -15,16 +15,16 @@ from helpers.guessing_method import guess_run, record
 from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
 
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.probe import MemoryProbe
+from dynaviz.contracts.scan import Outcome, Scan, outcomes
 from dynaviz.engine.loop import Listener, execute
 from dynaviz.errors import DataError, UsageError
-from dynaviz.metric import Labelled
-from dynaviz.probe import MemoryProbe
-from dynaviz.scan import Outcome, Scan, outcomes
-from dynaviz.spatial.extent import CELL, Extent
 from dynaviz.spatial.grid import pack
-from dynaviz.viz import classes, paths
-from dynaviz.viz.reader import RunRecording
-from dynaviz.viz.recorder import Recorder
+from dynaviz.views import classes, paths
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record.recorder import Recorder
 
 MODES = ("full", "errors", "scores")
 WORLD = {

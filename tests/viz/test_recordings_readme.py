@@ -9,8 +9,8 @@ import pytest
 from helpers.guessing_method import record
 from helpers.worlds import InMemory
 
-from dynaviz.viz import paths
-from dynaviz.viz.reader import RunRecording
+from dynaviz.views import paths
+from dynaviz.views.read.reader import RunRecording
 
 PAGE = (Path(__file__).resolve().parents[2] / "recordings/README.md").read_text()
 

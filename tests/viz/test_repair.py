@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.viz.reader import RunRecording
-from dynaviz.viz.repair import repair
-from dynaviz.viz.sink import of_part, part_of
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.read.repair import repair
+from dynaviz.views.record.sink import of_part, part_of
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz.spatial.grid import pack
-from dynaviz.viz.downsampling import DownsampledMap
-from dynaviz.viz.scene import APART, LABELS, with_labels
+from dynaviz.views.record.downsampling import DownsampledMap
+from dynaviz.views.record.scene import APART, LABELS, with_labels
 
 
 @settings(deadline=None, max_examples=40)

@@ -15,7 +15,7 @@ from helpers.viewer_client import headless
 from helpers.worlds import room
 
 from dynaviz.errors import MissingDependency, UsageError
-from dynaviz.viz.shot import parse_size, shot
+from dynaviz.views.read.shot import parse_size, shot
 
 
 @pytest.fixture(scope="module")

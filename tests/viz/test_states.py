@@ -7,10 +7,10 @@ from helpers.worlds import pose, room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynaviz.probe import Plane, Points, PolarGrid, State, Voxels
-from dynaviz.scan import Scan
-from dynaviz.viz import states
-from dynaviz.viz.budget import Budget
+from dynaviz.contracts.probe import Plane, Points, PolarGrid, State, Voxels
+from dynaviz.contracts.scan import Scan
+from dynaviz.views.record import states
+from dynaviz.views.record.budget import Budget
 
 
 def test_a_polar_grid_from_above() -> None:

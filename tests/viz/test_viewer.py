@@ -14,10 +14,10 @@ from helpers.worlds import InMemory, room
 
 from dynaviz.engine.loop import Listener, execute
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.viz import viewer
-from dynaviz.viz.reader import RunRecording
-from dynaviz.viz.recorder import Recorder
-from dynaviz.viz.view import tunnel, view
+from dynaviz.views import viewer
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.read.view import tunnel, view
+from dynaviz.views.record.recorder import Recorder
 
 
 def test_a_viewer_may_be_closed_during_the_run(

@@ -8,9 +8,9 @@ from helpers.worlds import pose
 
 from dynaviz import kernels
 from dynaviz.arrays import F64
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
 from dynaviz.testing import InMemory
-from dynaviz.viz.witnesses import CROSSED, GRAZED, HIT, STRIPS, Place, find
+from dynaviz.views.witnesses import CROSSED, GRAZED, HIT, STRIPS, Place, find
 
 STEPS = np.linspace(0, 1, 4001)
 

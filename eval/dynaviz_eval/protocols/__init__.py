@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
-from dynaviz.protocol import ProtocolScores
+from dynaviz.contracts.protocol import ProtocolScores
 
 
 class Counted(ABC):

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from dynaviz.arrays import Bool
-from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolInfo, ProtocolScores
-from dynaviz.results.scores import percent
-from dynaviz.scan import Label, Scan
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.protocol import ProtocolInfo, ProtocolScores
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.scores.scores import percent
 from dynaviz_eval.protocols import Counted
 
 IGNORED = ("unlabelled", "outlier")  # names of the classes 0 and 1 of SemanticKITTI

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from dynaviz.arrays import F32, U8
-from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolInfo
-from dynaviz.results.scores import SCORES, accuracies
-from dynaviz.scan import Label, outcomes
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.protocol import ProtocolInfo
+from dynaviz.contracts.scan import Label, outcomes
+from dynaviz.scores.scores import SCORES, accuracies
 from dynaviz.spatial.nearest import Nearest
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.protocols import Counted

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from dynaviz.arrays import F32, F64, Bool
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Labelled
-from dynaviz.protocol import ProtocolInfo
-from dynaviz.results.scores import harmonic_mean, percent
-from dynaviz.scan import Label
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Labelled
+from dynaviz.contracts.protocol import ProtocolInfo
+from dynaviz.contracts.scan import Label
+from dynaviz.scores.scores import harmonic_mean, percent
 from dynaviz.spatial.grid import in_key_range, pack
 from dynaviz_eval.protocols import Counted
 from dynaviz_eval.voxelwise import EDGE, Voxelwise

@@ -13,8 +13,8 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from dynaviz.results.scores import associated_accuracy, harmonic_mean
-from dynaviz.results.sections import SequenceInfo
+from dynaviz.scores.scores import associated_accuracy, harmonic_mean
+from dynaviz.scores.sections import SequenceInfo
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ import numpy as np
 from dynaviz.arrays import F64, U8, Intp
 from dynaviz.colours import BACKGROUND as GROUND_COLOUR
 from dynaviz.colours import BRIGHT, web
+from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError
-from dynaviz.reporting import Overview, Study
-from dynaviz.scan import Outcome
+from dynaviz.reports.reporting import Overview, Study
 from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
 from dynaviz_eval.report.table import many
 

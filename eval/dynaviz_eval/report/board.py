@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from dynaviz.protocol import ProtocolInfo, ProtocolScores
-from dynaviz.reporting import Study
+from dynaviz.contracts.protocol import ProtocolInfo, ProtocolScores
+from dynaviz.reports.reporting import Study
 from dynaviz_eval.protocols.moving import SemanticKittiMos
 from dynaviz_eval.protocols.points import Points, PublicBenchmark
 from dynaviz_eval.published import Match, published

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynaviz.reporting import Study
-from dynaviz.results.collect import StudyRun, combined
-from dynaviz.results.result import Result
-from dynaviz.results.scores import percentage_points_lost
-from dynaviz.results.sections import Reasons, SequenceInfo
+from dynaviz.reports.reporting import Study
+from dynaviz.scores.collect import StudyRun, combined
+from dynaviz.scores.result import Result
+from dynaviz.scores.scores import percentage_points_lost
+from dynaviz.scores.sections import Reasons, SequenceInfo
 
 UNKNOWN = "unknown"  # the cause of errors for which the method gives no known cause
 KINDS = {

@@ -8,9 +8,9 @@ import json
 
 import msgspec
 
-from dynaviz.reporting import Study
-from dynaviz.results.collect import StudyRun
-from dynaviz.results.scores import SCORES
+from dynaviz.reports.reporting import Study
+from dynaviz.scores.collect import StudyRun
+from dynaviz.scores.scores import SCORES
 from dynaviz_eval.report.boards import n_parameters
 
 _COUNTS = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "unlabelled")

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from dynaviz.results.sections import IntervalRow
+from dynaviz.scores.sections import IntervalRow
 from dynaviz_eval.report.boards import (
     ERRORS,
     KINDS,

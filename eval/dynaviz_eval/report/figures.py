@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynaviz.results.sections import ErrorDistances
+from dynaviz.scores.sections import ErrorDistances
 from dynaviz_eval.error_distance import BIN, LIMIT
 from dynaviz_eval.report.boards import KINDS, ScoreBoard, ScoreRow, best_of_each_method
 from dynaviz_eval.report.drawing import FAINT, INK, line, mark, panel, style, svg

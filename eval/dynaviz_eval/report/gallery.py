@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.reporting import Overview
-from dynaviz.scan import Outcome
+from dynaviz.contracts.scan import Outcome
+from dynaviz.reports.reporting import Overview
 from dynaviz_eval.report.birdseye import (
     Picture,
     View,

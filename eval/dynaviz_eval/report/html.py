@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
-from dynaviz.reporting import Study
+from dynaviz.reports.reporting import Study
 from dynaviz_eval.report import birdseye, figures
 from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
 from dynaviz_eval.report.cases import note

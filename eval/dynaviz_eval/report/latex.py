@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 
-from dynaviz.reporting import Study
+from dynaviz.reports.reporting import Study
 from dynaviz_eval.report.table import Column, Table, Value
 from dynaviz_eval.report.tables import tables
 

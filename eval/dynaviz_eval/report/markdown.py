@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from dynaviz.reporting import Study
+from dynaviz.reports.reporting import Study
 from dynaviz_eval.report.table import Column, Table, Value
 from dynaviz_eval.report.tables import tables
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from dynaviz.results.sections import FailureCase, ObjectRow
+from dynaviz.scores.sections import FailureCase, ObjectRow
 from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method
 from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from dynaviz.results.sections import RemovedInterval
+from dynaviz.scores.sections import RemovedInterval
 from dynaviz_eval.report.boards import ScoreBoard
 from dynaviz_eval.report.table import NONE, Column, Table, Value, count, named, percent
 

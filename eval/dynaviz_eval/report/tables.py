@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from dynaviz.reporting import Study
-from dynaviz.results.result import Result
-from dynaviz.results.scores import SCORES
+from dynaviz.reports.reporting import Study
+from dynaviz.scores.result import Result
+from dynaviz.scores.scores import SCORES
 from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
     ERRORS,

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
-from dynaviz.datasets.files import has_files, numbered_files
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError
-from dynaviz.scan import Scan
-from dynaviz.sensors import Sensor
+from dynaviz.sources.datasets.files import has_files, numbered_files
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from dynaviz.arrays import I64
-from dynaviz.method import Cause, Context, Labels, MethodInfo, Reason
-from dynaviz.probe import State, Voxels
-from dynaviz.scan import Scan
+from dynaviz.contracts.method import Cause, Context, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import State, Voxels
+from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 

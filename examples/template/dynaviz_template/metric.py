@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from dynaviz.method import MethodInfo
-from dynaviz.metric import Figure, Labelled
-from dynaviz.scan import Outcome
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Figure, Labelled
+from dynaviz.contracts.scan import Outcome
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 EDGE = 0.2  # metres

@@ -7,7 +7,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
 
 Key = tuple[int, int, int]
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dynaviz.scan import Scan
+from dynaviz.contracts.scan import Scan
 
 Key = tuple[int, int, int]
 

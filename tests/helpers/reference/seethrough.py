@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
+from dynaviz.contracts.scan import Scan
 from dynaviz.kernels.ground_height import FELLOWS
-from dynaviz.scan import Scan
 from dynaviz_methods import seethrough, staying, trails
 from dynaviz_methods.ground_height import (
     ACROSS,

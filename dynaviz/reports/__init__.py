@@ -1,0 +1,1 @@
+"""Reports and boards: many results on one page."""

@@ -1,0 +1,1 @@
+"""Runs: executed on tiles or live, opened again, replayed and explained."""

@@ -1,0 +1,79 @@
+"""Where a result gets labels and maps from: the run in this process, or the files of a saved run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from dynaviz.arrays import F64
+from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.scan import Sequence
+from dynaviz.errors import UsageError
+from dynaviz.io.pcd import read_pcd
+from dynaviz.scores.labels import RunLabels
+
+
+class Answers(Protocol):
+    """The labels of a run, and the map without the points that it removed."""
+
+    @property
+    def labels(self) -> RunLabels:
+        """Labels by position of the frame."""
+        ...
+
+    def static_map(self) -> F64:
+        """(M, 3) float64, metres: the kept points in the coordinates of the source."""
+        ...
+
+
+@dataclass(frozen=True)
+class RunAnswers:
+    """Of a run in this process, whose scans are read again for the map. ``folder`` has its files, if it wrote any."""
+
+    sequence: Sequence
+    labels: RunLabels
+    folder: Path | None = None
+
+    def static_map(self) -> F64:
+        """As ``Answers``; only finite points."""
+        origin, parts = origin_of(self.sequence), [np.empty((0, 3))]
+        for position in range(len(self.sequence)):
+            points = self.sequence[position].points
+            kept = ~self.labels[position] & np.isfinite(points).all(1)
+            parts.append(points[kept].astype(np.float64) + origin)
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class SavedAnswers:
+    """Of a run whose files are in a folder."""
+
+    folder: Path
+
+    @cached_property
+    def labels(self) -> RunLabels:
+        """As ``Answers``.
+
+        Raises:
+            UsageError: if the folder has no ``labels.npz``.
+        """
+        return RunLabels.load(self._file("labels.npz"))
+
+    def static_map(self) -> F64:
+        """As ``Answers``; only finite points.
+
+        Raises:
+            UsageError: if the folder has no ``static_map.pcd``.
+        """
+        pcd = read_pcd(self._file("static_map.pcd"))
+        xyz = np.column_stack([pcd[axis].astype(np.float64) for axis in "xyz"])
+        return xyz[np.isfinite(xyz).all(1)]
+
+    def _file(self, name: str) -> Path:
+        if not (path := self.folder / name).is_file():
+            raise UsageError(f"{path} does not exist. Load the result.json in the folder of its run")
+        return path

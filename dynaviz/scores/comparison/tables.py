@@ -1,0 +1,220 @@
+"""A comparison as tables: in the terminal, and as Markdown in its recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dynaviz.scores.comparison.counts import WRONG
+from dynaviz.scores.comparison.pair import (
+    Agreement,
+    ComparedRun,
+    FrameChange,
+    PairComparison,
+    PlaceChange,
+    RangeAgreement,
+)
+from dynaviz.scores.comparison.removed import RemovalComparison
+from dynaviz.scores.comparison.settings import text
+from dynaviz.scores.scores import SCORES
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+LISTED = 8  # reasons in a table, at most
+
+
+@dataclass(frozen=True)
+class TableSection:
+    """A table with a title and a note."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def sections(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> Iterator[TableSection]:
+    """All tables; details only for two runs.
+
+    Args:
+        runs: all runs.
+        pairs: the first run against each other run.
+    """
+    unscored = [(run, pair.removed) for run, pair in zip(runs[1:], pairs, strict=True) if pair.removed]
+    if unscored:
+        for run, removed in unscored:
+            yield _removed_by_range(runs[0], run, removed)
+            yield _removal_reasons(runs[0], run, removed)
+    elif len(pairs) == 1:
+        first, second, pair = *runs, pairs[0]
+        yield _scores_of_two(first, second, pair)
+        yield _agreement(first, second, pair)
+        yield _reasons(pair)
+        yield _frames(pair)
+        yield _places(pair)
+    else:
+        yield _scores_of_many(runs, pairs)
+    for run, pair in zip(runs[1:], pairs, strict=True):
+        yield _settings(runs[0], run, pair)
+
+
+def markdown(section: TableSection) -> str:
+    """A table as Markdown."""
+    lines = [section.head, ("---",) + ("---:",) * (len(section.head) - 1), *section.rows]
+    table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+    parts = [f"### {section.title}", table if section.rows else "", section.note]
+    return "\n\n".join(part for part in parts if part)
+
+
+def renderable(section: TableSection) -> RenderableType:
+    """A table for the terminal; its title and note if it is empty."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    if not section.rows:
+        return f"[italic]{section.title}[/]: {escape(section.note)}"
+    table = Table(title=section.title, title_justify="left", caption=section.note or None, caption_justify="left")
+    table.box, table.padding, table.pad_edge, table.min_width = box.SIMPLE_HEAD, (0, 1, 0, 0), False, 60
+    for i, name in enumerate(section.head):
+        table.add_column(escape(name), justify="right" if i else "left", no_wrap=True)
+    for row in section.rows:
+        table.add_row(*map(escape, row))
+    return table
+
+
+_SCORES_NOTE = (
+    "SA, DA: static points kept, dynamic points removed, in %; FP: static points removed, "
+    "FN: dynamic points kept. Intervals: bootstrap over blocks of frames, the same for both runs"
+)
+
+
+def _scores_of_two(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:
+    rows = [
+        (name, _number(score.first, name), _number(score.second, name), _signed(score.delta, name),
+         _interval(score.interval, name))
+        for name, score in pair.scores.items()
+    ]  # fmt: skip
+    return TableSection("Scores", ("", first.label, second.label, "B - A", "95 % interval"), tuple(rows), _SCORES_NOTE)
+
+
+def _scores_of_many(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> TableSection:
+    head = ("run", *SCORES, *WRONG, "AA - A's", "95 % interval")
+    changes = [("", ""), *(_aa_change(pair) for pair in pairs)]
+    rows = [
+        (run.label, *(_number(value, name) for name, value in run.scores.items()), *change)
+        for run, change in zip(runs, changes, strict=True)
+    ]
+    return TableSection("Scores", head, tuple(rows), _SCORES_NOTE)
+
+
+def _aa_change(pair: PairComparison) -> tuple[str, str]:
+    return _signed(pair.scores.AA.delta, "AA"), _interval(pair.scores.AA.interval, "AA")
+
+
+def _agreement(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:
+    head = ("points", f"only {first.label}", f"only {second.label}", "neither", "both")
+    total = RangeAgreement("all", pair.right.static, pair.right.dynamic)
+    bands = (total, *pair.by_range)
+    rows = [_counts(f"static, {band.band}", band.static) for band in bands]
+    rows += [_counts(f"dynamic, {band.band}", band.dynamic) for band in bands]
+    return TableSection("Correctly labelled points, by range from the sensor", head, tuple(rows))
+
+
+def _counts(name: str, points: Agreement) -> tuple[str, ...]:
+    return name, *(f"{n:,}" for n in (points.only_first, points.only_second, points.neither, points.both))
+
+
+_CORRECT = {"only_first": "only A", "only_second": "only B", "neither": "neither"}
+
+
+def _reasons(pair: PairComparison) -> TableSection:
+    rows = [
+        (
+            _CORRECT[row.right],
+            row.truth,
+            row.first_reason or "correct",
+            row.second_reason or "correct",
+            f"{row.points:,}",
+        )
+        for row in pair.by_reason[:LISTED]
+    ]
+    return TableSection("Errors by reason", ("correct", "point", "A's reason", "B's reason", "points"), tuple(rows))
+
+
+def _removed_by_range(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
+    head = ("points", f"only {first.label}", f"only {second.label}", "neither", "both", f"{first.letter} in %",
+            f"{second.letter} in %")  # fmt: skip
+    rows = []
+    for name, points in (("all", removed.points), *((row.band, row.points) for row in removed.by_range)):
+        counts = (points.only_first, points.only_second, points.neither, points.both)
+        shares = ("n/a" if math.isnan(share) else f"{share:.2f}" for share in points.shares)
+        rows.append((name, *(f"{n:,}" for n in counts), *shares))
+    note = "There is no ground truth, so it is unknown which points were removed rightly"
+    return TableSection("Removed points, by range from the sensor", head, tuple(rows), note)
+
+
+def _removal_reasons(first: ComparedRun, second: ComparedRun, removed: RemovalComparison) -> TableSection:
+    a, b = first.letter, second.letter
+    only = {"only_first": f"only {a}", "only_second": f"only {b}"}
+    rows = [
+        (only[row.removed_by], row.first_reason, row.second_reason, f"{row.points:,}")
+        for row in removed.by_reason[:LISTED]
+    ]
+    note = "" if rows else "both runs removed the same points"
+    head = ("removed by", f"{a}'s reason", f"{b}'s reason", "points")
+    return TableSection("What one run removed and the other kept", head, tuple(rows), note)
+
+
+_CHANGES = ("better", "SA gain", "DA gain", "FP A", "FP B", "FN A", "FN B")
+
+
+def _frames(pair: PairComparison) -> TableSection:
+    rows = [(f"{row.frame}", *_change(row)) for row in pair.frames]
+    note = (
+        "Gain: how much less B loses than A, in percentage points of SA and of DA; summed over all frames it is B - A"
+    )
+    return TableSection("Frames that change most", ("frame", *_CHANGES), tuple(rows), note)
+
+
+def _places(pair: PairComparison) -> TableSection:
+    title = "Places that change most"
+    if pair.places is None:
+        return TableSection(title, ("place",), (), pair.places_note)
+    rows = [
+        (f"{number}", f"{row.low[0]:g}, {row.low[1]:g}", f"{row.frame}", *_change(row))
+        for number, row in enumerate(pair.places, 1)
+    ]
+    return TableSection(title, ("#", "x, y [m]", "frame", *_CHANGES), tuple(rows), pair.places_note)
+
+
+def _change(row: FrameChange | PlaceChange) -> tuple[str, ...]:
+    counts: Iterable[int] = (row.first.FP, row.second.FP, row.first.FN, row.second.FN)
+    better = "B" if row.gain > 0 else "A"
+    return better, f"{row.gain_SA:+.2f}", f"{row.gain_DA:+.2f}", *(f"{n:,}" for n in counts)
+
+
+def _settings(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:
+    a, b = first.letter, second.letter
+    rows = [(row.name, text(row.first), text(row.second)) for row in pair.differ]
+    notes = list(pair.runtime.notes)
+    if pair.runtime.ratio is not None:
+        notes.insert(0, f"{b} takes {pair.runtime.ratio:.2f} times as long per frame as {a}")
+    return TableSection(f"Settings that differ: {a}, {b}", ("setting", a, b), tuple(rows), "; ".join(notes))
+
+
+def _number(value: float | None, name: str, sign: str = "") -> str:
+    if value is None:
+        return "n/a"
+    return f"{value:{sign},.0f}" if name in WRONG else f"{value:{sign}.2f}"
+
+
+def _signed(value: float | None, name: str) -> str:
+    return _number(value, name, "+")
+
+
+def _interval(interval: tuple[float, float] | None, name: str) -> str:
+    return "n/a" if interval is None else " to ".join(_signed(end, name) for end in interval)

@@ -1,0 +1,299 @@
+"""Checks results against limits and against a stored baseline, for CI."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from dynaviz.errors import DataError, UsageError
+from dynaviz.io.atomic import write_atomic
+from dynaviz.io.plain_json import read_json
+from dynaviz.scores.result import Result, run_label
+from dynaviz.scores.sections import SequenceInfo
+
+if TYPE_CHECKING:
+    from dynaviz.scores.collect import StudyRun
+
+SCHEMA = 1
+HEADLINE = ("SA", "DA", "AA", "HA")
+ROUNDING = 1e-9  # percentage points
+_HINT = "Write one with: dynaviz check RESULTS --write-baseline FILE"
+
+
+@dataclass(frozen=True)
+class BaselineEntry:
+    """One run in a baseline: method, sequence, counts and metrics.
+
+    Attributes:
+        sequence: name, digest, frames and points.
+        counts, metrics: as in ``Result``; metrics in percent, None where undefined.
+        mean_s: mean seconds per frame, for information only; None in a baseline file, so that it is valid on any
+            machine.
+    """
+
+    sequence: SequenceInfo
+    method: str
+    variant: str
+    online: bool
+    parameters: dict[str, Any]
+    scoring: str
+    counts: dict[str, int]
+    metrics: dict[str, float | None]
+    mean_s: float | None = None
+
+    @classmethod
+    def of(cls, result: Result) -> BaselineEntry:
+        """Take from a result what a baseline stores."""
+        return cls(
+            result.sequence,
+            result.method,
+            result.variant,
+            result.online,
+            dict(result.parameters),
+            result.scoring,
+            dict(result.counts),
+            dict(result.metrics),
+            result.runtime.mean_s,
+        )
+
+    @property
+    def label(self) -> str:
+        """Method, variant and sequence, for tables and messages."""
+        return f"{run_label(self.method, self.variant, self.online)} on {self.sequence.name}"
+
+    @property
+    def digest(self) -> str:
+        """Digest of the sequence."""
+        return self.sequence.digest
+
+
+class CheckOutcome(IntEnum):
+    """Outcome of one check, in the order in which tables list them.
+
+    INFO is reported, but never fails the check.
+    """
+
+    FAILED = 0
+    IMPROVED = 1
+    PASSED = 2
+    INFO = 3
+
+
+@dataclass(frozen=True)
+class CheckedValue:
+    """One value of a run, and the limit that it was checked against.
+
+    Attributes:
+        outcome: whether the check failed, passed or improved on the baseline.
+        run: method and sequence.
+        name: the metric, ``s/frame``, or ``run``, ``method`` or ``parameters`` for an entry without numbers.
+        value, limit: in percent (seconds for ``s/frame``); None if undefined, both None for an entry without numbers.
+        remark: a further explanation.
+        counts: by outcome, the number of points in the result and its difference from the baseline, None without one.
+    """
+
+    outcome: CheckOutcome
+    run: str
+    name: str
+    value: float | None = None
+    limit: float | None = None
+    remark: str = ""
+    counts: Mapping[str, tuple[int, int | None]] = field(default_factory=dict)
+
+    @property
+    def is_text(self) -> bool:
+        """Whether the entry has no numbers, only a remark."""
+        return self.value is None and self.limit is None
+
+
+@dataclass(frozen=True)
+class RegressionCheck:
+    """All checked values, failures first."""
+
+    values: list[CheckedValue]
+
+    @property
+    def failed(self) -> list[CheckedValue]:
+        """The values that failed."""
+        return [value for value in self.values if value.outcome is CheckOutcome.FAILED]
+
+
+def check(
+    cells: Sequence[StudyRun],
+    minima: Iterable[tuple[str, float]] = (),
+    baseline: Sequence[BaselineEntry] | None = None,
+    tolerance: float = 0.5,
+    complete: bool = False,
+) -> RegressionCheck:
+    """Compare results with limits and with a baseline.
+
+    Args:
+        cells: the runs; a run that raised an error fails the check.
+        minima: metrics and the minimum value, in percent, that each result must reach.
+        baseline: earlier results; a run that is not among them is reported as information.
+        tolerance: percentage points by which SA, DA, AA and HA may be lower than in the baseline.
+        complete: whether every entry of the baseline must have a result.
+
+    Raises:
+        UsageError: for a metric that a result does not have, or if a result is from a different sequence or uses
+            another scoring than its baseline entry.
+    """
+    minima, values = list(minima), []
+    left = list(baseline or [])
+    for cell in cells:
+        if cell.result is None:
+            run, failed = f"{cell.label} on {cell.sequence}", (cell.method, cell.variant, cell.sequence)
+            values.append(CheckedValue(CheckOutcome.FAILED, run, "run", remark=f"failed: {cell.error}"))
+            left = [e for e in left if (e.method, e.variant, e.sequence.name) != failed]
+            continue
+        now = BaselineEntry.of(cell.result)
+        values += [_against_minimum(now, name, minimum) for name, minimum in minima]
+        before = None
+        if baseline is not None:
+            before = _match(now, baseline, alone=len(baseline) == len(cells) == 1)
+            values += _against_baseline(now, before, tolerance)
+            left = [entry for entry in left if entry is not before]
+        values += _runtime(now, before)
+    if complete:
+        values += [
+            CheckedValue(CheckOutcome.FAILED, e.label, "run", remark="is in the baseline, but has no result")
+            for e in left
+        ]
+    return RegressionCheck(sorted(values, key=lambda value: value.outcome))
+
+
+def _against_minimum(now: BaselineEntry, name: str, minimum: float) -> CheckedValue:
+    if name not in now.metrics:
+        raise UsageError(f"--min {name}: {now.label} has the metrics {', '.join(now.metrics) or 'none'}")
+    value, counts = now.metrics[name], _counts(now, None)
+    if value is None:
+        return CheckedValue(CheckOutcome.FAILED, now.label, name, None, minimum, _why_undefined(now), counts)
+    outcome = CheckOutcome.FAILED if value < minimum else CheckOutcome.PASSED
+    return CheckedValue(outcome, now.label, name, value, minimum, "", counts)
+
+
+def _against_baseline(now: BaselineEntry, before: BaselineEntry | None, tolerance: float) -> list[CheckedValue]:
+    if before is None:
+        return [CheckedValue(CheckOutcome.INFO, now.label, "run", remark="is not in the baseline")]
+    values, counts = [], _counts(now, before)
+    for name in HEADLINE:
+        new, old = now.metrics.get(name), before.metrics.get(name)
+        outcome, remark = CheckOutcome.PASSED, ""
+        if new is None and old is not None:
+            outcome, remark = CheckOutcome.FAILED, _why_undefined(now)
+        elif new is not None and old is not None:  # a metric that becomes defined passes
+            if new < old - tolerance - ROUNDING:
+                outcome = CheckOutcome.FAILED
+            elif new > old + tolerance + ROUNDING:
+                outcome = CheckOutcome.IMPROVED
+        values.append(CheckedValue(outcome, now.label, name, new, old, remark, counts))
+    if now.method != before.method:
+        values.append(CheckedValue(CheckOutcome.INFO, now.label, "method", remark=f"was {before.method}"))
+    elif now.parameters != before.parameters:
+        names = sorted(now.parameters.keys() | before.parameters.keys())
+        changed = [n for n in names if now.parameters.get(n) != before.parameters.get(n)]
+        changes = ", ".join(f"{n} {before.parameters.get(n)} -> {now.parameters.get(n)}" for n in changed)
+        values.append(CheckedValue(CheckOutcome.INFO, now.label, "parameters", remark=changes))
+    return values
+
+
+def _runtime(now: BaselineEntry, before: BaselineEntry | None) -> list[CheckedValue]:
+    if now.mean_s is None or before is None or before.mean_s is None:
+        return []
+    return [CheckedValue(CheckOutcome.INFO, now.label, "s/frame", now.mean_s, before.mean_s, "not checked")]
+
+
+def _counts(now: BaselineEntry, before: BaselineEntry | None) -> dict[str, tuple[int, int | None]]:
+    return {
+        name: (count, None if before is None else count - before.counts.get(name, 0))
+        for name, count in now.counts.items()
+    }
+
+
+def _why_undefined(now: BaselineEntry) -> str:
+    count = now.counts
+    if not count.get("dynamic_removed", 0) + count.get("dynamic_kept", 0):
+        return "undefined: no point is labelled as dynamic"
+    if not count.get("static_kept", 0) + count.get("static_removed", 0):
+        return "undefined: no point is labelled as static"
+    return "undefined: no labelled point was removed"
+
+
+def _match(now: BaselineEntry, baseline: Sequence[BaselineEntry], alone: bool) -> BaselineEntry | None:
+    """The baseline entry of the same run; of several, the one with the same data, then scoring, then parameters."""
+
+    def same_run(e: BaselineEntry) -> bool:
+        same_method = (e.method, e.variant, e.online) == (now.method, now.variant, now.online)
+        return same_method and (e.digest == now.digest or e.sequence.name == now.sequence.name)
+
+    found = [entry for entry in baseline if alone or same_run(entry)]
+    if not found:
+        return None
+    agreeing = [(e.digest == now.digest, e.scoring == now.scoring, e.parameters == now.parameters) for e in found]
+    before = found[agreeing.index(max(agreeing))]
+    if before.digest != now.digest:
+        raise UsageError(
+            f"{now.label}: the data differ from the baseline: digest {now.digest[:12]} ({_size(now)}), in the baseline "
+            f"{before.digest[:12]} ({_size(before)}). Use the same frames of the same sequence (if simulated: the same "
+            "scene, frames, seed and dynaviz version), or write a new baseline"
+        )
+    if before.scoring != now.scoring:
+        raise UsageError(
+            f"{now.label}: the result uses the scoring {now.scoring}, the baseline {before.scoring}; their metrics are "
+            "not comparable. Score both in the same way"
+        )
+    return before
+
+
+def _size(entry: BaselineEntry) -> str:
+    return f"{entry.sequence.frames} frames, {entry.sequence.points} points"
+
+
+def read_baseline(path: str | os.PathLike[str]) -> list[BaselineEntry]:
+    """Read a baseline, or the ``result.json`` of one run as one.
+
+    Raises:
+        DataError: for any other file, or one that was written by a newer dynaviz.
+    """
+    plain = read_json(path, _HINT)
+    if not isinstance(plain, dict) or "baseline" not in plain:
+        return [BaselineEntry.of(Result.from_dict(plain, path))]
+    if isinstance(plain["baseline"], int) and plain["baseline"] > SCHEMA:
+        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+    try:  # an entry has the same keys as a result
+        return [BaselineEntry.of(Result.from_dict(row, path)) for row in plain["results"]]
+    except (KeyError, TypeError) as error:
+        raise DataError(path, f"is not a baseline ({error})", hint=_HINT) from None
+
+
+def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> None:
+    """Write a baseline: the method, sequence, counts and metrics of each result.
+
+    Runtimes are left out, so that the baseline is valid on any machine.
+
+    Raises:
+        UsageError: if two results of the same run differ.
+        DataError: if the file cannot be written.
+    """
+    entries: dict[str, BaselineEntry] = {}
+    for entry in map(BaselineEntry.of, results):
+        same = entries.setdefault(
+            json.dumps([entry.label, entry.digest, entry.scoring, entry.parameters], sort_keys=True), entry
+        )
+        if same.counts != entry.counts:
+            raise UsageError(f"two results of {entry.label} differ: leave one out of the baseline")
+    rows = []
+    for entry in sorted(entries.values(), key=lambda e: (e.sequence.name, e.method, e.variant, e.online)):
+        row = msgspec.to_builtins(entry)
+        del row["mean_s"]
+        rows.append(json.dumps(row))
+    # One line per run, so that a diff of two versions shows which runs changed.
+    text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
+    write_atomic(Path(path), text.encode())

@@ -1,0 +1,81 @@
+"""Sequences of arrays in memory, such as from a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.arrays import F64, single
+from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
+from dynaviz.errors import UsageError
+from dynaviz.spatial import geometry
+
+_HINT = "Give a list of (points, pose) or (points, pose, stamp): (N, 3 or more) metres in the sensor frame, (4, 4), ns"
+
+
+@dataclass(frozen=True, eq=False)
+class ArraySequence:
+    """Scans given as arrays.
+
+    Attributes:
+        clouds: (N, 3 or more) float for each scan, metres; the fourth column is the intensity.
+        poses: (frames, 4, 4) float64, metres: T_world_sensor.
+        stamps: nanoseconds for each scan, or None.
+        points_in: ``sensor`` or ``world``: the frame of the points.
+        name, sensor: of the sequence.
+        origin: (3,) float64, metres: what was subtracted from all positions.
+    """
+
+    clouds: tuple[NDArray[Any], ...]
+    poses: F64
+    stamps: tuple[int | None, ...]
+    points_in: str = "sensor"
+    name: str = "arrays"
+    sensor: Sensor = field(default_factory=Sensor)
+    origin: F64 = field(default_factory=lambda: np.zeros(3))
+    has_labels: bool = False
+
+    @classmethod
+    def of(cls, scans: Iterable[Any], points_in: str | None = None) -> ArraySequence:
+        """A sequence of ``(points, pose)`` or ``(points, pose, stamp in nanoseconds)``.
+
+        Raises:
+            UsageError: for anything else, or arrays of other shapes; names the scan.
+        """
+        clouds, poses, stamps = list[NDArray[Any]](), list[F64](), list[int | None]()
+        for number, scan in enumerate(scans):
+            if not isinstance(scan, list | tuple) or len(scan) not in (2, 3):
+                raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {_HINT}")
+            points, pose = np.asarray(scan[0]), np.asarray(scan[1], np.float64)
+            if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu" or pose.shape != (4, 4):
+                found = f"points {points.shape} of {points.dtype} and a pose {pose.shape}"
+                raise UsageError(f"scan {number}: {found}. {_HINT}")
+            clouds.append(points)
+            poses.append(pose)
+            stamps.append(int(scan[2]) if len(scan) == 3 and scan[2] is not None else None)
+        if not clouds:
+            raise UsageError(f"there are no scans. {_HINT}")
+        origin, T = far_origin(poses[0][:3, 3]), np.array(poses)
+        T[:, :3, 3] -= origin
+        return cls(tuple(clouds), T, tuple(stamps), points_in or "sensor", origin=origin)
+
+    def __len__(self) -> int:
+        return len(self.clouds)
+
+    def attributes(self, position: int) -> Attributes:
+        """The columns after x, y and z."""
+        cloud = self.clouds[position]
+        names = ["intensity", *(f"column_{k}" for k in range(4, cloud.shape[1]))]
+        return {name: cloud[:, k] for k, name in zip(range(3, cloud.shape[1]), names, strict=False)}
+
+    def __getitem__(self, position: int) -> Scan:
+        xyz, T_world_sensor = self.clouds[position][:, :3], self.poses[position]
+        world = self.points_in == "world"
+        points = single(xyz - self.origin) if world else geometry.transform(T_world_sensor, xyz)
+        return Scan(position % len(self), points, T_world_sensor, self.stamps[position])

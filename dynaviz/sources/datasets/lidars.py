@@ -1,0 +1,141 @@
+"""Several lidars of one vehicle, as one sequence: ``drive.bag#/front,/rear`` or ``scans#front,rear``."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynaviz.arrays import F64, I64
+from dynaviz.contracts.attributes import Attributes, attributes_of, origin_of
+from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.sensors import Sensor
+from dynaviz.errors import UsageError
+from dynaviz.sources.datasets.pose_matching import NO_POSES
+
+
+@dataclass(frozen=True)
+class Lidars:
+    """Scans of several lidars in the order of their times. Each has the pose of its own lidar, where its rays start.
+
+    Attributes:
+        lidars: a sequence for each lidar, in one world frame.
+        names: of the lidars: topics or folders.
+        order: (frames, 2) int64: lidar of each frame, and position in its sequence.
+    """
+
+    lidars: tuple[Sequence, ...]
+    names: tuple[str, ...]
+    order: I64
+
+    @classmethod
+    def open(
+        cls,
+        text: str,
+        open_one: Callable[..., Sequence],
+        poses: str | None = None,
+        extrinsic: str | None = None,
+        **options: Any,
+    ) -> Lidars:
+        """Open each lidar.
+
+        Args:
+            text: a path for which ``names_in`` finds names.
+            open_one: opens the sequence of one lidar, with options.
+            poses, options: as for ``dynaviz.open``.
+            extrinsic: a pose for each lidar, ``/front=X,Y,Z,ROLL,PITCH,YAW;/rear=...``.
+
+        Raises:
+            UsageError: for an extrinsic that does not name each lidar, or poses that are to be estimated.
+        """
+        whole, names = text.rpartition("#")[0], names_in(text)
+        if poses == NO_POSES:
+            one = _path(whole, names[0])
+            raise UsageError(
+                f"{text}: poses are estimated for one lidar. Estimate them for {one}, then give the file with --poses "
+                f"and the poses of the other lidars in the frame of this one with --extrinsic"
+            )
+        mounts = _mounts(extrinsic, names)
+        lidars = tuple(
+            open_one(_path(whole, name), poses=poses, extrinsic=mounts.get(name), **options) for name in names
+        )
+        return cls(lidars, names, _order(lidars))
+
+    @property
+    def name(self) -> str:
+        """That of the bag, or of the folder with the lidars."""
+        folder: Path | None = getattr(self.lidars[0], "folder", None)
+        return folder.parent.name if folder is not None else self.lidars[0].name
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of the first lidar."""
+        return self.lidars[0].sensor
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether any lidar has ground truth."""
+        return any(lidar.has_labels for lidar in self.lidars)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """The lidars with their numbers of scans, and the facts of the first."""
+        counts = ", ".join(f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.lidars, strict=True))
+        return {"lidars": counts, **getattr(self.lidars[0], "facts", {})}
+
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: that of the first lidar, to which the others are moved."""
+        return origin_of(self.lidars[0])
+
+    def __len__(self) -> int:
+        return len(self.order)
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the lidar's frame."""
+        lidar, row = self.order[position].tolist()
+        return attributes_of(self.lidars[lidar], row)
+
+    def __getitem__(self, position: int) -> Scan:
+        lidar, row = self.order[position].tolist()
+        scan: Scan = self.lidars[lidar][row]
+        if (offset := origin_of(self.lidars[lidar]) - self.origin).any():
+            scan = scan.moved(offset)
+        return dataclasses.replace(scan, index=range(len(self))[position])
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """The lidars that a path names after ``#``, separated by commas; empty if it does not name several."""
+    _, hash_, names = text.rpartition("#")
+    return tuple(names.split(",")) if hash_ and "," in names and not Path(text).exists() else ()
+
+
+def _path(whole: str, name: str) -> str:
+    """The path of one lidar: a topic of a bag, or a folder."""
+    folder = Path(whole.partition(":")[2] if ":" in whole and not Path(whole).exists() else whole) / name
+    return f"{whole}/{name}" if not name.startswith("/") and folder.is_dir() else f"{whole}#{name}"
+
+
+def _mounts(extrinsic: str | None, names: tuple[str, ...]) -> dict[str, str]:
+    """The extrinsic of each lidar; empty if none is given."""
+    if extrinsic is None:
+        return {}
+    parts = dict(part.strip().partition("=")[::2] for part in extrinsic.split(";"))
+    if set(parts) != set(names):
+        example = ";".join(f"{name}=X,Y,Z,ROLL,PITCH,YAW" for name in names)
+        raise UsageError(f"--extrinsic {extrinsic}: must name each lidar once. Give {example}")
+    return parts
+
+
+def _order(lidars: tuple[Sequence, ...]) -> I64:
+    """Lidar and position of each frame, by time; by position if a lidar has no times."""
+    rows = [np.arange(len(lidar)) for lidar in lidars]
+    stamps = [found for lidar in lidars if (found := getattr(lidar, "stamps", None)) is not None]
+    keys = stamps if len(stamps) == len(lidars) else rows
+    number = np.concatenate([np.full(len(row), k) for k, row in enumerate(rows)])
+    order = np.lexsort((number, np.concatenate(keys)))  # stable, first by key, then by lidar
+    return np.column_stack([number, np.concatenate(rows)])[order].astype(np.int64)

@@ -1,0 +1,162 @@
+"""A map of a whole drive in one file, split into scans again by the times of its points and the trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz.arrays import F64, I64, single
+from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
+from dynaviz.errors import DataError, UsageError
+from dynaviz.io.fields import coordinates, read_fields, without_axes
+from dynaviz.io.poses import read_poses
+from dynaviz.sources.datasets.pose_matching import parse_points_in
+from dynaviz.spatial.trajectory import Moved, Trajectory
+
+SUFFIXES = (".las", ".laz", ".pcd", ".ply")
+TIMES = ("gps_time", "GpsTime", "time", "timestamp", "t", "stamp")
+PERIOD = 100_000_000  # nanoseconds of a scan
+TICK = 1_000_000  # nanoseconds; resolution of the positions of the sensor
+_NEVER = -(1 << 62)  # nanoseconds; before every trajectory
+_HINT = "Give the trajectory of the sensor with --poses FILE (TUM, or CSV with a stamp), on the clock of the points"
+_NEEDS_SCANS = (
+    "Methods must know from where each point was seen: give the single scans with their poses, or a map that keeps "
+    "gps_time with --poses TRAJECTORY"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class MergedMapSequence:
+    """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with ``--poses``.
+
+    Points are in the world frame. They are split into scans of 0.1 s; each ray starts where the sensor was at the time
+    of its point. Points outside the time span of the trajectory are left out.
+    """
+
+    layout: ClassVar[str] = "survey.laz, .las, .pcd or .ply with a time per point, and --poses TRAJECTORY"
+    fallback: ClassVar[bool] = True
+
+    path: Path
+    fields: dict[str, NDArray[Any]]
+    bounds: I64
+    times: I64
+    trajectory: Moved
+    facts: dict[str, str]
+    origin: F64
+    sensor: Sensor = field(default_factory=Sensor)
+    has_labels: bool = False
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a path is a file that may be a map: not one of several numbered scans, nor a file next to scans."""
+        if path.suffix.lower() not in SUFFIXES or not path.is_file() or (path.parent / "pcd").is_dir():
+            return False
+        return not path.stem[-1:].isdigit() or len(list(path.parent.glob(f"*[0-9]{path.suffix}"))) == 1
+
+    @classmethod
+    def open(cls, path: Path, *, poses: str | None = None, points_in: str | None = None) -> Self:
+        """Read the map and split it.
+
+        Raises:
+            DataError: if the points have no times, there is no trajectory, or they do not overlap in time.
+            UsageError: for points in the sensor frame.
+        """
+        if parse_points_in(points_in or "world") != "world":
+            raise UsageError(f"--points-in {points_in}: the points of a merged map are in the world frame")
+        fields = read_fields(path)
+        name = next((name for name in TIMES if name in fields and _vary(fields[name])), None)
+        if name is None:
+            raise DataError(path, "is a merged map without a time per point", hint=_NEEDS_SCANS)
+        if poses is None or not Path(poses).is_file():
+            raise DataError(path, f"is a merged map; its field {name} can split it by a trajectory", hint=_HINT)
+        file = read_poses(poses)
+        if file.stamps is None:
+            raise DataError(poses, "has no times, so it cannot split a merged map", hint=_HINT)
+        trajectory = Trajectory.of(file.stamps, file.poses)
+        times = _nanoseconds(fields[name], trajectory)
+        inside = (times >= trajectory.times[0]) & (times <= trajectory.times[-1])
+        if not inside.any():
+            spans = [f"{t.min() / 1e9:.1f} to {t.max() / 1e9:.1f} s" for t in (times, trajectory.times)]
+            problem = f"points and poses do not overlap in time: points from {spans[0]}, poses from {spans[1]}"
+            raise DataError(path, problem, hint=_HINT)
+        order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
+        times = times[order]
+        numbers = (times - times[0]) // PERIOD
+        bounds = np.append(np.flatnonzero(np.diff(numbers, prepend=-1)), len(times))
+        origin = far_origin(trajectory.poses[0, :3, 3])
+        left_out = len(inside) - len(order)
+        facts = {
+            "poses": f"{Path(poses).name} ({file.kind}), by stamp",
+            "points in": "world frame",
+            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {left_out:,} points outside the poses left out",
+        }
+        sorted_fields = {key: array[order] for key, array in fields.items()}
+        return cls(path, sorted_fields, bounds, times, Moved(trajectory, -origin), facts, origin)
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.path.stem
+
+    @cached_property
+    def _points(self) -> NDArray[np.float32]:
+        return single(coordinates(self.fields) - self.origin)
+
+    def __len__(self) -> int:
+        return len(self.bounds) - 1
+
+    def _rows(self, position: int) -> slice:
+        first = range(len(self))[position]
+        return slice(int(self.bounds[first]), int(self.bounds[first + 1]))
+
+    def attributes(self, position: int) -> Attributes:
+        """All fields of the file besides the coordinates."""
+        rows = self._rows(position)
+        return {name: array[rows] for name, array in without_axes(self.fields).items()}
+
+    def __getitem__(self, position: int) -> Scan:
+        rows = self._rows(position)
+        times = self.times[rows]
+        middle = int(times[0] + (times[-1] - times[0]) // 2)
+        ticks, of = np.unique(times // TICK, return_inverse=True)
+        origins = self.trajectory.at(ticks * TICK)[of, :3, 3]
+        return Scan(
+            index=range(len(self))[position],
+            points=self._points[rows],
+            T_world_sensor=self.trajectory.at([middle])[0],
+            stamp_ns=middle,
+            origins=origins,
+            times=((times - middle) * 1e-9).astype(np.float32),
+        )
+
+
+def _vary(values: NDArray[Any]) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(len(finite)) and bool(finite.min() < finite.max())
+
+
+def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
+    """Times on the clock of the trajectory.
+
+    Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory, the first is used.
+    LAS stores GPS seconds, or GPS seconds minus 1e9. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
+    """
+    first, last = trajectory.span
+    best: NDArray[Any] = np.empty(0)
+    most = -1.0
+    for offset in (0.0, 1e9):
+        for unit in (1e9, 1e6, 1e3, 1.0):
+            exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
+            with np.errstate(over="ignore", invalid="ignore"):
+                times = values.astype(np.int64) if exact else np.round((values.astype(np.float64) + offset) * unit)
+            share = float(((times >= first) & (times <= last)).mean())
+            if share > most:
+                best, most = times, share
+    return np.where(np.abs(best) < -_NEVER, best, _NEVER).astype(np.int64)

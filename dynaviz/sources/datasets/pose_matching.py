@@ -1,0 +1,155 @@
+"""Match scans to the poses of a file by stamp, number or order, for scan folders and ROS bags."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from dynaviz.arrays import F64, I64
+from dynaviz.contracts.attributes import far_origin
+from dynaviz.errors import DataError, UsageError
+from dynaviz.io.poses import PoseFile, read_poses
+from dynaviz.spatial import geometry
+from dynaviz.spatial.trajectory import PosesOverTime, Trajectory
+
+STAMP_TOLERANCE = 1_000_000  # nanoseconds a scan may lie outside the poses, because stamps are rounded
+NO_POSES = "none"  # as the source of poses: each scan stays in its own frame, for odometries
+FRAMES = ("sensor", "world")  # frames that points may be in
+
+
+@dataclass(frozen=True)
+class MatchedPoses:
+    """The scans that have a pose.
+
+    Attributes:
+        positions: (M,) int64: positions of these scans in the sequence, increasing.
+        poses: (M, 4, 4) float64, metres: T_world_sensor of each.
+        stamps: (M,) int64, nanoseconds, of the scans or otherwise of their poses; None if neither has stamps.
+        description: source of the poses in a few words, for ``dynaviz info``.
+        trajectory: T_world_sensor over time; None if poses are not matched by stamp.
+        origin: (3,) float64, metres: what was subtracted from all positions.
+    """
+
+    positions: I64
+    poses: F64
+    stamps: I64 | None
+    description: str
+    trajectory: Trajectory | None = None
+    origin: F64 = field(default_factory=lambda: np.zeros(3))
+
+    def mounted(self, mount: F64) -> MatchedPoses:
+        """The poses of a sensor with this pose (4, 4) on the vehicle whose poses these are."""
+        trajectory = self.trajectory and Trajectory(
+            self.trajectory.times, geometry.compose(self.trajectory.poses, mount)
+        )
+        return replace(self, poses=geometry.compose(self.poses, mount), trajectory=trajectory)
+
+    def near_zero(self) -> MatchedPoses:
+        """The poses in a world whose origin is near the first of them; see ``contracts.attributes.far_origin``."""
+        origin = far_origin(self.poses[0, :3, 3])
+        if not origin.any():
+            return self
+        trajectory = self.trajectory and Trajectory(self.trajectory.times, moved(self.trajectory.poses, -origin))
+        return replace(self, poses=moved(self.poses, -origin), trajectory=trajectory, origin=origin)
+
+
+def moved(poses: F64, offset: F64) -> F64:
+    """(N, 4, 4) poses, with (3,) added to their positions."""
+    poses = poses.copy()
+    poses[:, :3, 3] += offset
+    return poses
+
+
+def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> MatchedPoses:
+    """Find the pose of each scan.
+
+    Poses are interpolated by stamp if scans and poses have stamps. Otherwise they are matched by number if the poses
+    have numbers, or else by order, which needs as many poses as scans. Scans without a pose are skipped with a warning.
+
+    Args:
+        file: pose file.
+        scans: path of the scans, for messages.
+        stamps: (N,) int64, nanoseconds, of the scans; None if they have none.
+        numbers: (N,) int64, of the scans.
+
+    Raises:
+        DataError: if the poses cannot be read or match no scan.
+    """
+    poses = read_poses(file)
+    if stamps is not None and poses.stamps is not None and (len(poses) > 1 or len(stamps) == 1):
+        return _by_stamp(poses, scans, stamps)
+    if poses.numbers is not None:
+        return _by_number(poses, scans, numbers)
+    if len(poses) != len(numbers):
+        plural = "pose" if len(poses) == 1 else "poses"
+        problem = f"has {len(poses)} {plural}, but there are {len(numbers)} scans in {scans}"
+        hint = "Give one pose per scan, or stamps for both (TUM, CSV), or an index (CSV)"
+        raise DataError(file, problem, hint=hint)
+    stamps = poses.stamps if stamps is None else stamps
+    return MatchedPoses(np.arange(len(numbers)), poses.poses, stamps, f"{file.name} ({poses.kind}), by order")
+
+
+def _by_stamp(poses: PoseFile, scans: Path, stamps: I64) -> MatchedPoses:
+    assert poses.stamps is not None
+    decreasing = np.diff(poses.stamps) < 0
+    if decreasing.any():
+        problem = f"times are not increasing: row {int(np.argmax(decreasing)) + 2} is before the row above"
+        raise DataError(poses.path, problem, hint="Sort the poses by time, with one drive per file")
+    trajectory = Trajectory.of(poses.stamps, poses.poses)
+    kept = covered_scans(trajectory, stamps, f"{poses.path}", scans)
+    description = f"{poses.path.name} ({poses.kind}), by stamp"
+    return MatchedPoses(kept, trajectory.at(stamps[kept]), stamps[kept], description, trajectory)
+
+
+def _by_number(poses: PoseFile, scans: Path, numbers: I64) -> MatchedPoses:
+    assert poses.numbers is not None
+    row_of = {int(number): row for row, number in enumerate(poses.numbers)}
+    kept = np.array([k for k, number in enumerate(numbers.tolist()) if number in row_of], np.int64)
+    if len(row_of) < len(poses):
+        raise DataError(poses.path, "two poses have the same index", hint="Give one pose per scan")
+    if not len(kept):
+        problem = (
+            f"poses {min(row_of)} to {max(row_of)} match none of the scans {numbers[0]} to {numbers[-1]} in {scans}"
+        )
+        raise DataError(poses.path, problem, hint="Number poses and scans alike")
+    warn_skipped(len(numbers) - len(kept), len(numbers), f"have no pose in {poses.path}")
+    rows = np.array([row_of[number] for number in numbers[kept].tolist()])
+    stamps = None if poses.stamps is None else poses.stamps[rows]
+    return MatchedPoses(kept, poses.poses[rows], stamps, f"{poses.path.name} ({poses.kind}), by number")
+
+
+def covered_scans(poses: PosesOverTime, stamps: I64, source: str, scans: Path) -> I64:
+    """Positions of the scans whose stamps the poses cover; the others are skipped with a warning.
+
+    Raises:
+        DataError: if no scan is covered.
+    """
+    first, last = poses.span
+    kept = np.flatnonzero((stamps >= first - STAMP_TOLERANCE) & (stamps <= last + STAMP_TOLERANCE))
+    if not len(kept):
+        scan_span = f"{stamps.min() / 1e9:.3f} to {stamps.max() / 1e9:.3f} s"
+        pose_span = f"{first / 1e9:.3f} to {last / 1e9:.3f} s"
+        problem = f"scans and poses do not overlap in time: scans from {scan_span}, poses from {pose_span}"
+        raise DataError(scans, problem, hint=f"Give poses of the same drive and clock; these are from {source}")
+    warn_skipped(len(stamps) - len(kept), len(stamps), f"are outside the time span of the poses from {source}")
+    return kept
+
+
+def warn_skipped(number: int, total: int, reason: str) -> None:
+    """Warn if scans are skipped."""
+    if number:
+        warnings.warn(f"{number} of {total} scans {reason} and are skipped", stacklevel=3)
+
+
+def parse_points_in(points_in: str | None) -> str:
+    """The frame of the points, ``sensor`` (default) or ``world``.
+
+    Raises:
+        UsageError: for anything else.
+    """
+    if points_in not in (None, *FRAMES):
+        raise UsageError(f"--points-in {points_in}: give {' or '.join(FRAMES)}")
+    return points_in or FRAMES[0]

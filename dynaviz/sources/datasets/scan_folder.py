@@ -1,0 +1,302 @@
+"""Any folder of scans with a pose file."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynaviz.arrays import F32, F64, I32, I64, U8, U16, single
+from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import Sensor
+from dynaviz.errors import DataError, NoPoses
+from dynaviz.io.fields import coordinates, read_fields, without_axes
+from dynaviz.io.npy import open_npy
+from dynaviz.io.pcd import Pcd, read_header
+from dynaviz.io.points import read_points
+from dynaviz.io.poses import find_poses, nanoseconds
+from dynaviz.io.semantic_label import read_semantic_labels
+from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
+from dynaviz.sources.datasets.extrinsic import parse_extrinsic
+from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
+from dynaviz.sources.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
+from dynaviz.spatial import geometry
+
+SUFFIXES = (".bin", ".las", ".laz", ".npy", ".npz", ".pcd", ".ply")
+# Folder names that do not identify a sequence.
+_GENERIC_NAMES = ("scans", "pcd", "pcds", "ply", "bin", "velodyne", "lidar", "points", "clouds")
+_NO_POSES = (
+    "Estimate them with --poses small-gicp, or give --poses FILE: KITTI (12 numbers per line), TUM (time x y z qx qy "
+    "qz qw) or CSV with a header"
+)
+
+
+@dataclass(frozen=True)
+class ScanFolderSequence:
+    """Scans as numbered or stamped files (.bin .pcd .ply .npy .npz .las .laz) with a pose file.
+
+    The poses come from ``--poses FILE``, from ``poses.txt``, ``trajectory.txt``, ``*.tum``, ``poses.csv`` ... next to
+    the scans or their folder, or from the VIEWPOINT of PCD files. Labels are optional: ``labels/NAME.label``
+    (SemanticKITTI; classes 0 and 1 are unlabelled) or ``labels/NAME.npy`` (0 static, 1 dynamic, 255 unlabelled).
+    """
+
+    layout: ClassVar[str] = "scans 000000.bin, .pcd, .ply, .npy, .npz, .las or .laz with poses.txt, *.tum or poses.csv"
+    fallback: ClassVar[bool] = True
+
+    folder: Path
+    sensor: Sensor
+    scans: tuple[Path, ...]
+    indices: tuple[int, ...]
+    matched: MatchedPoses
+    points_in: str
+    columns: tuple[str, ...] = ()
+
+    @classmethod
+    def matches(cls, path: Path) -> bool:
+        """Whether a folder, or its only subfolder with scans, contains scans, judged by file names only."""
+        return path.is_dir() and _scans_in(path) is not None
+
+    @classmethod
+    def open(
+        cls, path: Path, *, poses: str | None = None, points_in: str | None = None, extrinsic: str | None = None
+    ) -> Self:
+        """Open a folder.
+
+        Args:
+            path: folder of the scans, or the parent of the only folder with scans.
+            poses: pose file; None searches next to the scans; ``none`` leaves each scan in its own frame.
+            points_in: ``sensor`` (default) or ``world``: the frame of the points in the files.
+            extrinsic: pose of the sensor on the vehicle, if the poses are those of the vehicle.
+
+        Raises:
+            DataError: if there are no scans or no poses, or they do not match.
+            UsageError: for any other ``points_in``.
+        """
+        frame = parse_points_in(points_in)
+        folder = _scans_in(path) if path.is_dir() else None
+        if folder is None:
+            hint = f"Scans end in {', '.join(SUFFIXES)} and are named by number or stamp"
+            raise DataError(path, _describe_missing_scans(path), hint=hint)
+        scans, numbers, stamps = _sorted_scans(folder)
+        sequence_folder = folder.parent if folder != path or folder.name.lower() in _GENERIC_NAMES else folder
+        if poses == NO_POSES:
+            matched = MatchedPoses(np.arange(len(scans)), np.tile(np.eye(4), (len(scans), 1, 1)), stamps, "none")
+        else:
+            file = Path(poses).absolute() if poses else find_poses(folder) or find_poses(sequence_folder)
+            matched = match_poses(file, folder, stamps, numbers) if file else _viewpoints(folder, scans, stamps)
+        mount = parse_extrinsic(extrinsic)
+        matched = (matched if mount is None else matched.mounted(mount)).near_zero()
+        kept = matched.positions.tolist()
+        indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
+        columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
+        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame, columns)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder, or of its parent if the folder has a generic name such as ``scans``."""
+        return (self.folder.parent if self.folder.name.lower() in _GENERIC_NAMES else self.folder).name or "scans"
+
+    @cached_property
+    def has_labels(self) -> bool:
+        """Whether any scan has labels; cached, because it checks the files of every scan."""
+        return any(self._label_file(scan) is not None for scan in self.scans)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Source and matching of the poses, and frame of the points."""
+        facts = {"poses": self.matched.description, "points in": f"{self.points_in} frame"}
+        if self.columns not in ((), FIELDS[:4]):
+            facts["columns"] = " ".join(self.columns)
+        if self.origin.any():
+            facts["origin"] = " ".join(f"{x:.0f}" for x in self.origin) + " m, subtracted here and added in maps"
+        return facts
+
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: what was subtracted from all positions."""
+        return self.matched.origin
+
+    @property
+    def stamps(self) -> I64 | None:
+        """(frames,) int64, nanoseconds: time of each frame; None for numbered scans."""
+        return self.matched.stamps
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans[self.indices.index(index)] if index in self.indices else None
+
+    def __getitem__(self, position: int) -> Scan:
+        path, T_world_sensor = self.scans[position], self.matched.poses[position]
+        xyz = self._points(path)
+        labels, classes, instances = self._labels(path, len(xyz))
+        stamps = self.matched.stamps
+        return Scan(
+            index=self.indices[position],
+            points=xyz if self.points_in == "world" else geometry.transform(T_world_sensor, xyz),
+            T_world_sensor=T_world_sensor,
+            stamp_ns=None if stamps is None else int(stamps[position]),
+            labels=labels,
+            classes=classes,
+            instances=instances,
+            class_names=CLASS_NAMES if classes is not None else {},
+        )
+
+    def attributes(self, position: int) -> Attributes:
+        """All fields of the file besides the coordinates, as they are in the file."""
+        path = self.scans[position]
+        if self.columns:
+            return velodyne_attributes(read_velodyne(path, len(self.columns)), self.columns)
+        return without_axes(read_fields(path))
+
+    def _points(self, path: Path) -> F32:
+        """(N, 3) float32, metres, in the file's frame, or in the world moved by the origin."""
+        if self.columns:
+            return read_velodyne(path, len(self.columns))[:, :3]
+        if self.points_in == "world" and self.origin.any():
+            return single(coordinates(read_fields(path)) - self.origin)
+        return _npz(path) if path.suffix.lower() == ".npz" else read_points(path)
+
+    def _label_file(self, scan: Path) -> Path | None:
+        for folder in (self.folder / "labels", self.folder.parent / "labels"):
+            for suffix in (".label", ".npy"):
+                if (file := folder / f"{scan.stem}{suffix}").is_file():
+                    return file
+        return None
+
+    def _labels(self, scan: Path, points: int) -> tuple[U8 | None, U16 | None, I32 | None]:
+        """Labels, classes and instances of a scan; all unlabelled if only other scans have labels."""
+        file = self._label_file(scan)
+        if file is None:
+            return (np.full(points, Label.UNLABELLED, np.uint8) if self.has_labels else None), None, None
+        if file.suffix == ".npy":
+            return _label_array(file, points), None, None
+        classes, instances = read_semantic_labels(file, points)
+        moving = (classes >= MOVING_CLASSES.start) & (classes < MOVING_CLASSES.stop)
+        labels = np.where(moving, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
+        labels[np.isin(classes, UNLABELLED_CLASSES)] = Label.UNLABELLED
+        return labels, classes, instances.astype(np.int32)
+
+
+def _describe_missing_scans(path: Path) -> str:
+    """What a path contains instead of scans, for error messages."""
+    if not path.is_dir():
+        return "not a folder"
+    suffixes = ", ".join(sorted({entry.suffix or entry.name for entry in path.iterdir()})[:6])
+    return f"contains no scans, only {suffixes}" if suffixes else "contains no scans"
+
+
+def _entries(folder: Path) -> list[Path]:
+    """The content of a folder; empty if it cannot be read, such as lost+found of a disk."""
+    with contextlib.suppress(OSError):
+        return list(folder.iterdir())
+    return []
+
+
+def _scan_files(folder: Path) -> list[Path]:
+    """Files that look like scans: a supported suffix, and a digit at the end of the name."""
+    return [path for path in _entries(folder) if path.suffix.lower() in SUFFIXES and path.stem[-1:].isdigit()]
+
+
+def _scans_in(path: Path) -> Path | None:
+    """The folder with the scans: the path itself, or its only subfolder with scans."""
+    if _scan_files(path):
+        return path
+    candidates = [
+        folder for folder in _entries(path) if folder.is_dir() and folder.name != "labels" and _scan_files(folder)
+    ]
+    return candidates[0] if len(candidates) == 1 else None
+
+
+def _sorted_scans(folder: Path) -> tuple[list[Path], I64, I64 | None]:
+    """The scans in order, their numbers, and their stamps if the names are stamps: ten digits or a decimal point.
+
+    Raises:
+        DataError: for files of several formats, or two files with the same number.
+    """
+    files = _scan_files(folder)
+    suffixes = Counter(path.suffix.lower() for path in files)
+    if len(suffixes) > 1:
+        counts = ", ".join(f"{suffix} ({count})" for suffix, count in suffixes.most_common())
+        raise DataError(folder, f"contains scans in several formats: {counts}", hint="Keep one format per folder")
+    texts = [re.search(r"\d+(?:\.\d+)?$", path.stem)[0] for path in files]  # type: ignore[index]  # the name ends in a digit
+    stamped = all("." in text or len(text) >= 10 for text in texts)
+    keys = [
+        _stamp(file, text) if stamped else int(text.replace(".", "")) for file, text in zip(files, texts, strict=True)
+    ]
+    order = sorted(range(len(files)), key=lambda k: (keys[k], files[k].name))
+    for a, b in pairwise(order):
+        if keys[a] == keys[b]:
+            raise DataError(files[b], f"has the same number as {files[a].name}", hint="Remove one of them")
+    try:
+        numbers = np.array([keys[k] for k in order], np.int64)
+    except OverflowError:
+        raise DataError(
+            files[order[-1]], "the number in the name is too large", hint="Name scans by number or stamp"
+        ) from None
+    return [files[k] for k in order], numbers, numbers if stamped else None
+
+
+def _stamp(file: Path, text: str) -> int:
+    """The time in a file name, nanoseconds."""
+    try:
+        return nanoseconds(text)
+    except ValueError as error:
+        hint = "Name scans by number, or by their stamp in s, ms, us or ns since 1970"
+        raise DataError(file, f"its name is not a valid time ({error})", hint=hint) from None
+
+
+def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> MatchedPoses:
+    """Poses from the VIEWPOINT of PCD files.
+
+    Raises:
+        DataError: if a scan has none, or all are the identity.
+    """
+    poses = []
+    for path in scans:
+        header = read_header(path) if path.suffix.lower() == ".pcd" else None
+        T_world_sensor = None if header is None else Pcd(path, header, np.empty(0, header.row)).T_world_sensor
+        if T_world_sensor is None:
+            raise NoPoses(folder, "has no poses", hint=_NO_POSES)
+        poses.append(T_world_sensor)
+    if all(np.array_equal(T, np.eye(4)) for T in poses):
+        raise NoPoses(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
+    return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
+
+
+def _npz(path: Path) -> F32:
+    """The array ``points`` or ``xyz`` of an NPZ file, or its only array with a row per point."""
+    hint = "Save points = (N, 3) float32, metres, with numpy.savez"
+    with open_npy(path, "NPZ file", hint) as arrays:
+        clouds = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
+    candidates = [clouds[name] for name in ("points", "xyz") if name in clouds] or list(clouds.values())
+    ambiguous = len(candidates) > 1 and not {"points", "xyz"} & set(clouds)
+    if not candidates or ambiguous or candidates[0].dtype.kind not in "fiu":
+        problem = f"contains {len(candidates) or 'no'} arrays (N, 3 or more) and none named points"
+        raise DataError(path, problem, hint=hint)
+    with np.errstate(over="ignore"):  # values beyond float32 become infinite
+        xyz: F32 = candidates[0][:, :3].astype(np.float32)
+    return xyz
+
+
+def _label_array(path: Path, points: int) -> U8:
+    """Labels from an NPY file."""
+    hint = f"Save ({points},) integers: 0 static, 1 dynamic, 255 unlabelled"
+    with open_npy(path, "NPY file", hint) as labels:
+        pass
+    if not isinstance(labels, np.ndarray) or labels.shape != (points,) or labels.dtype.kind not in "iub":
+        raise DataError(path, f"contains {getattr(labels, 'shape', 'several arrays')} for {points} points", hint=hint)
+    if not np.isin(labels, [*Label]).all():
+        raise DataError(path, f"{labels[~np.isin(labels, [*Label])][0]} is not a label", hint=hint)
+    return labels.astype(np.uint8)

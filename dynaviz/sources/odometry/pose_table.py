@@ -1,0 +1,46 @@
+"""Tables of poses, one per sweep, which ``--poses`` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from dynaviz.arrays import F64, I64
+from dynaviz.contracts.scan import Scan
+from dynaviz.io.atomic import write_atomic
+from dynaviz.spatial.motion import smoothed
+from dynaviz.spatial.trajectory import Trajectory
+
+
+def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I64 | None = None) -> None:
+    """Write poses by stamp, or by number if a frame has no stamp or two have the same.
+
+    Args:
+        file: CSV file.
+        frames: the sweeps; only their numbers and stamps are used.
+        poses: (frames, 4, 4) float64, metres.
+        moments: (frames,) int64, nanoseconds: the times to which the poses refer, if they are not the stamps. These
+            times, a few between them and the stamps have a line, so that no sweep lies outside, and straight lines
+            between the lines of the table follow the motion.
+    """
+    frames = tuple(frames)
+    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
+    stamps = [frame.stamp_ns for frame in frames]
+    rows: list[tuple[int, F64]]
+    if None in stamps or len(set(stamps)) < len(stamps):
+        first, rows = "index", list(zip((frame.index for frame in frames), poses, strict=True))
+    else:
+        own = np.array(stamps, np.int64)
+        first = "stamp [ns]"
+        trajectory = Trajectory.of(own, poses) if moments is None else smoothed(moments, poses)
+        times = np.union1d(own, trajectory.times)
+        rows = list(zip(times.tolist(), trajectory.at(times), strict=True))
+    lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]
+    write_atomic(file, "\n".join([f"{first},{matrix}", *lines, ""]).encode())
+
+
+def without_points(scan: Scan) -> Scan:
+    """A scan without points, to keep its number, stamp and pose."""
+    return Scan(scan.index, np.empty((0, 3), np.float32), scan.T_world_sensor, scan.stamp_ns)

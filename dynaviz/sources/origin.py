@@ -1,0 +1,50 @@
+"""Where a sequence came from and how good its poses are, as ``result.json`` states it."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+
+class PoseNoise(Struct, frozen=True):
+    """Noise of poses between neighbouring frames, measured on planes (``dynaviz.sources.pose_noise``).
+
+    Attributes:
+        translation_m: standard deviation of a frame's position along each axis, metres.
+        rotation_deg: standard deviation of a frame's rotation about each axis, degrees.
+        patches: median number of planar patches per frame; frames: number of frames compared.
+    """
+
+    translation_m: float
+    rotation_deg: float
+    patches: int = 0
+    frames: int = 0
+
+    def __str__(self) -> str:
+        return f"{100 * self.translation_m:.1f} cm and {self.rotation_deg:.2f} degrees"
+
+
+class PoseRefinement(Struct, frozen=True):
+    """How far ``--refine-poses`` moved the poses of a run, and their noise before and after.
+
+    Attributes:
+        median_m, max_m: distance between the given and the refined position of a frame, metres.
+        median_deg, max_deg: angle between the given and the refined rotation of a frame, degrees.
+        frames: frames that were registered; all others keep their pose.
+        before, after: noise of the poses; None if too few planes are seen.
+        seconds: processor time of the refinement; reused: whether an earlier run refined the poses.
+    """
+
+    median_m: float
+    max_m: float
+    median_deg: float
+    max_deg: float
+    frames: int = 0
+    before: PoseNoise | None = None
+    after: PoseNoise | None = None
+    seconds: float = 0.0
+    reused: bool = False
+
+    def __str__(self) -> str:
+        shift = f"{100 * self.median_m:.1f} cm (at most {100 * self.max_m:.1f} cm)"
+        moved = f"moved by {shift} and {self.median_deg:.2f} degrees (at most {self.max_deg:.2f})"
+        return f"{moved}; noise {self.before} before, {self.after} after" if self.before and self.after else moved

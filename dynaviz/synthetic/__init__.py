@@ -1,0 +1,1 @@
+"""Sequences that are made: simulated scenes, and movers implanted into real scans."""

@@ -1,0 +1,1 @@
+"""Recordings of several runs on the same points, merged into one."""

@@ -1,0 +1,245 @@
+"""The viewer's layout, built from the states of a method and from what a run found; it is part of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dynaviz import colours
+from dynaviz.arrays import F64
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.probe import Scalar, State, Voxels
+from dynaviz.views import keys, paths
+
+KEY_SHARE = 4.0  # height of the views of states, in heights of their key
+CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
+SO_FAR = [f"{paths.SCORES}/{name}/so_far" for name in ("SA", "DA", "AA")]
+IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
+
+# A plot shows only curves of the current timeline, so each has some for frames and some for cases: it is never empty.
+SCORE_CURVES = "scores [%]"
+WRONG = "wrong points, or % lost"
+REMOVED = "removed points"
+BEHIND = np.array([-0.63, -0.46, 0.63])  # from the centre of rings to the camera; unit length
+_KINDS = ("false_negative", "false_positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a run found, as far as it decides the layout.
+
+    Attributes:
+        truth: whether the run had ground truth.
+        cases: whether there is a timeline of cases; the recording then opens at the first one.
+        state: name of the state to show first, or None.
+        reasons: paths of the curves of reasons to show; None for all.
+    """
+
+    truth: bool = True
+    cases: bool = False
+    state: str | None = None
+    reasons: tuple[str, ...] | None = None
+
+
+def layout(info: MethodInfo, extent: Extent, geometry: bool, found: Findings) -> rrb.Blueprint:
+    """The layout of a run's recording.
+
+    Left: the case, or behind it the map of the whole run; below it the points of the frame and the method's states.
+    Middle: the case in words, all cases, report and log. Right: scores, wrong points per frame, distances of errors.
+
+    Args:
+        info: of the method; each of its ``emits`` gets a view.
+        extent: of the map, for the initial camera.
+        geometry: whether the recording contains coordinates.
+        found: what the run found; while it is running, what can be expected.
+    """
+    columns = [_text(found), _numbers(info, found) if found.truth else _removed(info, found)]
+    if geometry:
+        columns.insert(0, _world(info, extent, found))
+    body = rrb.Horizontal(*columns, column_shares=[10, 6, 5][-len(columns) :])
+    return blueprint(body, paths.CASE if found.cases else paths.FRAME)
+
+
+def blueprint(body: Any, timeline: str = paths.FRAME) -> rrb.Blueprint:
+    """A layout with collapsed panels and the time cursor at the start of a timeline."""
+    return rrb.Blueprint(
+        body,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, fps=10.0, play_state="paused"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
+    common = [paths.SENSOR, paths.TRAJECTORY]
+    boxes = _with_names(paths.CASES, paths.CLUSTER_CASES)
+    above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
+    if found.cases:
+        case = [paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND, paths.CASE_RAYS]
+        above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], follow(paths.CASE_AROUND)), above)
+    here = [paths.SCAN, paths.MAP, paths.RINGS, *_with_names(paths.FAILURES, paths.CLUSTERS), paths.CASE_AIM]
+    frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
+    tabs = _tabs(info, found)
+    state = found.state or next((state.name for state in info.emits if state.legend), None)  # verdicts, not quantities
+    below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
+    return rrb.Vertical(above, below, row_shares=[3, 2])
+
+
+def _with_names(*boxes: str) -> list[str]:
+    return [*boxes, *map(paths.names, boxes)]
+
+
+def _open_at(state: str | None, tabs: list[Any]) -> Any:
+    names = [tab.name for tab in tabs]
+    return rrb.Tabs(*tabs, active_tab=names.index(state) if state in names else 0)
+
+
+def _text(found: Findings) -> Any:
+    others = rrb.Tabs(
+        rrb.TextDocumentView(name="report", origin=paths.REPORT, contents=[paths.REPORT]),
+        rrb.TextLogView(name="log", origin=paths.LOG),
+    )
+    cases = rrb.TextDocumentView(name="failures" if found.truth else "suspicious", origin=paths.FAILURE_LIST)
+    if not found.cases:
+        return rrb.Vertical(cases, others, row_shares=[5, 3])
+    case = rrb.TextDocumentView(name="what and why", origin=paths.CASE_TEXT, contents=[paths.CASE_TEXT])
+    return rrb.Vertical(case, cases, others, row_shares=[9, 8, 5])
+
+
+def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
+    """The states that are drawn, by tab, each with its key below."""
+    tabs = []
+    for states in keys.tabs(info):
+        views = [_state(info.name, state, found) for state in states]
+        key = rrb.Spatial2DView(
+            name=keys.heading(states), origin=paths.key(info.name, states[0]), background=[*colours.BACKGROUND, 255]
+        )
+        name = states[0].name if len(states) == 1 else f"{states[0].name} to {states[-1].name}"
+        shares = [KEY_SHARE / len(states)] * len(states) + [1 + 0.4 * (len(states) - 1)]
+        tabs.append(rrb.Vertical(*views, key, name=name, row_shares=shares))
+    return tabs
+
+
+def _numbers(info: MethodInfo, found: Findings) -> Any:
+    others = [f"- {path}" for path in (*SO_FAR, f"{paths.WRONG}/**", paths.WORST)]
+    scores = rrb.Tabs(
+        _curves(SCORE_CURVES, [*SO_FAR, *IF_FIXED], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
+        _curves("all scores", [f"{paths.SCORES}/**", *others], rrb.Corner2D.LeftBottom, (0.0, 100.0)),
+        *_reasons_and_scalars(info, found),
+    )
+    distance = rrb.Tabs(
+        _bars("FN: distance [m]", _run_histogram("false_negative")),
+        _bars("FP: distance [m]", _run_histogram("false_positive")),
+        _bars("this frame", [f"{paths.ERROR_DISTANCE}/{kind}" for kind in _KINDS], rrb.Corner2D.RightTop),
+    )
+    # No legend: it would hide the worst frames; the colours are those of the points.
+    wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST, f"{paths.CASE_COST}/**"])
+    return rrb.Vertical(scores, wrong, distance)
+
+
+def _removed(info: MethodInfo, found: Findings) -> Any:
+    """The plots of a run without ground truth."""
+    removed = _curves(REMOVED, [f"{paths.REMOVED_POINTS}/**", f"{paths.CASE_COST}/**"])
+    tabs = rrb.Tabs(removed, *_reasons_and_scalars(info, found))
+    return rrb.Vertical(tabs, rrb.TextDocumentView(name="removed", origin=paths.REMOVED_TEXT), row_shares=[1, 2])
+
+
+def _reasons_and_scalars(info: MethodInfo, found: Findings) -> list[Any]:
+    shown = [f"{paths.REASONS}/**"] if found.reasons is None else list(found.reasons)
+    return [
+        *([_curves("reasons", shown, rrb.Corner2D.LeftTop)] if shown else []),
+        *[
+            _curves(state.name, [paths.state(info.name, state)])
+            for state in info.emits
+            if issubclass(state.kind, Scalar)
+        ],
+    ]
+
+
+def _run_histogram(kind: str) -> list[str]:
+    return [f"{paths.ERROR_DISTANCE}/{kind}/{part}" for part in ("run", "p10")]
+
+
+def _curves(name: str, contents: list[str], legend: Any = None, limits: tuple[float, float] | None = None) -> Any:
+    axis = None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True)
+    return rrb.TimeSeriesView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND, axis_y=axis)
+
+
+_NO_LEGEND = rrb.PlotLegend(visible=False)
+
+
+def _bars(name: str, contents: list[str], legend: Any = None) -> Any:
+    return rrb.BarChartView(name=name, contents=contents, plot_legend=legend or _NO_LEGEND)
+
+
+def solid(
+    name: str, contents: list[str], eye: rrb.EyeControls3D, origin: str = paths.WORLD, overrides: Any = None
+) -> Any:
+    """A 3D view without a grid."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        contents=[f"/{path}" for path in contents],
+        background=[*colours.BACKGROUND, 255],
+        line_grid=False,
+        eye_controls=eye,
+        overrides=overrides,
+    )
+
+
+def _state(method: str, state: State, found: Findings) -> Any:
+    path = paths.state(method, state)
+    if issubclass(state.kind, paths.FLAT):
+        return rrb.Spatial2DView(name=state.name, origin=path, background=[*colours.BACKGROUND, 255])
+    errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
+    context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
+    return solid(
+        state.name, [path, *errors, *context], follow(paths.CASE_AROUND if found.cases else paths.RINGS),
+        overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state.kind is Voxels else None,
+    )  # fmt: skip
+
+
+def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
+    """A camera behind and above the centre of rings, mostly the sensor, moving with it.
+
+    The viewer mostly adapts the distance to their size; where it does not, that of the smallest must do.
+    """
+    distance = {"around": 14.0, "aim": 25.0}.get(rings.split("/")[-1], 35.0)
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        tracking_entity=f"/{rings}",
+        position=distance * BEHIND,
+        look_target=[0.0, 0.0, 0.0],
+        eye_up=[0.0, 0.0, 1.0],
+    )
+
+
+def _eye(extent: Extent) -> rrb.EyeControls3D:
+    """A steep view from above on the bulk of the map, with its long side across the picture."""
+    centre, along, length, width = _bulk(extent)
+    side = np.array([along[1], -along[0], 0.0])
+    position = centre + max(0.6 * length, 0.95 * width) * (0.35 * side + np.array([0.0, 0.0, 0.94]))
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0], speed=length / 5
+    )
+
+
+def _bulk(extent: Extent) -> tuple[F64, F64, float, float]:
+    """The middle nine tenths of the map: centre, long horizontal axis (unit vector), length and width (metres)."""
+    if not len(extent.cells):
+        return np.zeros(3), np.array([1.0, 0.0, 0.0]), 20.0, 10.0
+    cells = (extent.cells + 0.5) * CELL
+    centre = np.median(cells, axis=0)
+    flat = cells[:, :2] - centre[:2]
+    axes = np.linalg.eigh(flat.T @ flat)[1]  # short, long
+    low, high = np.quantile(flat @ axes, [0.05, 0.95], axis=0)
+    centre[:2] += axes @ (low + high) / 2
+    width, length = np.maximum(high - low, 10.0)
+    return centre, np.array([*axes[:, 1], 0.0]), float(length), float(width)

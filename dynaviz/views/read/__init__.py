@@ -1,0 +1,1 @@
+"""Recordings read back: checked, repaired, shown, and rendered as pictures and clips."""

@@ -1,0 +1,164 @@
+"""What the explorer adds to a recording that is open in the viewer: a layout for a question, and marks in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import RrdReader
+
+from dynaviz import colours
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.scan import Outcome
+from dynaviz.views import drawn, paths, witnesses
+from dynaviz.views.layout import CLEAR, blueprint, follow, solid
+from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.record.case_timeline import RAY_COLOURS
+from dynaviz.views.record.scene import EDGES, WIRES
+
+BOX, POINT, RAYS = "world/explore/box", "world/explore/point", "world/explore/rays"
+LOADING = "explore/loading"
+MARKS = (BOX, POINT, RAYS)
+CLOSEST = 12.0  # metres: distance of the eye from a small case
+ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
+ABOVE: F64 = np.array([-0.2, -0.15, 0.97])
+CASE, FRAME, MAP = "case", "frame", "map"
+LAYOUTS = (CASE, FRAME, MAP)
+
+HIT, CROSSED = witnesses.HIT, witnesses.CROSSED
+
+
+class Focus:
+    """Writes what to send to a viewer that has a recording open.
+
+    Args:
+        recording: of a run.
+        voxels: names of the method's states that are drawn in the world as voxels.
+    """
+
+    def __init__(self, recording: RunRecording, voxels: Collection[str] = ()) -> None:
+        self._recording, self._voxels = recording, voxels
+        self._entry = RrdReader(recording.path).recordings()[0]
+        self._states = _states(recording)
+
+    def loading(self) -> bytes:
+        """A layout that is drawn fast, for the time in which the viewer loads the recording.
+
+        The viewer reads 10 ms after each picture that it draws. Without a graphics card, those of a case take seconds.
+
+        Returns:
+            The content of an ``.rrd`` file.
+        """
+        stream, sink = self._open()
+        stream.log(LOADING, rr.TextDocument("Loading the recording ..."), static=True)
+        body = rrb.TextDocumentView(origin=LOADING, name="loading")
+        stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
+        return _content(stream, sink)
+
+    def layout(self, kind: str, title: str, frame: int, low: F64, high: F64, colour: Outcome | None) -> bytes:
+        """A layout, with the box of a case.
+
+        Args:
+            kind: one of ``LAYOUTS``: a case (its frame, the map and the state that decided it), the frame alone, or the
+                map alone.
+            title: of the first view.
+            frame: position in the run.
+            low, high: (3,) metres, world frame: the box.
+            colour: outcome whose colour the box has; None for no box.
+
+        Returns:
+            The content of an ``.rrd`` file.
+        """
+        stream, sink = self._open()
+        if colour is not None:
+            look: dict[str, Any] = {"colors": [colours.BRIGHT[colour]], "radii": EDGES, "fill_mode": WIRES}
+            stream.log(BOX, rr.Boxes3D(mins=[low], sizes=[high - low], **look), static=True)
+        body = self._body(kind, title, frame, low, high)
+        stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
+        return _content(stream, sink)
+
+    def marks(self, point: F64 | None, strips: F32, kinds: Sequence[int]) -> bytes:
+        """A mark at a point, and its rays; they replace the earlier ones.
+
+        Args:
+            point: (3,) metres, world frame; None for no mark.
+            strips: (K, 2, 3) metres, world frame.
+            kinds: (K,) ``HIT`` or ``CROSSED``.
+
+        Returns:
+            The content of an ``.rrd`` file.
+        """
+        stream, sink = self._open()
+        at = np.zeros((0, 3)) if point is None else point[None]
+        stream.log(POINT, rr.Points3D(at, colors=[255, 255, 255], radii=rr.Radius.ui_points(5.0)), static=True)
+        shades = [RAY_COLOURS[kind] for kind in kinds]
+        stream.log(RAYS, rr.LineStrips3D(strips, colors=shades or None, radii=rr.Radius.ui_points(0.8)), static=True)
+        return _content(stream, sink)
+
+    def _open(self) -> tuple[rr.RecordingStream, rr.BinaryStream]:
+        """A stream that adds to the recording in the viewer."""
+        entry = self._entry
+        stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
+        stream.set_log_time_enabled(False)
+        stream.set_log_tick_enabled(False)
+        return stream, rr.binary_stream(stream)
+
+    def _body(self, kind: str, title: str, frame: int, low: F64, high: F64) -> Any:
+        common = [paths.SENSOR, paths.TRAJECTORY, *MARKS]
+        clouds = [f"{paths.MAP}/**", f"{paths.REMOVED}/**"]
+        if kind == MAP:
+            return solid("map", [*clouds, *common], _eye(low, high, ABOVE, 45.0))
+        if kind == FRAME:
+            return solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], follow())
+        near = _eye(low, high, ASIDE, CLOSEST)
+        case = solid(title, [paths.SCAN, paths.MAP, *common], near)
+        whole = solid("whole run", [*clouds, *common], _eye(low, high, ABOVE, 30.0))
+        below: list[Any] = [whole]
+        if (state := self._deciding(frame, low, high)) is not None:
+            path = f"/{state}"
+            overrides = {path: rr.VoxelGridMap.from_fields(opacity=CLEAR)} if self._is_voxels(state) else None
+            name = f"state: {state.split('/')[-1]}"
+            below.append(solid(name, [state, paths.SCAN, *common], near, overrides=overrides))
+        return rrb.Vertical(case, rrb.Horizontal(*below), row_shares=[3, 2])
+
+    def _is_voxels(self, path: str) -> bool:
+        return path.split("/")[-1] in self._voxels
+
+    def _deciding(self, frame: int, low: F64, high: F64) -> str | None:
+        """The state with the largest share of its points or voxels in a box; None if none has any."""
+        if not self._states:
+            return None
+        content = [f"/{path}" for path in self._states]
+        with self._recording.decoding():
+            chunks = self._recording.store.stream().filter(content=content, has_timeline=paths.FRAME)
+            rows = drawn.rows_of(chunks, [frame])
+        best, most = None, 0.0
+        for (path, _), row in rows.items():
+            xyz = drawn.positions(row)
+            if xyz is not None and len(xyz):
+                share = float(((xyz >= low) & (xyz <= high)).all(1).mean())
+                best, most = (path, share) if share > most else (best, most)
+        return best
+
+
+def _states(recording: RunRecording) -> list[str]:
+    """Paths of the method's states in the world."""
+    start = f"{paths.WORLD}/{recording.properties['method']}/"
+    return [path for path in recording.entities() if path.startswith(start)]
+
+
+def _eye(low: F64, high: F64, direction: F64, closest: float) -> rrb.EyeControls3D:
+    middle = (low + high) / 2
+    distance = max(closest, 1.3 * float(np.linalg.norm(high - low)))
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=middle + distance * direction, look_target=middle, eye_up=[0.0, 0.0, 1.0]
+    )
+
+
+def _content(stream: rr.RecordingStream, sink: rr.BinaryStream) -> bytes:
+    content = sink.read() or b""
+    stream.disconnect()
+    return content

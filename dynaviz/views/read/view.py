@@ -1,0 +1,83 @@
+"""Open recordings in the viewer, in a window or in a browser on this machine."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import tempfile
+import webbrowser
+from collections.abc import Iterable
+from pathlib import Path
+from urllib.parse import quote
+
+from dynaviz.errors import UsageError
+from dynaviz.views import viewer
+from dynaviz.views.read.reader import viewable
+
+
+def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: int | None = None) -> None:
+    """Open recordings.
+
+    Args:
+        recordings: the files.
+        web: serve them to a browser on this machine until interrupted, instead of opening a window.
+        port: of the page on this machine; the recordings are served at the port after it. None for any free ones.
+
+    Raises:
+        DataError: for a file that cannot be opened.
+        UsageError: if a window is requested and there is no screen, for a port without ``web``, or one that is in use.
+        DynavizError: if the viewer ends before it is ready.
+    """
+    if port is not None and not web:
+        raise UsageError(f"--port {port}: is the port of a page. Add --web")
+    files = [Path(recording) for recording in recordings]
+    for file in files:
+        viewable(file)
+    if web:
+        _serve(files, *ports(port))
+    else:
+        viewer.open_window(*files)
+
+
+def tunnel(page: int, recordings: int) -> str:
+    """The command that forwards both ports to the machine in front of the user."""
+    forwards = " ".join(f"-L {port}:{viewer.HOME}:{port}" for port in (page, recordings))
+    user = os.environ.get("USER", "USER")
+    return f"ssh {forwards} {user}@{socket.gethostname()}"
+
+
+def ports(page: int | None) -> tuple[int, int]:
+    """The port of the page, and that of the recordings: the next one. Any free ports if None.
+
+    Raises:
+        UsageError: if another program uses one of them.
+    """
+    if page is None:
+        return viewer.free_port(), viewer.free_port()
+    for port in (page, page + 1):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((viewer.HOME, port))
+            except (OSError, OverflowError) as error:
+                raise UsageError(f"--port {page}: port {port} cannot be used ({error}). Give another one") from None
+    return page, page + 1
+
+
+def _serve(files: list[Path], page: int, port: int) -> None:
+    address = f"http://{viewer.HOME}:{page}/?url={quote(viewer.url(port), safe='')}"
+    command = [
+        viewer.program(), *map(str, files), "--serve-web", f"--bind={viewer.HOME}", f"--port={port}",
+        f"--web-viewer-port={page}",
+    ]  # fmt: skip
+    with tempfile.TemporaryFile() as output, subprocess.Popen(command, stdout=output, stderr=output) as server:
+        try:
+            viewer.wait_until_ready(server, page, output)
+            print(f"Serving to browsers on this machine at {address} until interrupted (Ctrl-C).")
+            print(f"From another machine, run '{tunnel(page, port)}' there and open the same address.", flush=True)
+            if viewer.has_screen():
+                webbrowser.open(address)
+            server.wait()
+        finally:
+            server.terminate()

@@ -1,0 +1,1 @@
+"""What a run records: the recorder, its layout of states, and the parts of a recording."""

@@ -1,0 +1,249 @@
+"""The timeline ``case``: an arrow key flies from case to case, each shown as in its worst frame.
+
+At the index of a case: its box, the scan and the states as they were drawn in its worst frame, the rays that touched
+it, and a text. On the timeline of frames, the box and the text are those of the costliest case in the frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from dynaviz import colours
+from dynaviz.arrays import F32, F64, I64
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import FrameBoxes
+from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import Sequence as Scans
+from dynaviz.views import classes, drawn, paths, witnesses
+from dynaviz.views.cases import POINTS, ShownCase
+from dynaviz.views.record.scene import NAME_STYLE, WIRES
+from dynaviz.views.record.sink import RecordingFile
+
+NEAR = 25.0  # metres from the middle of a case: the part of a state that is shown with it
+SCENE = 40.0  # metres: the part of the scan
+AROUND = (7.0, 13.0)  # metres: radius of the circle around a case; the eye tracks it, and its size sets the distance
+AIM_LINES = 3
+BACK = 11.0  # metres: the same for the frame around the line from the sensor to the case
+PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
+LIFT = 0.22  # of this radius: height of the label above the box, so that it hides nothing
+EDGES = rr.Radius.ui_points(1.2)
+UP = np.array([0.0, 0.0, 1.0])
+THIN = rr.Radius.ui_points(0.5)
+RAYS = rr.Radius.ui_points(0.35)
+TURN = np.linspace(0.0, 2 * np.pi, 49)
+CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
+RAY_COLOURS: dict[int, colours.Colour] = {
+    witnesses.HIT: (60, 205, 140),
+    witnesses.CROSSED: (180, 80, 255),
+    witnesses.GRAZED: (120, 40, 140),
+}
+HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
+
+
+class CaseTimeline:
+    """Shows cases on their timeline.
+
+    Args:
+        sink: where to draw.
+        info: of the method.
+        cases: at least one.
+    """
+
+    def __init__(self, sink: RecordingFile, info: MethodInfo, cases: Sequence[ShownCase]) -> None:
+        self._sink, self._info, self._cases = sink, info, cases
+
+    def write_texts(self) -> None:
+        """The texts alone, for recordings without coordinates."""
+        for case in self._cases:
+            self._sink.at_case(case.number)
+            self._text(f"{case.text}\n\n{HOW}")
+
+    def write_curves(self, scores: Mapping[str, float | None]) -> None:
+        """What each case costs, and the scores if the cases up to each were right, as curves over the cases.
+
+        Args:
+            scores: of the run, in percent.
+        """
+        numbers = [case.number for case in self._cases]
+        for name in sorted({name for case in self._cases for name in case.lost}):
+            lost, score = [case.lost.get(name, np.nan) for case in self._cases], scores.get(name)
+            colour = colours.SCORES.get(name, colours.NEUTRAL)
+            path, label = f"{paths.CASE_COST}/{name}", "removed points" if name == POINTS else f"% of {name} lost"
+            self._sink.log(
+                path, rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4, names=label), static=True
+            )
+            self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=lost))
+            if score is not None:
+                path, fixed = f"{paths.CASE_SCORE}/{name}", score + np.nancumsum(lost)
+                self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
+                self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
+
+    def draw(self, scans: Scans, sensor: F64, boxes: FrameBoxes) -> str | None:
+        """Draw the cases, on both timelines.
+
+        Args:
+            scans: the frames of the run.
+            sensor: (frames, 3) metres, world frame: its positions.
+            boxes: of the cases, by frame.
+
+        Returns:
+            The state that shows most about the first case; None if no state was drawn there.
+
+        Raises:
+            DataError: for a scan that cannot be read.
+        """
+        states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
+        drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
+        contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
+        rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
+        places = [place_of(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
+        self._styles()
+        deciding = []
+        for case, place, evidence in zip(self._cases, places, witnesses.find(scans, sensor, places), strict=True):
+            self._sink.at_case(case.number)
+            here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
+            deciding.append(self._deciding(here, place))
+            self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
+            self._rays(evidence)
+            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{see(self._info, deciding[-1])}\n{HOW}")
+            self._sink.chunks(
+                drawn.at_case(path, case.number, near(path, row, (case.low + case.high) / 2))
+                for path, row in here.items()
+                if case.number <= PICTURES or path.startswith(paths.WORLD)
+            )
+        self._by_frame(sensor, boxes)
+        return deciding[0]
+
+    def _deciding(self, here: dict[str, drawn.Row], place: witnesses.Place) -> str | None:
+        """The name of the state with the largest share of its points or voxels at a place."""
+        names = {paths.state(self._info.name, state): state.name for state in self._info.emits}
+        path = drawn.deciding(here, list(names), place.low, place.high)
+        return None if path is None else names[path]
+
+    def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
+        middle, size = (low + high) / 2, high - low
+        box = rr.Boxes3D.from_fields(
+            centers=[middle], half_sizes=[size / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
+        )
+        self._sink.log(paths.CASE_BOX, box)
+        self._sink.log(
+            paths.CASE_NAME,
+            rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[label]),
+        )
+        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=circles(low[None], high[None])))
+        self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
+
+    def _styles(self) -> None:
+        """What is the same for all cases."""
+        log, lines = self._sink.log, rr.LineStrips3D.from_fields
+        box = rr.Boxes3D.from_fields(radii=EDGES, fill_mode=WIRES, show_labels=False)
+        log(paths.CASE_BOX, box, static=True)
+        log(paths.CASE_NAME, NAME_STYLE, static=True)
+        log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
+        log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
+        legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
+        log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=RAYS, show_labels=False), static=True)
+
+    def _rays(self, evidence: witnesses.Witnesses) -> None:
+        kinds = evidence.kinds.astype(np.uint16)
+        self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=evidence.strips, class_ids=kinds))
+
+    def _text(self, text: str) -> None:
+        self._sink.log(paths.CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def _by_frame(self, sensor: F64, boxes: FrameBoxes) -> None:
+        """Show in each frame the costliest of its cases."""
+        rows = np.lexsort((boxes.case, boxes.frames))
+        rows = rows[boxes.case[rows] < len(self._cases)]
+        frames, first = np.unique(boxes.frames[rows], return_index=True)
+        rows, cases = rows[first], [self._cases[case] for case in boxes.case[rows[first]]]
+        low, high = boxes.box_low[rows].astype(np.float64), boxes.box_high[rows].astype(np.float64)
+        middle, size = (low + high) / 2, high - low
+        box = rr.Boxes3D.columns(
+            centers=middle, half_sizes=size / 2, labels=[case.label for case in cases],
+            colors=[colours.BRIGHT[case.outcome] for case in cases],
+        )  # fmt: skip
+        names = rr.Points3D.columns(positions=above(low, high), labels=[case.label for case in cases])
+        aims = rr.LineStrips3D.columns(strips=_aims(sensor[frames], middle))
+        self._sink.columns(paths.CASE_BOX, frames.tolist(), [None], box)
+        self._sink.columns(paths.CASE_NAME, frames.tolist(), [None], names)
+        self._sink.columns(
+            paths.CASE_AROUND, frames.tolist(), [None], rr.LineStrips3D.columns(strips=circles(low, high))
+        )
+        self._sink.columns(paths.CASE_AIM, frames.tolist(), [None], aims.partition([AIM_LINES] * len(frames)))
+        last = None
+        for frame, case in zip(frames.tolist(), cases, strict=True):
+            if case is not last:
+                self._sink.at(frame, None)
+                self._text(f"{case.text}\n\n{HOW}")
+                last = case
+
+
+def see(info: MethodInfo, state: str | None) -> str:
+    """Which state of a method shows a case, as Markdown; empty if the method has none."""
+    meaning = {known.name: known.meaning for known in info.emits}
+    if state is not None:
+        return f"- **State**: the tab *{state}* shows this place: {meaning[state]}.\n"
+    if any(issubclass(known.kind, paths.FLAT) for known in info.emits):
+        return "- **State**: pictures of what the method saw, in the tabs next to the frame.\n"
+    none = "- **State**: none was recorded here, because it is too far from the sensor or nothing was found.\n"
+    return none if meaning else ""
+
+
+def circles(low: F64, high: F64) -> F32:
+    """(N, 49, 3): a circle on the ground around each box."""
+    centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
+    circles: F32 = (centre[:, None] + _radius(low, high)[:, None, None] * CIRCLE).astype(np.float32)
+    return circles
+
+
+def above(low: F64, high: F64) -> F32:
+    """(N, 3): the place of the label of each box."""
+    places = np.concatenate([(low + high)[:, :2] / 2, high[:, 2:]], 1)
+    places[:, 2] += LIFT * _radius(low, high)
+    return places.astype(np.float32)
+
+
+def _radius(low: F64, high: F64) -> F64:
+    """(N,) metres, of the circle around each box."""
+    radius: F64 = np.clip(0.8 * np.linalg.norm((high - low)[:, :2], axis=1), *AROUND)
+    return radius
+
+
+def _aims(sensor: F64, middle: F64) -> F32:
+    """(3 N, 2, 3): a line from the sensor to each case, and two specks that keep an eye that tracks them away."""
+    centre, reach = (sensor + middle) / 2, np.array([BACK, BACK, 0.0])
+    specks = [np.stack([end, end + 0.01], 1) for end in (centre - reach, centre + reach)]
+    lines: F32 = np.stack([np.stack([sensor, middle], 1), *specks], 1).astype(np.float32).reshape(-1, 2, 3)
+    return lines
+
+
+def place_of(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
+    """Where to look for evidence; ground is level where its points, an arc, lie on no surface."""
+    place = _middle(case, scan)
+    return dataclasses.replace(place, normal=UP) if case.ground and place.normal is None else place
+
+
+def _middle(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
+    """The middle of the case's points in its worst frame."""
+    if scan is not None and (xyz := drawn.positions(scan)) is not None:
+        inside = (xyz >= case.low - 0.01) & (xyz <= case.high + 0.01)
+        mine = inside.all(1) & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome)
+        if mine.any():
+            return witnesses.Place.of(xyz[mine].astype(np.float32))
+    corners: F32 = np.array([case.low, case.high], np.float32)
+    return witnesses.Place.of(corners.mean(0, keepdims=True))
+
+
+def near(path: str, row: drawn.Row, middle: F64) -> drawn.Row:
+    """The part of an entity near a case."""
+    xyz = drawn.positions(row)
+    if xyz is None:
+        return row
+    reach = SCENE if path == paths.SCAN else NEAR
+    chosen: I64 = np.flatnonzero(((xyz - middle) ** 2).sum(1) < reach**2)
+    return row if len(chosen) == len(xyz) else drawn.only(row, chosen)

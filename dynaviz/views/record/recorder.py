@@ -1,0 +1,345 @@
+"""Recorder: writes the recording of a run, frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import numpy as np
+import rerun as rr
+
+from dynaviz import colours
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
+from dynaviz.contracts.probe import PolarGrid, State, Text, Value
+from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.errors import UsageError
+from dynaviz.io.atomic import sha256
+from dynaviz.scores.comparison import answers
+from dynaviz.scores.result import RecordMode, Result, environment
+from dynaviz.sources.summary import SequenceSummary
+from dynaviz.views import cases, classes, keys, paths, viewer
+from dynaviz.views.background import Background
+from dynaviz.views.curves import Curves
+from dynaviz.views.layout import Findings, layout
+from dynaviz.views.record import sink, states
+from dynaviz.views.record.budget import Budget
+from dynaviz.views.record.case_timeline import CaseTimeline
+from dynaviz.views.record.quota import Quota
+from dynaviz.views.record.report import OutcomeCounts, before, failure_list, removed, report
+from dynaviz.views.record.scene import MapDrawing
+
+STATE_POINTS = 16_000  # per frame in ``errors`` mode, shared by all states with coordinates
+STATES_PENDING = 0.5  # seconds between writes of states to the file
+
+
+class Recorder(Listener):
+    """Writes the recording of a run; a listener of the run and the probe of its method.
+
+    ``with Recorder("run.rrd") as recorder: execute(run, listeners=[recorder], probe=recorder)``. The file appears when
+    the run finishes. If the run ends early, ``.run.rrd.part`` in the same folder contains every frame so far; if it is
+    killed, all but the last labelled frame and the states of the last half second.
+
+    Args:
+        path: the recording.
+        mode: ``errors`` draws wrong and dynamic points, ``full`` every point, ``scores`` none. All modes store the
+            label, ground truth and reason of every point.
+        live: open a viewer that follows the run; it may be closed at any time.
+        budget: bytes of the file, about; states are left out first, then drawn points. Labels, ground truth and reasons
+            are always stored. None for any size.
+
+    Raises:
+        UsageError: for an unknown mode, or ``live`` without a screen.
+        DataError: if the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mode: RecordMode = "errors",
+        live: bool = False,
+        budget: int | None = None,
+    ):
+        if mode not in get_args(RecordMode):
+            raise UsageError(f"--record {mode}: choose from {', '.join(get_args(RecordMode))}")
+        self.path, self.mode = Path(path), mode
+        self._port = viewer.open_window() if live else None
+        self._sink: sink.RecordingFile | None = None
+        self._states: dict[str, State] = {}
+        self._queue: list[tuple[State, Value]] = []
+        self._heading, self._guided = keys.Heading(), set[str]()
+        self._outcomes = OutcomeCounts()
+        self._budget, self._quota = budget, Quota(budget, 0, 0)
+        # Without states, the runtime of the method is reported as honest, so nothing else may run next to it.
+        self._background = Background(inline=mode == "scores")
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        self._background.close()
+        if self._sink is not None:
+            self._curves.write()
+            self._sink.close()
+            if error is not None:
+                error.add_note(f"Salvage what was recorded with: dynaviz repair {sink.part_of(self.path)}")
+
+    def sha256(self) -> str:
+        """Digest of the finished recording."""
+        return sha256(self.path)
+
+    def wants(self, name: str) -> bool:
+        """Declared states, unless the mode is ``scores``."""
+        return self.mode != "scores" and (self._sink is None or name in self._states)
+
+    def emit(self, name: str, value: Value) -> None:
+        """Keep a reference; the state is drawn after the method returns, outside of its measured time."""
+        if name in self._states:
+            self._queue.append((self._states[name], value))
+
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
+        """Open the file and write the properties of the run."""
+        info = run.labeller.info
+        self._info, self._run, self._extent, drawn = info, run, summary.extent, self.mode != "scores"
+        self._positions: list[F64] = []
+        self._quota = Quota(self._budget, summary.points, summary.frames, run.method is not None and not run.online)
+        self._states = {state.name: state for state in info.emits} if drawn else {}
+        solid = sum(issubclass(state.kind, paths.SOLID) for state in info.emits)
+        self._most = None if self.mode == "full" else STATE_POINTS // max(solid, 1)
+        name = run.sequence.name
+        blueprint = layout(info, summary.extent, drawn, Findings(run.sequence.has_labels))
+        self._sink = sink.RecordingFile(
+            self.path, f"dynaviz {info.name} {name}", f"{info.title} on {name}", blueprint, self._port
+        )
+        self._curves = Curves(self._sink)
+        self._scene = MapDrawing(self._sink, summary.extent, len(info.reasons), self.mode == "full") if drawn else None
+        params = dataclasses.asdict(run.params)
+        self._sink.properties(**self._facts(run, summary, params), complete=False)
+        self._write_legends()
+        self._report(before(info, name, params, self.mode))
+        self._sink.at(0, None)
+        self._say(f"{info.title} on {name}: {summary.frames} frames, {summary.points:,} points")
+        self._sink.flush()
+
+    def observing(self, frame: int, scan: Scan) -> None:
+        """Remember the scan of the next states."""
+        self._scan = scan
+
+    def observed(self, frame: int) -> None:
+        """Draw the states emitted by ``observe``, in the background."""
+        if self._queue:
+            self._background.run(self._write_states, frame, self._scan, self._taken())
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        """Draw the states emitted by ``label``, and write the rest of the frame, in the background."""
+        self._stamp_ns = labelled.scan.stamp_ns
+        self._positions.append(labelled.scan.position)
+        # The method may use its arrays again for the next scan.
+        kept = dataclasses.replace(labelled, dynamic=labelled.dynamic.copy(), reasons=labelled.reasons.copy())
+        self._background.run(self._write_frame, kept, dict(curves), self._taken())
+
+    def _taken(self) -> list[tuple[State, Value]]:
+        """The queued states, with copies of their arrays, because the method may change them during the drawing."""
+        queue = [(state, _copied(value)) for state, value in self._queue]
+        self._queue.clear()
+        return queue
+
+    def _write_states(self, frame: int, scan: Scan, queue: list[tuple[State, Value]]) -> None:
+        self._open.at(frame, scan.stamp_ns)
+        if self._quota.states(self._open.size, frame):
+            self._draw_states(queue, scan)
+        self._open.flush(STATES_PENDING if self._budget is None else 0.0)
+
+    def _write_frame(self, labelled: Labelled, curves: Mapping[str, float], queue: list[tuple[State, Value]]) -> None:
+        """Write a frame: its states, its points by outcome, the labels of all points, and the curves."""
+        scan = labelled.scan
+        self._open.at(labelled.frame, scan.stamp_ns)
+        if queue and self._quota.states(self._open.size, labelled.frame, labels=True):
+            self._draw_states(queue, scan, scan.points[np.isin(labelled.outcome, cases.WRONG)])
+        if self._scene is not None:
+            self._scene.pose(scan)
+            self._scene.frame(labelled, self._quota.drawing(self._open.size))
+        self._quota.answered(len(scan))
+        packed = answers.Answers.of(labelled).packed()
+        self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
+        wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
+        for path, count in self._counts(labelled, wrong):
+            self._curves.add(path, labelled.frame, scan.stamp_ns, count)
+        for name, value in curves.items():
+            self._curves.add(paths.curve(name), labelled.frame, scan.stamp_ns, value)
+        self._open.flush()
+
+    def finish(self, result: Result, figures: Mapping[str, Figure]) -> None:
+        """Write the map, figures, cases and result, close the file, and give it its final name.
+
+        Raises:
+            DataError: if the file cannot be written, or a scan cannot be read again for the evidence.
+        """
+        self._background.wait()
+        self._open.at(len(self._positions) - 1, self._stamp_ns)
+        self._curves.write()
+        if self._scene is not None:
+            self._scene.finish()
+        shown = {cases.FAILURES: len(cases.listed(result)), cases.CLUSTERS: len(cases.suspicious(result))}
+        for name, figure in figures.items():
+            if isinstance(figure, FrameHistograms):
+                self._histogram(paths.histogram(name), figure)
+            elif self._scene is not None:
+                self._scene.boxes(name, figure, shown.get(name, cases.LISTED))
+        self._mark_worst()
+        found = self._show_cases(result, figures)
+        self._report(report(self._info, result, self._outcomes, self.mode))
+        self._document(paths.FAILURE_LIST, failure_list(result))
+        if not found.truth:
+            self._document(paths.REMOVED_TEXT, removed(self._info, result, self._outcomes))
+        self._open.layout(layout(self._info, self._extent, self._scene is not None, found))
+        self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
+        self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
+        self._open.finish()
+        self._sink = None
+
+    def _show_cases(self, result: Result, figures: Mapping[str, Figure]) -> Findings:
+        """Write the timeline of cases; returns what the layout needs to know."""
+        truth, curves = self._run.sequence.has_labels, self._outcomes.curves(self._info)
+        boxes = cases.boxes_of(result, figures)
+        shown = [] if boxes is None else cases.shown(result, boxes)
+        if boxes is None or not shown:
+            return Findings(truth, reasons=curves)
+        timeline = CaseTimeline(self._open, self._info, shown)
+        timeline.write_curves(result.metrics)
+        if self._scene is None:
+            timeline.write_texts()
+            return Findings(truth, True, reasons=curves)
+        state = timeline.draw(self._run.sequence, np.array(self._positions), boxes)
+        return Findings(truth, True, state, curves)
+
+    @property
+    def _open(self) -> sink.RecordingFile:
+        if self._sink is None:
+            raise RuntimeError("a recorder records one run: call begin before, and nothing after finish")
+        return self._sink
+
+    def _counts(self, labelled: Labelled, wrong: tuple[int, int]) -> Iterator[tuple[str, int]]:
+        """The recorder's own curves at a frame: wrong points, or without ground truth removed points."""
+        if self._run.sequence.has_labels:
+            yield from zip(
+                (f"{paths.WRONG}/{kind}" for kind in ("false_negatives", "false_positives")), wrong, strict=True
+            )
+            return
+        by_reason = np.bincount(labelled.reasons[labelled.dynamic], minlength=len(self._info.reasons))
+        yield f"{paths.REMOVED_POINTS}/removed", int(by_reason.sum())
+        for code, reason in enumerate(self._info.reasons):
+            yield f"{paths.REASONS}/removed/{reason.name}", int(by_reason[code])
+
+    def _facts(self, run: RunSpec, summary: SequenceSummary, params: dict[str, Any]) -> dict[str, Any]:
+        info = run.labeller.info
+        return {
+            "schema": paths.SCHEMA,
+            "mode": self.mode,
+            "method": info.name,
+            "title": info.title,
+            "reasons_json": json.dumps([dataclasses.asdict(reason) for reason in info.reasons]),
+            "sequence": run.sequence.name,
+            "digest": summary.digest,
+            "has_labels": run.sequence.has_labels,
+            "frames": summary.frames,
+            "points": summary.points,
+            "params_json": json.dumps(params),
+            "seed": run.seed,
+            "online": run.online,
+            "command": run.command,
+            "environment_json": json.dumps(msgspec.to_builtins(environment())),
+        }
+
+    def _write_legends(self) -> None:
+        legend = classes.legend(self._info.reasons, self._run.sequence.has_labels)
+        self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
+        for state in self._states.values():
+            if (context := states.legend(state)) is not None:
+                self._open.log(paths.state(self._info.name, state), context, static=True)
+        for tab in keys.tabs(self._info) if self._states else ():
+            self._open.log(paths.key(self._info.name, tab[0]), keys.strip(tab), static=True)
+
+    def _draw_states(self, queue: list[tuple[State, Value]], scan: Scan, errors: F32 | None = None) -> None:
+        """Draw states of a scan; if not all of each, then around the (K, 3) wrong points, if known."""
+        budget = None if self._most is None else Budget(scan, self._most, errors)
+        for state, value in queue:
+            if isinstance(value, Text):
+                self._say(f"{state.name}: {value.text}")
+            elif (drawn := states.draw(value, state, scan, budget)) is not None:
+                path = paths.state(self._info.name, state)
+                self._open.log(path, drawn)
+                if isinstance(value, PolarGrid):
+                    self._guide(path, value, scan)
+
+    def _guide(self, path: str, grid: PolarGrid, scan: Scan) -> None:
+        """Distances and the direction of travel in a polar grid."""
+        if path not in self._guided:
+            self._guided.add(path)
+            self._open.log(f"{path}/rings", *keys.rings(grid, states.PICTURE), static=True)
+        if (ahead := self._heading.of(scan)) is not None:
+            self._open.log(f"{path}/travel", keys.arrow(ahead, states.PICTURE))
+
+    def _histogram(self, path: str, histogram: FrameHistograms) -> None:
+        """The histogram of the run with its 10 % line, and those of the frames on the timeline."""
+        edges, total = histogram.edges.copy(), histogram.counts.sum(0)
+        if not np.isfinite(edges[-1]):  # the last bin is open: draw it as wide as the previous one
+            edges[-1] = 2 * edges[-2] - edges[-3]
+        bars = _bars(path, total, edges)
+        self._open.log(f"{path}/run", bars, static=True)
+        if total.sum():
+            width = 0.003 * (edges[-1] - edges[0])
+            line = rr.BarChart(
+                [float(total.max())], abscissa=[_tenth(total, edges)], widths=[width], color=colours.NEUTRAL
+            )
+            self._open.log(f"{path}/p10", line, static=True)
+        for (frame, *_), counts in zip(self._outcomes.frames, histogram.counts, strict=True):
+            self._open.at(frame, None)
+            bars.values = counts  # the rest is converted only once
+            self._open.log(path, bars)
+
+    def _mark_worst(self) -> None:
+        worst = sorted((frame, float(missed + removed)) for frame, _, missed, removed in self._outcomes.worst())
+        style = rr.SeriesPoints(colors=colours.NEUTRAL, markers="diamond", marker_sizes=4, names="worst frames")
+        self._open.log(paths.WORST, style, static=True)
+        if worst:
+            frames, wrong = zip(*worst, strict=True)
+            self._open.columns(paths.WORST, frames, [None], rr.Scalars.columns(scalars=wrong))
+
+    def _report(self, text: str) -> None:
+        self._document(paths.REPORT, text)
+
+    def _document(self, path: str, text: str) -> None:
+        self._open.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+    def _say(self, text: str) -> None:
+        self._open.log(paths.LOG, rr.TextLog(text, level=rr.TextLogLevel.INFO))
+
+
+_ERRORS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
+
+
+def _copied(value: Value) -> Value:
+    """A state with copies of its arrays."""
+    parts: dict[str, Any] = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    parts = {name: part.copy() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
+    return type(value)(**parts)
+
+
+def _bars(path: str, counts: Any, edges: Any) -> rr.BarChart:
+    outcome = _ERRORS.get(path.split("/")[1])
+    colour = colours.NEUTRAL if outcome is None else colours.FIRM[outcome]
+    middles, widths = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    return rr.BarChart(counts, abscissa=middles, widths=0.92 * widths, color=colour)
+
+
+def _tenth(counts: Any, edges: Any) -> float:
+    """The value below which a tenth of the counts lies, interpolated within its bin."""
+    below = np.concatenate([[0], np.cumsum(counts)])
+    return float(np.interp(0.1 * below[-1], below, edges))
