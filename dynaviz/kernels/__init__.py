@@ -28,7 +28,16 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 COMPILING = "compiling kernels, first run only ..."
-_listening = False
+LAYERS = ("omp", "workqueue", "tbb")
+"""Threading layers of numba, in order of preference.
+
+- ``omp`` needs OpenMP: libgomp on Linux, vcomp140.dll on Windows, libomp on macOS. Each thread that calls a kernel has
+  its own team of threads, so several runs at once are safe.
+- ``workqueue`` needs nothing. It serves one thread at a time, so parallel kernels take turns.
+- ``tbb`` is never reached, only selected with ``NUMBA_THREADING_LAYER=tbb``: numba takes whatever TBB another package
+  has loaded before, and warns if it is too old.
+"""
+_prepared = False
 _one_at_a_time = threading.RLock()
 _loading = threading.RLock()
 
@@ -36,7 +45,7 @@ _loading = threading.RLock()
 def __getattr__(name: str) -> ModuleType:
     if name.startswith("_"):
         raise AttributeError(name)
-    _announce_compilation()
+    _numba()
     with _loading:
         if name not in globals():
             globals()[name] = _safe_for_threads(_load(f"{__name__}.{name}"))
@@ -69,18 +78,23 @@ def as_readonly(array: Any, dtype: DTypeLike) -> NDArray[Any]:
 
 def set_threads(threads: int | None) -> int:
     """Set the maximum number of threads of kernels (None for all); return the number in use."""
-    import numba
-
-    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # set when numba starts
+    numba = _numba()
+    most: int = numba.config.NUMBA_NUM_THREADS
     numba.set_num_threads(min(threads or most, most))
     return threads_in_use()
 
 
 def threads_in_use() -> int:
     """The number of threads that kernels use, which is the number of lanes of scratch memory that they need."""
-    import numba
+    return int(_numba().get_num_threads())
 
-    return int(numba.get_num_threads())
+
+def threading_layer() -> str | None:
+    """The threading layer of numba in this process, one of ``LAYERS``; None if no kernel has run yet."""
+    try:
+        return str(sys.modules["numba"].threading_layer())
+    except (KeyError, ValueError):  # not imported, not chosen
+        return None
 
 
 def compiled() -> bool:
@@ -92,16 +106,14 @@ def compiled() -> bool:
 def _safe_for_threads(module: ModuleType) -> ModuleType:
     """The module, or a copy whose kernels run one at a time.
 
-    With numba's threading layers ``tbb`` and ``omp``, several threads may call parallel kernels at once. With
-    ``workqueue``, the only layer where neither library is installed, that ends the process.
+    Several threads may call parallel kernels at once with the threading layers ``omp`` and ``tbb``. With ``workqueue``
+    that ends the process.
     """
     kernels = {name: value for name, value in vars(module).items() if hasattr(value, "targetoptions")}
     if not any(kernel.targetoptions.get("parallel") for kernel in kernels.values()):
         return module
-    import numba
-
-    numba.get_num_threads()  # loads the threading layer
-    if numba.threading_layer() != "workqueue":  # type: ignore[attr-defined]  # not in its __all__
+    threads_in_use()  # loads the threading layer
+    if threading_layer() != "workqueue":
         return module
     copy = ModuleType(module.__name__, module.__doc__)
     vars(copy).update(vars(module), **{name: _locked(kernel) for name, kernel in kernels.items()})
@@ -117,12 +129,22 @@ def _locked(kernel: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+def _numba() -> Any:
+    """The package numba, prepared on first use: see ``LAYERS``."""
+    global _prepared
+    import numba
+
+    with _loading:
+        if not _prepared:
+            _prepared = True
+            _announce_compilation()
+            if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+                numba.config.THREADING_LAYER_PRIORITY = list(LAYERS)  # type: ignore[attr-defined]
+    return numba
+
+
 def _announce_compilation() -> None:
     """Print a message on the first compilation of this process."""
-    global _listening
-    if _listening:
-        return
-    _listening = True
     from numba.core import event
 
     class Announcer(event.Listener):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
+from dynaviz import kernels
 from dynaviz.arrays import F64
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import atomic_file
@@ -65,7 +66,7 @@ class Result:
         recording_sha256: digest of the recording's file, or None.
         record: how much that recording contains, or None.
         instrumented: whether the method's states were recorded while it ran, so that its runtime is not comparable.
-        environment: package versions and machine.
+        environment: package versions, machine and threading layer.
         command: what the user typed.
         pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results of earlier versions.
         pose_refinement: how the poses were refined; None if they were not.
@@ -212,10 +213,10 @@ class Result:
 
 
 def environment() -> Environment:
-    """Package versions that may affect labels or speed, and this machine."""
+    """Package versions that may affect labels or speed, this machine, and the threading layer of this process."""
     versions = {name: metadata.version(name) for name in ("dynaviz", "numba", "numpy", "scipy", "rerun-sdk")}
     machine = Machine(platform.system(), platform.machine(), os.cpu_count())
-    return Environment({"python": platform.python_version(), **versions}, machine)
+    return Environment({"python": platform.python_version(), **versions}, machine, kernels.threading_layer())
 
 
 def run_label(method: str, variant: str, online: bool) -> str:

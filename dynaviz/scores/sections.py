@@ -44,10 +44,11 @@ class Machine(Struct, frozen=True):
 
 
 class Environment(Struct, frozen=True):
-    """Package versions that may affect labels or speed, and the machine."""
+    """Package versions that may affect labels or speed, the machine, and numba's threading layer (None before any kernel)."""
 
     versions: Mapping[str, str] = {}
     machine: Machine = Machine()
+    threading_layer: str | None = None
 
 
 class Source(Struct, frozen=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import subprocess
@@ -19,11 +20,18 @@ METHODS = ("octomap", "dufomap")  # both have parallel kernels
 THREADS = 8
 
 IN_THREADS = """
-import json, sys
-sys.path.insert(0, {tests!r})
+import json
 from kernels.test_threads import labels_in_threads
 import numba
 print(json.dumps([labels_in_threads(), numba.threading_layer()]))
+"""
+
+LAYER = "from kernels.test_threads import layer; print(layer(), end='')"
+OPEN3D = """
+try:
+    import open3d
+except ImportError:  # has loaded its TBB before it fails
+    pass
 """
 
 
@@ -35,6 +43,28 @@ def labels_in_threads() -> list[str]:
     """Digests of the labels of eight runs at once."""
     with ThreadPoolExecutor(THREADS) as pool:
         return list(pool.map(labels, METHODS * (THREADS // len(METHODS))))
+
+
+def python(code: str, **variables: str) -> str:
+    """Standard output of a process in which warnings are errors."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), **variables}
+    command = [sys.executable, "-W", "error", "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def has_openmp() -> bool:
+    with contextlib.suppress(ImportError):
+        import numba.np.ufunc.omppool  # noqa: F401
+
+        return True
+    return False
+
+
+def layer() -> str | None:
+    """The threading layer that the result of a run states."""
+    return api.run("octomap", room(3, 300), threads=2).environment.threading_layer
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +85,16 @@ def test_runs_in_threads_of_an_event_loop(serial: list[str]) -> None:
 
 def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) -> None:
     """This threading layer of numba ends the process if two threads use it at once."""
-    tests = Path(__file__).parents[1]
-    environment = {**os.environ, "NUMBA_THREADING_LAYER": "workqueue", "PYTHONPATH": str(tests)}
-    code = IN_THREADS.format(tests=str(tests))
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == [serial, "workqueue"]
+    assert json.loads(python(IN_THREADS, NUMBA_THREADING_LAYER="workqueue")) == [serial, "workqueue"]
+
+
+@pytest.mark.parametrize("code", [LAYER, OPEN3D + LAYER, LAYER + OPEN3D], ids=["alone", "open3d first", "open3d last"])
+def test_the_threading_layer_does_not_depend_on_the_order_of_imports(code: str) -> None:
+    assert python(code) == ("omp" if has_openmp() else "workqueue")
+
+
+def test_the_user_may_select_the_threading_layer() -> None:
+    assert python(LAYER, NUMBA_THREADING_LAYER_PRIORITY="workqueue omp tbb") == "workqueue"
 
 
 def test_recordings_in_threads(tmp_path: Path) -> None:
