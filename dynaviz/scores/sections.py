@@ -44,7 +44,7 @@ class Machine(Struct, frozen=True):
 
 
 class Environment(Struct, frozen=True):
-    """Package versions that may affect labels or speed, the machine, and numba's threading layer (None before any kernel)."""
+    """What may affect labels or speed: package versions, the machine, the threading layer (None before any kernel)."""
 
     versions: Mapping[str, str] = {}
     machine: Machine = Machine()
