@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import dynaviz as dv
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
-from dynaviz.errors import MissingDependency
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.poses import read_poses
 from dynaviz.sources.odometry.refine import RefinedSequence, refine
@@ -116,9 +114,3 @@ def test_poses_are_refined_once_and_kept_in_the_coordinates_of_the_source(tmp_pa
     other = dv.run("octomap", dv.open(scans, frames="1:"), out=tmp_path / "map_run", refine_poses=True, threads=1)
     assert other.pose_refinement is not None
     assert not other.pose_refinement.reused
-
-
-def test_without_open3d_one_line_states_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match=r"^--refine-poses needs open3d\. Install it with: pip install open3d"):
-        refine(InMemory(TRUE))

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import time
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +22,7 @@ import numpy as np
 from dynaviz.arrays import F32, F64
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Scan, Sequence, stream
-from dynaviz.errors import DataError, MissingDependency
+from dynaviz.errors import DataError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.poses import read_poses
 from dynaviz.progress import Progress, silent
@@ -31,7 +32,7 @@ from dynaviz.sources.odometry.reposed import ReposedSequence
 from dynaviz.sources.origin import PoseRefinement
 from dynaviz.sources.pose_noise import PoseNoiseMeter, pose_noise
 from dynaviz.sources.summary import ScanDigest
-from dynaviz.spatial import geometry
+from dynaviz.spatial import geometry, open3d
 
 FORMAT = 1  # of the cache; a change makes earlier caches invalid
 NEIGHBOURS = (1, 2, 4, 7)  # frames before and after a scan
@@ -75,7 +76,7 @@ def refine(sequence: Sequence, folder: Path | None = None, progress: Progress = 
         progress: called after each frame of each phase.
 
     Raises:
-        MissingDependency: if open3d is not installed.
+        MissingDependency: if open3d cannot be loaded.
         DataError: for data that cannot be read, or files that cannot be written.
     """
     register, start = Registration(_edge(sequence)), time.process_time()
@@ -109,18 +110,11 @@ class Registration:
         edge: metres; edge of the voxels that thin out scans.
 
     Raises:
-        MissingDependency: if open3d is not installed.
+        MissingDependency: if open3d cannot be loaded.
     """
 
     def __init__(self, edge: float) -> None:
-        try:
-            import open3d
-            from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-        except ModuleNotFoundError:
-            raise MissingDependency(
-                "--refine-poses needs open3d. Install it with: pip install open3d, or leave out --refine-poses"
-            ) from None
-        self._o3d, self._one_thread, self._edge = open3d, threadpool_limits, edge
+        self._o3d, self._edge = open3d.load("--refine-poses"), edge
 
     @property
     def package(self) -> str:
@@ -146,7 +140,7 @@ class Registration:
             progress: called after each frame.
         """
         poses, frames, done = given.copy(), range(len(clouds)), 0
-        with self._one_thread(1, "openmp"):
+        with self._one_thread():
             for order in (frames, reversed(frames)):
                 registered = 0
                 for k in order:
@@ -157,6 +151,22 @@ class Registration:
                     done += 1
                     progress("refine poses", done, 2 * len(clouds))
         return poses, registered
+
+    @contextmanager
+    def _one_thread(self) -> Iterator[None]:
+        utility = self._o3d.utility
+        if not hasattr(utility, "set_max_threads"):  # before open3d 0.20, which depends on a package with threadpoolctl
+            from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+            with threadpool_limits(1, "openmp"):
+                yield
+            return
+        before = utility.get_max_threads()
+        utility.set_max_threads(1)
+        try:
+            yield
+        finally:
+            utility.set_max_threads(before)
 
     def _step(self, clouds: list[F32], poses: F64, k: int, around: list[int]) -> F64 | None:
         """The correction of a pose in the sensor frame; None if the registration fails."""

@@ -10,6 +10,7 @@ from dynaviz.arrays import F32, F64, I32, I64, U8, U16, Bool, Intp
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.synthetic.implants.lidar import LidarModel, ranges_of
 from dynaviz.synthetic.implants.scene import CLASS_NAMES, CLASSES, ImplantScene
+from dynaviz.synthetic.ray_caster import RayCaster
 from dynaviz.synthetic.simulate.shapes import Mesh
 
 GRAZING = 0.05  # cosine between ray and surface normal below which nothing returns
@@ -126,25 +127,17 @@ def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, time
     found = Hits(np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins)))
     if not targets or not len(origins):
         return found
-    import open3d as o3d
-
-    tensor = o3d.core.Tensor.from_numpy
     for number, target in enumerate(targets):
         start = origins - times[:, None] * target.velocity
         rows = np.flatnonzero(_may_hit(target.mesh, start, directions, np.minimum(limits, found.range)))
         if not len(rows):
             continue
-        scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # so that the structure is the same on any machine
-        vertices, triangles = target.mesh.vertices.astype(np.float32), target.mesh.triangles.astype(np.uint32)
-        scene.add_triangles(tensor(vertices), tensor(triangles))
         rays: F32 = np.concatenate([start[rows], directions[rows]], axis=1).astype(np.float32)
-        answer = scene.cast_rays(tensor(rays))
-        distance = answer["t_hit"].numpy().astype(np.float64)
+        distance, facing, _ = RayCaster([target.mesh]).cast(rays)
         near = (distance < limits[rows]) & (distance < found.range[rows])
         rows = rows[near]
         found.range[rows] = distance[near]
         found.mover[rows] = number
-        facing = np.abs((answer["primitive_normals"].numpy() * rays[:, 3:]).sum(1, dtype=np.float64))
         found.facing[rows] = facing[near]
     return found
 

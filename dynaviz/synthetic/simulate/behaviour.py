@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from dynaviz.arrays import F64
+from dynaviz.synthetic.ray_caster import RayCaster
 from dynaviz.synthetic.simulate import bodies, objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import Effects
@@ -66,16 +67,9 @@ class Stage:
     """
 
     def __init__(self, scene: SimulatedScene, rng: np.random.Generator):
-        import open3d as o3d
-
         self.scene, self.rng, self.turn = scene, rng, 0
         self.taken: list[F64] = []
-        self._tensor = o3d.core.Tensor.from_numpy
-        self._static = o3d.t.geometry.RaycastingScene(nthreads=1)
-        for part in scene.parts:
-            if part.kind not in REFLECTING:
-                vertices, triangles = part.mesh.vertices.astype(np.float32), part.mesh.triangles.astype(np.uint32)
-                self._static.add_triangles(self._tensor(vertices), self._tensor(triangles))
+        self._static = RayCaster(part.mesh for part in scene.parts if part.kind not in REFLECTING)
         self._times = np.arange(0, scene.duration + 0.1, 0.1)
         self._sensor = np.array([self.sensor(float(t)) for t in self._times])
 
@@ -88,8 +82,7 @@ class Stage:
         """(N,) metres from anything static to the axis of a body at (N, 2) places."""
         ground = self.scene.height(xy[:, 0], xy[:, 1])
         levels = [np.column_stack([xy, ground + z]).astype(np.float32) for z in (0.3, 0.8, 1.4)]
-        found = [self._static.compute_distance(self._tensor(level)).numpy() for level in levels]
-        lowest: F64 = np.min(found, axis=0).astype(np.float64)
+        lowest: F64 = np.min([self._static.clearance(level) for level in levels], axis=0).astype(np.float64)
         return lowest
 
     def near(self, routes: Iterable[Route], time: float) -> Iterator[tuple[Route, float]]:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, U8, U16, Bool
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.ray_caster import RayCaster
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.movers import Mover
 from dynaviz.synthetic.simulate.scene import MeshPart, SimulatedScene
 from dynaviz.synthetic.simulate.shapes import Mesh
 
 GOLDEN = (0.6180339887498949, 0.7548776662466927)  # low-discrepancy steps: golden ratio and plastic number
-SMALL = 20_000  # rays; fewer are not worth a second thread
 REFLECTING = (ObjectClass.ROAD, ObjectClass.SIDEWALK, ObjectClass.TERRAIN, ObjectClass.OTHER_GROUND)
 
 
@@ -136,16 +135,10 @@ class RayScene:
 
 
 class Surfaces:
-    """Meshes of some objects in the acceleration structure of the ray caster."""
+    """Meshes of some objects, and what the objects are."""
 
     def __init__(self, owners: list[MeshPart] | list[Mover], meshes: list[Mesh]):
-        import open3d as o3d
-
-        self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)  # so that the structure is the same on any machine
-        for mesh in meshes:
-            vertices, triangles = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
-            self._scene.add_triangles(self._tensor(vertices), self._tensor(triangles))
+        self._meshes = RayCaster(meshes)
         # The last row is for misses.
         self._kind = np.array([o.kind for o in owners] + [0], np.uint16)
         self._instance = np.array([getattr(o, "instance", 0) for o in owners] + [0], np.int32)
@@ -154,14 +147,10 @@ class Surfaces:
 
     def cast(self, rays: F32) -> Hits:
         """Nearest surface along (N, 6) float32 rays: origin and direction."""
-        threads = 1 if len(rays) < SMALL else 0
-        found: dict[str, Any] = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
-        owner = np.minimum(found["geometry_ids"].numpy(), len(self._kind) - 1)
-        normals = found["primitive_normals"].numpy()
-        facing = np.abs((normals * rays[:, 3:]).sum(1, dtype=np.float64))
-        distance = found["t_hit"].numpy().astype(np.float64)
-        of = (self._kind, self._instance, self._reflectance, self._glass)
-        return Hits(distance, facing, *(values[owner] for values in of))
+        distance, facing, number = self._meshes.cast(rays)
+        owner = np.minimum(number, len(self._kind) - 1)
+        kind, instance = self._kind[owner], self._instance[owner]
+        return Hits(distance, facing, kind, instance, self._reflectance[owner], self._glass[owner])
 
 
 def receive(hits: Hits, sensor: Sensor, rng: np.random.Generator, lost: float = 0.04) -> tuple[F64, Bool, U16, F32]:
