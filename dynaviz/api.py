@@ -31,6 +31,7 @@ from dynaviz.scores.result import RecordMode, Result
 from dynaviz.sources.odometry.refine import refine
 from dynaviz.sources.opening import open_source
 from dynaviz.sources.options import SequenceOptions
+from dynaviz.sources.origin import PoseFinding
 from dynaviz.views.record.quota import parse_bytes
 
 Record = Literal[RecordMode, "none"]
@@ -136,7 +137,7 @@ def run(
         raise UsageError(f"seed = {seed}: give 0 or a positive number")
     kind = registry.load("methods", method)
     resolved = params.resolve(kind, preset, config, settings)
-    _warn_of_findings(sequence)
+    findings = _pose_findings(sequence)
     sequence = suited(kind, resolved.params, sequence)
     folder = None if out is None else Path(out)
     if refine_poses:
@@ -153,6 +154,7 @@ def run(
         parameter_origins=resolved.source,
         threads=threads,
         command=command,
+        pose_findings=findings,
     )
     recording, mode = _recording(record, folder)
     if view and recording is None:
@@ -267,15 +269,16 @@ def _overwritten(path: Path) -> list[Path]:
     return [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
 
 
-def _warn_of_findings(sequence: Sequence) -> None:
-    """Warn if poses or points are likely wrong. Data sets with ground truth are taken to be right."""
+def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
+    """What is likely wrong with poses or points, with a warning. Data sets with ground truth are taken to be right."""
     if sequence.has_labels:
-        return
+        return ()
     from dynaviz.diagnosis import quick_check
 
-    for finding in quick_check(sequence):
-        advice = f"{finding.fix}. 'dynaviz doctor' examines all frames"
-        warnings.warn(f"{sequence.name}: {finding.name}: {finding.problem}. {advice}", stacklevel=3)
+    findings = tuple(quick_check(sequence))
+    for each in findings:
+        warnings.warn(f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=3)
+    return findings
 
 
 def _warn_of_size(recording: Path | None, result: Result, budget: int | None) -> None:

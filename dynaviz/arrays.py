@@ -25,3 +25,9 @@ def single(values: NDArray[Any]) -> F32:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.float32) * np.float32(1)
+
+
+def all_finite(points: NDArray[Any]) -> Bool:
+    """(N,) bool: which rows of (N, K) floats have no NaN or infinite value."""
+    finite: Bool = np.isfinite(points).all(axis=1)
+    return finite

@@ -4,22 +4,28 @@ from __future__ import annotations
 
 import os
 import shlex
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynaviz import api
+from dynaviz.arrays import U8
 from dynaviz.cleaning.cleaned import Cleaned
+from dynaviz.cleaning.doubt import doubt_of
+from dynaviz.cleaning.trajectory import UsedPoses
 from dynaviz.contracts.scan import Sequence, SequenceSlice, select_frames
 from dynaviz.contracts.sensors import Sensor, load_sensor
-from dynaviz.engine.cleaned_map import MapFile, check_voxel_size, write_maps
+from dynaviz.engine.cleaned_map import Judgement, MapFile, check_voxel_size, region_is_empty, write_maps
 from dynaviz.engine.region import Region
 from dynaviz.errors import NoPoses, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.maps import check_map_path
 from dynaviz.progress import Progress, silent
-from dynaviz.scores.result import RecordMode
+from dynaviz.scores.result import RecordMode, Result
 from dynaviz.sources.odometry.estimate import EstimatedPoses
 from dynaviz.sources.odometry.estimated import DEFAULT, is_odometry, open_estimated
 from dynaviz.sources.sensing import estimate_sensor, sentence
@@ -42,6 +48,8 @@ def clean(
     workers: int = 1,
     scheduler: str | None = None,
     keep_dynamic: str | os.PathLike[str] | None = None,
+    mark: bool = False,
+    drop_unposed: bool = False,
     frames: str | None = None,
     stride: int = 1,
     poses: str | os.PathLike[str] | None = None,
@@ -74,6 +82,10 @@ def clean(
             from a run without tiles.
         workers, scheduler: who runs the tiles, as for ``dynaviz.run``.
         keep_dynamic: file for the removed points, in any of the formats.
+        mark: delete no points. The map has all of them, with the attributes ``dynamic`` (0 static, 1 dynamic, 2 not
+            judged) and ``reason`` (code of the method; ``Cleaned.to_dict`` has the legend).
+        drop_unposed: leave out points that no pose covers, such as those of a merged map outside the trajectory. They
+            are kept otherwise, without judgement, if their place in the world is known.
         frames, stride, points_in, deskew, extrinsic, sensor: as for ``dynaviz.open``.
         poses: as for ``dynaviz.open``; None estimates poses with small-gicp if the sequence has none.
         preset, config, settings, record, threads, command, progress, refine_poses: as for ``dynaviz.run``.
@@ -86,18 +98,21 @@ def clean(
     """
     size = _tile_size(tiles)
     removed = None if keep_dynamic is None else Path(keep_dynamic)
-    files = _files(Path(out), region, voxel_size, tiles is not None, size, removed)
+    files = _files(Path(out), region, voxel_size, tiles is not None, size, removed, mark)
     folder = run_folder(Path(out))
-    estimated = None
+    estimated, source = None, os.fspath(sequence) if isinstance(sequence, str | os.PathLike) else "SEQ"
     if isinstance(sequence, str | os.PathLike):
         options = {"points_in": points_in, "deskew": deskew, "extrinsic": extrinsic}
-        source = None if poses is None else os.fspath(poses)
-        sequence, estimated = _open(os.fspath(sequence), source, folder, frames, options, progress)
+        given = None if poses is None else os.fspath(poses)
+        sequence, estimated = _open(source, given, folder, frames, options, progress)
         sequence = select_frames(sequence, None if estimated else frames, stride)
     else:
         opened = sequence if isinstance(sequence, Sequence) else api.open(sequence, points_in=points_in)
         sequence = select_frames(opened, frames, stride)
     sequence = select_frames(sequence, sensor=load_sensor(sensor) if sensor else None)
+    if (limit := files[0].region) is not None and region_is_empty(sequence, limit):
+        hint = "Give it in the coordinates of the map: 'dynaviz info' shows their extent"
+        raise UsageError(f"--region {region}: contains no point of {sequence.name}. {hint}")
     result = api.run(
         method,
         sequence,
@@ -116,14 +131,41 @@ def clean(
         maps=False,
     )
     used: Sequence = result.answers.sequence  # with refined poses, if they were
-    maps = write_maps(used, result.labels, files, progress)
+    judgement, followed = Judgement(result.labels, _reasons(folder, result) if mark else None), UsedPoses(used)
+    maps, account = write_maps(used, judgement, files, progress, drop_unposed, followed.add)
+    trajectory = folder / "trajectory.csv"
+    written = followed.write(trajectory)
     sensor = sentence(estimate_sensor(sequence)) if sequence.sensor.name == Sensor().name else ""
     whole: Sequence = sequence
     while isinstance(whole, SequenceSlice):
         whole = whole.whole
-    cleaned = Cleaned(result, tuple(maps), folder, estimated, getattr(whole, "facts", {}), sensor)
+    facts = getattr(whole, "facts", {})
+    in_world = facts.get("points in", "").startswith("world")
+    words = shlex.split(command) or ["dynaviz", "clean", source, "-o", os.fspath(out)]
+    doubt = doubt_of(result, account, source, words, estimated is None, in_world)
+    cleaned = Cleaned(
+        result=replace(result, account=account),
+        maps=tuple(maps),
+        folder=folder,
+        poses=estimated,
+        facts=facts,
+        sensor=sensor,
+        doubt=doubt,
+        trajectory=trajectory if written else None,
+        marked=mark,
+    )
+    cleaned.result.save(folder / "result.json")  # with the account of the map
     write_atomic(folder / "summary.md", cleaned.markdown().encode())
     return cleaned
+
+
+def _reasons(folder: Path, result: Result) -> Iterator[U8]:
+    """(N,) uint8 for each frame: the codes in the ``labels.npz`` of a run, which is read piece by piece."""
+    with zipfile.ZipFile(folder / "labels.npz") as archive, archive.open("reasons.npy") as file:
+        np.lib.format.read_magic(file)
+        np.lib.format.read_array_header_1_0(file)
+        for labels in result.labels:
+            yield np.frombuffer(file.read(len(labels)), np.uint8)
 
 
 def run_folder(out: Path) -> Path:
@@ -142,7 +184,13 @@ def _tile_size(tiles: str | float | None) -> float | None:
 
 
 def _files(
-    out: Path, region: str | None, voxel_size: float | None, divided: bool, size: float | None, removed: Path | None
+    out: Path,
+    region: str | None,
+    voxel_size: float | None,
+    divided: bool,
+    size: float | None,
+    removed: Path | None,
+    mark: bool,
 ) -> list[MapFile]:
     """The maps to write; all options are checked before anything is read."""
     by_tile = size is not None and bool(out.suffix)  # a file per tile of the run, otherwise Autoware's layout
@@ -153,11 +201,13 @@ def _files(
     if by_tile and out.with_suffix("").is_file():
         raise UsageError(f"{out.with_suffix('')}: is a file, but the tiles need a folder of this name. Give another -o")
     check_voxel_size(voxel_size)
+    if mark and voxel_size is not None:
+        raise UsageError("--mark keeps all points, but --voxel-size one per voxel. Give one of the two")
     parsed = None if region is None else Region.parse(region)
     if by_tile:
-        map_ = MapFile(out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size)
+        map_ = MapFile(out.with_suffix(""), False, False, size, out.suffix, parsed, voxel_size, mark)
     else:
-        map_ = MapFile(out, tiled=divided, region=parsed, voxel_size=voxel_size)
+        map_ = MapFile(out, tiled=divided, region=parsed, voxel_size=voxel_size, marked=mark)
     files = [map_]
     if removed is not None:
         check_map_path(removed)

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
+from dynaviz.cleaning.doubt import NOISY, Doubt
+from dynaviz.contracts import registry
+from dynaviz.contracts.attributes import origin_of
 from dynaviz.engine.cleaned_map import WrittenMap
+from dynaviz.scores.account import PointAccount
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import Removals
+from dynaviz.scores.sections import Removals, RemovedCluster
 from dynaviz.sources.odometry.estimate import EstimatedPoses
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
 CASES = 5  # listed
-NOISY = 0.01  # metres; pose noise from which refining poses is advised
 _ADVICE = "; `--refine-poses` may reduce it, and keep more static points"
 
 
@@ -33,6 +37,9 @@ class Cleaned:
         poses: estimated poses; None if the sequence had poses.
         facts: further facts of the sequence, such as the source of its poses.
         sensor: estimates of an unknown sensor in one line; empty for a known one.
+        doubt: why the map should be checked before it is used; None if nothing is unusual.
+        trajectory: file with the poses that were used; None for several lidars.
+        marked: whether the map has all points, marked.
     """
 
     result: Result
@@ -41,11 +48,19 @@ class Cleaned:
     poses: EstimatedPoses | None = None
     facts: Mapping[str, str] = field(default_factory=dict)
     sensor: str = ""
+    doubt: Doubt | None = None
+    trajectory: Path | None = None
+    marked: bool = False
 
     @property
     def removals(self) -> Removals:
         """What was removed."""
         return self.result.sections.removals or Removals()
+
+    @property
+    def account(self) -> PointAccount:
+        """Where the points went."""
+        return self.result.account or PointAccount()
 
     def headline(self) -> str:
         """One line: how many points were removed."""
@@ -55,7 +70,7 @@ class Cleaned:
 
     def to_dict(self) -> dict[str, Any]:
         """The summary in plain values, for JSON."""
-        found = self.removals
+        found, run = self.removals, self.result
         poses = self.poses and {
             "odometry": self.poses.odometry,
             "version": self.poses.version,
@@ -65,17 +80,39 @@ class Cleaned:
             "reused": self.poses.reused,
         }
         return {
-            "sequence": self.result.sequence.name,
-            "method": self.result.method,
+            "sequence": run.sequence.name,
+            "method": run.method,
+            "frames": run.sequence.frames,
             "points": found.points,
             "removed": found.removed,
-            "metrics": dict(self.result.metrics),
+            "account": msgspec.to_builtins(self.account),
+            "doubt": self.doubt and asdict(self.doubt),
+            "metrics": dict(run.metrics),
             "maps": [{"file": str(m.path), "points": m.points, "attributes": list(m.attributes)} for m in self.maps],
+            "marked": self.marked,
             "poses": poses,
-            "pose_noise": msgspec.to_builtins(self.result.pose_noise),
-            "pose_refinement": msgspec.to_builtins(self.result.pose_refinement),
+            "poses_used": {"source": self.facts.get("poses"), "file": self.trajectory and str(self.trajectory)},
+            "pose_noise": msgspec.to_builtins(run.pose_noise),
+            "pose_refinement": msgspec.to_builtins(run.pose_refinement),
+            "pose_findings": msgspec.to_builtins(run.pose_findings),
+            "sensor": self.sensor or None,
+            "reasons": dict(found.reasons),
+            "reason_names": self._reason_names(),
+            "range": msgspec.to_builtins(found.range),
+            "clusters": msgspec.to_builtins(self.clusters),
+            "failures": msgspec.to_builtins(run.failures),
             "folder": str(self.folder),
         }
+
+    @property
+    def clusters(self) -> tuple[RemovedCluster, ...]:
+        """Clusters of removed points, the most suspicious first; of equal suspicion, the largest first."""
+        return tuple(sorted(self.result.clusters, key=lambda each: (-each.suspicion, -each.points)))
+
+    def _reason_names(self) -> list[str]:
+        """The names of reason codes, by code."""
+        info = registry.load("methods", self.result.method).info
+        return [reason.name for reason in info.reasons]
 
     def markdown(self) -> str:
         """The summary as a page."""
@@ -85,11 +122,21 @@ class Cleaned:
         run, found = self.result, self.removals
         yield f"# {run.sequence.name}, cleaned with {run.method}"
         yield ""
+        if self.doubt:
+            yield "> **Check this map before you use it.**"
+            yield from (f"> {line}  " for line in self.doubt.lines())
+            yield ""
         yield f"{self.headline()} in {run.sequence.frames:,} frames."
+        yield f"\nPoints: {self.account}."
         yield ""
         for each in self.maps:
             names = f", with {', '.join(each.attributes)}" if each.attributes else ""
             yield f"- `{each.path}`: {each.points:,} points{names}"
+        if self.trajectory:
+            yield f"- `{self.trajectory}`: the poses that were used; `--poses` reads them"
+        if self.marked:
+            legend = ", ".join(f"{code} {name}" for code, name in enumerate(self._reason_names()))
+            yield f"\nThe map has all points. `dynamic`: 0 static, 1 dynamic, 2 not judged. `reason`: {legend}."
         yield from self._about_poses()
         yield from _table("Removed by reason", "reason", list(found.reasons.items()), found.removed)
         rows = [(_interval(r.low, r.high), r.removed, r.points) for r in found.range if r.points]
@@ -118,13 +165,18 @@ class Cleaned:
             yield from ["", f"## Scores: {scores}", ""]
             yield from (f"{n}. {case.sentence}" for n, case in enumerate(self.result.failures[:CASES], 1))
             return
-        clusters = self.result.clusters
+        clusters = self.clusters
         yield from ["", "## Look at these first", ""]
         if not clusters:
             yield "No removed points form a cluster."
             return
         yield "Clusters of removed points that may be static. Suspicion runs from 0 (mover) to 1 (static surface).\n"
-        yield from (f"{n}. {c.suspicion:.2f}: {c.sentence}" for n, c in enumerate(clusters[:CASES], 1))
+        yield from (f"{n}. {c.suspicion:.2f}: {c.sentence} {self._place(c)}" for n, c in enumerate(clusters[:CASES], 1))
+
+    def _place(self, cluster: RemovedCluster) -> str:
+        """The middle of a cluster, in the coordinates of the map."""
+        middle = (np.array(cluster.low) + np.array(cluster.high)) / 2 + origin_of(self.result.answers.sequence)
+        return f"At {', '.join(f'{x:.1f}' for x in middle)} m."
 
     def __str__(self) -> str:
         return self.markdown()

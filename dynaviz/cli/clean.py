@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.console import print_json, program, progress, show
+from dynaviz.cli.console import print_json, program, progress, show, warn
 from dynaviz.cli.options import (
     Deskew,
     Extrinsic,
@@ -70,6 +70,15 @@ def clean(
     keep_dynamic: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the removed points to this file.")
     ] = None,
+    mark: Annotated[
+        bool, typer.Option("--mark", help="Write all points, with the attributes 'dynamic' and 'reason'.")
+    ] = False,
+    drop_unposed: Annotated[
+        bool, typer.Option("--drop-unposed", help="Leave out points that no pose covers, instead of keeping them.")
+    ] = False,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Exit with 0 even if much was removed or the poses are likely wrong.")
+    ] = False,
     frames: Frames = None,
     stride: Stride = 1,
     poses: Poses = None,
@@ -90,7 +99,8 @@ def clean(
     """Clean a map of moving objects: from raw data to a map, in one command.
 
     Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other attributes are kept.
-    Writes the map, and next to it a folder with a summary, the labels and a recording.
+    Writes the map, and next to it a folder with a summary, the labels and a recording. Exit code 3: the map is written,
+    but more than 30 % of its points were removed, or the poses are likely wrong; --accept gives 0 instead.
 
     \b
     dynaviz clean drive.bag -o clean.laz
@@ -112,6 +122,8 @@ def clean(
             workers=workers,
             scheduler=scheduler,
             keep_dynamic=keep_dynamic,
+            mark=mark,
+            drop_unposed=drop_unposed,
             frames=frames,
             stride=stride,
             poses=poses,
@@ -127,8 +139,12 @@ def clean(
             command=shlex.join(["dynaviz", *sys.argv[1:]]),
             progress=report,
         )
-    if print_json(cleaned.to_dict(), json):
-        return
-    show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
-    if record is not RecordModeOption.none:
-        show(f"Check what was removed with: {program()} view {shlex.quote(str(cleaned.folder / 'run.rrd'))}")
+    if not print_json(cleaned.to_dict(), json):
+        show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
+        if record is not RecordModeOption.none:
+            recording = shlex.quote(str(cleaned.folder / "run.rrd"))
+            show(f"Check what was removed with: {program()} view {recording}")
+        show(f"Points: {cleaned.account}")
+    if cleaned.doubt and not accept:
+        warn(cleaned.doubt)
+        raise typer.Exit(3)

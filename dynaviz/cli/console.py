@@ -79,6 +79,14 @@ def show(*items: RenderableType) -> None:
         out.print(item)
 
 
+def warn(item: RenderableType) -> None:
+    """Print on standard error, in 100 columns at most."""
+    from rich.console import Console
+
+    out = Console(stderr=True)
+    out.print(item, width=min(out.width, 100))
+
+
 class PhaseTimer:
     """Formats the progress of one phase, with its speed and the time left.
 

@@ -1,19 +1,21 @@
-"""What a sequence knows about its points beyond their coordinates: attributes, and the offset of its world frame.
+"""What a sequence knows beyond its scans: attributes, exact coordinates, points without a pose, offset of its world.
 
-Scans carry neither, so that methods run at the same speed with and without them. A second pass over the source reads
-them when a map is written.
+Scans carry none of it, so that methods run at the same speed with and without. A second pass over the source reads it
+when a map is written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.scan import Sequence, SequenceSlice
+from dynaviz.contracts.scan import Sequence, SequenceSlice, SequenceView
 
 Attributes = Mapping[str, NDArray[Any]]
 """(N,) integers or floats by name, such as ``intensity`` or ``ring``, in the types of the source."""
@@ -42,6 +44,74 @@ class HasOrigin(Protocol):
     def origin(self) -> F64:
         """(3,) float64, metres: add it to points and poses to get the coordinates of the source."""
         ...
+
+
+@runtime_checkable
+class HasCoordinates(Protocol):
+    """A sequence whose source states the coordinates of points in the world frame, so that maps can repeat them."""
+
+    def coordinates(self, position: int) -> F64 | None:
+        """(N, 3) float64, metres, as in the source: with ``origin``; None if the source has other coordinates."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Unposed:
+    """Points of a source that no pose covers: no frame contains them, and no method judges them.
+
+    Attributes:
+        number: of points.
+        xyz: (number, 3) float64, metres, as in the source; None if they are not in the world frame.
+        attributes: of these points.
+    """
+
+    number: int
+    xyz: F64 | None = None
+    attributes: Attributes = field(default_factory=dict)
+
+
+@runtime_checkable
+class HasUnposed(Protocol):
+    """A sequence whose source may have points that no pose covers."""
+
+    def unposed(self) -> Iterator[Unposed]:
+        """These points, piece by piece."""
+        ...
+
+
+@runtime_checkable
+class HasLasFile(Protocol):
+    """A sequence in the world frame of a LAS file."""
+
+    @property
+    def las_file(self) -> Path | None:
+        """The file, whose header a LAS map takes over: coordinate system, scales and offsets; None without one."""
+        ...
+
+
+def unposed_of(sequence: Sequence) -> Iterator[Unposed]:
+    """Points that no pose covers; none for selected frames."""
+    if isinstance(sequence, SequenceSlice):
+        if len(sequence.positions) == len(sequence.whole):
+            yield from unposed_of(sequence.whole)
+    elif isinstance(sequence, HasUnposed):
+        yield from sequence.unposed()
+    elif isinstance(sequence, SequenceView):
+        yield from unposed_of(sequence.whole)
+
+
+def coordinates_of(sequence: Sequence, position: int) -> F64 | None:
+    """(N, 3) float64, metres: coordinates of a frame as in its source; None if they follow from its points."""
+    if isinstance(sequence, SequenceSlice):
+        return coordinates_of(sequence.whole, sequence.positions[position])
+    return sequence.coordinates(position) if isinstance(sequence, HasCoordinates) else None
+
+
+def las_file_of(sequence: Sequence) -> Path | None:
+    """A LAS file in the world frame of a sequence; None without one."""
+    if isinstance(sequence, SequenceSlice | SequenceView):
+        return las_file_of(sequence.whole)
+    return sequence.las_file if isinstance(sequence, HasLasFile) else None
 
 
 def attributes_of(sequence: Sequence, position: int) -> Attributes:

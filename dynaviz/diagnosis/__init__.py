@@ -22,6 +22,7 @@ from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.in_memory import ArraySequence
+from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 
 __all__ = ["Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
@@ -82,7 +83,7 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured)
 
 
-def quick_check(sequence: Sequence) -> tuple[Finding, ...]:
+def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     """Compare a few scans of a sequence with each other: the findings on poses, frames and units that are likely.
 
     Takes less than a second. Simulated sequences, and copies with implants, are not checked: reading them is slow.
@@ -102,7 +103,8 @@ def quick_check(sequence: Sequence) -> tuple[Finding, ...]:
         found = columns or list(_check_alignment(checker, silent, quick=True))
     except DataError:
         return ()
-    return tuple(finding for finding in found if finding.confidence <= Confidence.LIKELY)
+    likely = (each for each in found if each.confidence <= Confidence.LIKELY)
+    return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,13 @@ if TYPE_CHECKING:
 SHOWN = 5  # frames that a finding lists
 
 
+_OPTIONS = {
+    "points in sensor frame": "--points-in sensor",
+    "points in world frame": "--points-in world",
+    "poses missing": "--poses small-gicp",
+}
+
+
 class Confidence(IntEnum):
     """Confidence in a finding, highest first."""
 
@@ -46,6 +53,11 @@ class Finding:
     frames: tuple[int, ...] = ()
     count: int = 0
     file: str | None = None
+
+    @property
+    def option(self) -> str:
+        """The option that fixes it, such as ``--points-in world``; empty if the data must be written again."""
+        return _OPTIONS.get(self.name, "")
 
     @property
     def where(self) -> str:

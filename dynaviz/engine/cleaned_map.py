@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynaviz.arrays import F64, Bool
-from dynaviz.contracts.attributes import Attributes, attributes_of, origin_of
+from dynaviz.arrays import F64, I64, U8, Bool, Intp, all_finite
+from dynaviz.contracts.attributes import (
+    Attributes,
+    Unposed,
+    attributes_of,
+    coordinates_of,
+    las_file_of,
+    origin_of,
+    unposed_of,
+)
+from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
+from dynaviz.io.gps_time import GPS_EPOCH, adjusted_gps_time
+from dynaviz.io.las_map import LAS, LasHead
 from dynaviz.io.map_tiles import MapTiles
 from dynaviz.io.maps import MapWriter, TiledMap, open_map
 from dynaviz.progress import Progress, silent
+from dynaviz.scores.account import PointAccount
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
 
 
@@ -35,6 +47,7 @@ class MapFile:
         suffix: of these files.
         region: write only the points inside.
         voxel_size: write one point per voxel of this edge, metres: the first one. None for all points.
+        marked: write all points, with the attributes ``dynamic`` and ``reason``.
     """
 
     path: Path
@@ -44,6 +57,7 @@ class MapFile:
     suffix: str = ""
     region: Region | None = None
     voxel_size: float | None = None
+    marked: bool = False
 
 
 @dataclass
@@ -55,32 +69,92 @@ class WrittenMap:
     attributes: tuple[str, ...] = field(default=())
 
 
+JUDGED_STATIC, JUDGED_DYNAMIC, NOT_JUDGED = 0, 1, 2
+"""Values of the attribute ``dynamic`` of a map in which points are marked."""
+
+NO_REASON = 255
+"""Value of the attribute ``reason`` of points that were not judged."""
+
+_MARKS = {"dynamic": np.dtype(np.uint8), "reason": np.dtype(np.uint8)}
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a run decided.
+
+    Attributes:
+        labels: (N,) bool for each frame by position, True for removed points.
+        reasons: (N,) uint8 for each frame, in order: codes of the method; None if nothing is marked.
+    """
+
+    labels: Sequence[Bool]
+    reasons: Iterable[U8] | None = None
+
+
 def write_maps(
-    sequence: ScanSequence, labels: Sequence[Bool], files: Sequence[MapFile], progress: Progress = silent
-) -> list[WrittenMap]:
+    sequence: ScanSequence,
+    judgement: Judgement,
+    files: Sequence[MapFile],
+    progress: Progress = silent,
+    drop_unposed: bool = False,
+    seen: Callable[[Scan], None] = lambda scan: None,
+) -> tuple[list[WrittenMap], PointAccount]:
     """Write maps in one pass. Points that are not finite are left out.
 
     Args:
         sequence: what the labels belong to.
-        labels: (N,) bool for each frame by position, True for removed points.
-        files: what to write.
+        judgement: labels, and reasons if a file marks points.
+        files: what to write; the account is that of the first.
         progress: called after each frame.
+        drop_unposed: leave out points that no pose covers. Otherwise they are kept, where their place is known.
+        seen: called with each scan.
 
     Raises:
         DataError: for data that cannot be read, or files that cannot be written.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     fields, origin = _dtypes(sequence), origin_of(sequence)
+    like, stamp = las_file_of(sequence), sequence[0].stamp_ns
+    timed = stamp is not None and "gps_time" not in fields
+    absolute = stamp is not None and stamp >= GPS_EPOCH * 10**9  # otherwise the clock does not tell the date
+    head = LasHead(like, timed and absolute)
+    clock = None if not timed else adjusted_gps_time if absolute else _seconds
     conform = _Conform(fields)
+    reasons = itertools.repeat(None) if judgement.reasons is None else judgement.reasons
     with contextlib.ExitStack() as stack:
-        maps = [_Map(stack.enter_context(_writer(file, fields, origin)), file, origin, fields) for file in files]
-        for position in range(len(sequence)):
-            points = sequence[position].points
-            attributes = conform(attributes_of(sequence, position), len(points), position)
+        maps = [_Map(stack, file, fields, origin, head, clock) for file in files]
+        for position, codes in zip(range(len(sequence)), reasons, strict=False):
+            scan = sequence[position]
+            seen(scan)
+            xyz = coordinates_of(sequence, position)
+            points = _Points(
+                xyz=scan.points.astype(np.float64) + origin if xyz is None else xyz,
+                finite=all_finite(scan.points),
+                attributes=conform(attributes_of(sequence, position), len(scan), position),
+                dynamic=judgement.labels[position],
+                reasons=codes,
+                times=None if scan.stamp_ns is None else _times(scan, scan.stamp_ns),
+            )
             for each in maps:
-                each.add(points, labels[position], attributes)
+                each.add(points)
             progress("write", position + 1, len(sequence))
-    return [each.written for each in maps]
+        for unposed in unposed_of(sequence):
+            placed = unposed.xyz is not None and not drop_unposed
+            kept = _Points.unjudged(unposed, conform) if placed else None
+            for each in maps:
+                each.add_unposed(kept, unposed.number)
+    return [each.written for each in maps], maps[0].account
+
+
+def region_is_empty(sequence: ScanSequence, region: Region) -> bool:
+    """Whether a region contains no point of a sequence; frames are read until one is found, in random order."""
+    origin = origin_of(sequence)
+    for position in np.random.default_rng(0).permutation(len(sequence)).tolist():
+        points = sequence[position].points
+        if region.contains(points[all_finite(points)].astype(np.float64) + origin).any():
+            return False
+    unposed = (each.xyz for each in unposed_of(sequence) if each.xyz is not None)
+    return not any(region.contains(xyz).any() for xyz in unposed)
 
 
 def check_voxel_size(size: float | None) -> None:
@@ -89,10 +163,52 @@ def check_voxel_size(size: float | None) -> None:
         raise UsageError(f"--voxel-size {size}: give metres, at least 0.001")
 
 
-def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64) -> MapWriter:
-    if file.tile_size is not None:
-        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix)
-    return TiledMap(file.path, fields, origin) if file.tiled else open_map(file.path, fields, origin)
+@dataclass(frozen=True)
+class _Points:
+    """Points to write.
+
+    Attributes:
+        xyz: (N, 3) float64, metres, coordinates of the source.
+        finite: (N,) bool.
+        attributes: (N,) each.
+        dynamic: (N,) bool, True for removed points; None for points that were not judged.
+        reasons: (N,) uint8, if they are known.
+        times: (N,) int64, nanoseconds, if they are known.
+    """
+
+    xyz: F64
+    finite: Bool
+    attributes: Attributes
+    dynamic: Bool | None = None
+    reasons: U8 | None = None
+    times: I64 | None = None
+
+    @classmethod
+    def unjudged(cls, unposed: Unposed, conform: _Conform) -> _Points:
+        """Points that no pose covers, whose place is known."""
+        xyz = np.empty((0, 3)) if unposed.xyz is None else unposed.xyz
+        return cls(xyz, all_finite(xyz), conform(unposed.attributes, len(xyz), None))
+
+    def marks(self) -> Attributes:
+        """The attributes of a map in which points are marked."""
+        n = len(self.xyz)
+        dynamic = (
+            np.full(n, NOT_JUDGED) if self.dynamic is None else np.where(self.dynamic, JUDGED_DYNAMIC, JUDGED_STATIC)
+        )
+        reasons = np.full(n, NO_REASON) if self.reasons is None else self.reasons
+        return {"dynamic": dynamic.astype(np.uint8), "reason": reasons.astype(np.uint8)}
+
+
+def _seconds(times: I64) -> F64:
+    """(N,) float64, seconds."""
+    seconds: F64 = times.astype(np.float64) * 1e-9
+    return seconds
+
+
+def _times(scan: Scan, stamp_ns: int) -> I64:
+    """(N,) int64, nanoseconds: when each point was measured."""
+    offsets = np.zeros(len(scan), np.int64) if scan.times is None else np.round(scan.times.astype(np.float64) * 1e9)
+    return stamp_ns + offsets.astype(np.int64)
 
 
 def _dtypes(sequence: ScanSequence) -> dict[str, np.dtype[Any]]:
@@ -104,16 +220,23 @@ def _dtypes(sequence: ScanSequence) -> dict[str, np.dtype[Any]]:
 
 
 class _Conform:
-    """Gives all frames the attributes of the first: what a frame lacks becomes 0, with one warning."""
+    """Gives all frames the attributes of the first, with one warning for all frames that have others.
+
+    What a frame lacks becomes 0; what only it has is left out.
+    """
 
     def __init__(self, fields: Mapping[str, np.dtype[Any]]) -> None:
         self._fields, self._warned = fields, False
 
-    def __call__(self, attributes: Attributes, points: int, position: int) -> Attributes:
+    def __call__(self, attributes: Attributes, points: int, position: int | None) -> Attributes:
         missing = [name for name in self._fields if name not in attributes]
-        if missing and not self._warned:
+        more = [name for name in attributes if name not in (*self._fields, "x", "y", "z", "points")]
+        if (missing or more) and not self._warned:
             self._warned = True
-            warnings.warn(f"frame {position} has no {', '.join(missing)}; the map has 0 there", stacklevel=3)
+            where = "points without a pose have" if position is None else f"frame {position} has"
+            problems = [f"{where} no {', '.join(missing)}; the map has 0 there"] if missing else []
+            problems += [f"{where} also {', '.join(more)}, unlike the first; the map leaves it out"] if more else []
+            warnings.warn(". ".join(problems), stacklevel=3)
         return {
             name: attributes[name].astype(dtype, copy=False) if name in attributes else np.zeros(points, dtype)
             for name, dtype in self._fields.items()
@@ -121,27 +244,82 @@ class _Conform:
 
 
 class _Map:
-    """Adds frames to a map."""
+    """Adds frames to a map, and counts where each point goes."""
 
-    def __init__(self, writer: MapWriter, file: MapFile, origin: F64, fields: Mapping[str, Any]) -> None:
-        self._writer, self._file, self._origin, self._voxels = writer, file, origin, KeySet()
-        self.written = WrittenMap(file.path, 0, tuple(fields))
+    def __init__(
+        self,
+        stack: contextlib.ExitStack,
+        file: MapFile,
+        fields: Mapping[str, np.dtype[Any]],
+        origin: F64,
+        head: LasHead,
+        clock: Callable[[I64], F64] | None,
+    ) -> None:
+        self._file, self._origin, self._voxels = file, origin, KeySet()
+        self._clock = clock if (file.suffix or file.path.suffix).lower() in LAS else None
+        marks = _MARKS if file.marked else {}
+        if replaced := [name for name in marks if name in fields]:
+            warnings.warn(f"{file.path}: the marks replace the attribute {' and '.join(replaced)}", stacklevel=4)
+        own = {**fields, **({"gps_time": np.dtype(np.float64)} if self._clock else {}), **marks}
+        self._account = dict.fromkeys(PointAccount.__struct_fields__, 0)
+        self._writer = stack.enter_context(_writer(file, own, origin, head))
+        self.written = WrittenMap(file.path, 0, tuple(own))
 
-    def add(self, points: NDArray[np.float32], dynamic: Bool, attributes: Attributes) -> None:
-        chosen = np.flatnonzero((dynamic == self._file.removed) & np.isfinite(points).all(1))
-        xyz = points[chosen].astype(np.float64) + self._origin
+    @property
+    def account(self) -> PointAccount:
+        """Where the points went."""
+        return PointAccount(**self._account)
+
+    def add(self, points: _Points) -> None:
+        """Write the points that belong in the map."""
+        self._account["points"] += len(points.xyz)
+        chosen = self._take("not_finite", np.arange(len(points.xyz)), points.finite)
+        if points.dynamic is not None and not self._file.marked:
+            self._account["removed"] += int(points.dynamic[chosen].sum())
+            chosen = chosen[points.dynamic[chosen] == self._file.removed]
         if self._file.region is not None:
-            inside = self._file.region.contains(xyz)
-            chosen, xyz = chosen[inside], xyz[inside]
+            chosen = self._take("outside_region", chosen, self._file.region.contains(points.xyz[chosen]))
         if self._file.voxel_size is not None:
-            new = self._first_in_voxels(points[chosen], self._file.voxel_size)
-            chosen, xyz = chosen[new], xyz[new]
-        self._writer.append(xyz, {name: array[chosen] for name, array in attributes.items()})
+            chosen = self._take("thinned", chosen, self._first_in_voxels(points.xyz[chosen], self._file.voxel_size))
+        if points.dynamic is None:
+            self._account["unposed_kept"] += len(chosen)
+        else:
+            marked = int(points.dynamic[chosen].sum()) if self._file.marked else 0
+            self._account["removed"] += marked
+            self._account["kept"] += len(chosen) - marked
+        attributes = {name: array[chosen] for name, array in points.attributes.items()}
+        if self._clock:
+            known = None if points.times is None else points.times[chosen]
+            attributes["gps_time"] = np.zeros(len(chosen)) if known is None else self._clock(known)
+        if self._file.marked:
+            attributes |= {name: array[chosen] for name, array in points.marks().items()}
+        self._writer.append(points.xyz[chosen], attributes)
         self.written.points += len(chosen)
 
-    def _first_in_voxels(self, points: NDArray[np.float32], size: float) -> Bool:
+    def add_unposed(self, points: _Points | None, number: int) -> None:
+        """Write points that no pose covers, or count them if they are left out."""
+        if points is None:
+            self._account["points"] += number
+            self._account["unposed_left_out"] += number
+        elif not self._file.removed:
+            self.add(points)
+
+    def _take(self, name: str, rows: Intp, which: Bool) -> Intp:
+        """Some of the rows; the others are counted."""
+        self._account[name] += len(rows) - int(which.sum())
+        chosen: Intp = rows[which]
+        return chosen
+
+    def _first_in_voxels(self, xyz: F64, size: float) -> Bool:
         """(N,) bool: the first points in voxels without a point; those beyond the range of keys are all kept."""
+        points = (xyz - self._origin).astype(np.float32)
         new: Bool = np.ones(len(points), np.bool_)
         near = in_key_range(points, size)
         new[near] = self._voxels.add(pack(points[near], size))
         return new
+
+
+def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead) -> MapWriter:
+    if file.tile_size is not None:
+        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix, head)
+    return TiledMap(file.path, fields, origin) if file.tiled else open_map(file.path, fields, origin, head)

@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 
 from dynaviz import kernels
+from dynaviz.arrays import all_finite
+from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context, Labeller, Labels, Method
 from dynaviz.contracts.metric import Figure, Labelled, Metric
@@ -22,10 +24,12 @@ from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.progress import Progress, silent
+from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.result import Result, environment
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo, Source
+from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
 
@@ -48,6 +52,7 @@ class RunSpec:
         threads: for kernels; None for all cores.
         command: what the user typed, for the record.
         scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
+        pose_findings: what is likely wrong with the poses of the sequence, for the result.
         summary: of the sequence if it is known, which saves a pass over it.
     """
 
@@ -64,6 +69,7 @@ class RunSpec:
     command: str = ""
     scoring: str = "mask"
     summary: SequenceSummary | None = None
+    pose_findings: tuple[PoseFinding, ...] = ()
 
     @property
     def method(self) -> Method | None:
@@ -145,7 +151,7 @@ def execute(
         DataError: for data that cannot be read.
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
-    counts = array("q")
+    counts, removed, not_finite = array("q"), 0, 0
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
     summary = run.summary or summarize(
         run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
@@ -166,10 +172,13 @@ def execute(
         progress("observe", frame + 1, total)
 
     def label(frame: int, scan: Scan) -> None:
+        nonlocal removed, not_finite
         labels = clock.timed(frame, labeller.label, scan.without_truth())
         _check(labeller.info.name, labels, len(scan))
         answer.append(labels.dynamic)
         counts.append(len(scan))
+        finite = all_finite(scan.points)
+        removed, not_finite = removed + int((labels.dynamic & finite).sum()), not_finite + int((~finite).sum())
         labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
@@ -187,7 +196,15 @@ def execute(
     instrumented = method is not None and probe is not SILENT
     result = _result(run, summary, sections, runtime, answer.sha256(), instrumented)
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
-    result = dataclasses.replace(result, answers=RunAnswers(run.sequence, labels))
+    unposed, judged = sum(each.number for each in unposed_of(run.sequence)), sum(counts) - not_finite
+    account = PointAccount(
+        points=sum(counts) + unposed,
+        kept=judged - removed,
+        removed=removed,
+        unposed_left_out=unposed,
+        not_finite=not_finite,
+    )
+    result = dataclasses.replace(result, answers=RunAnswers(run.sequence, labels), account=account)
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)
@@ -255,6 +272,7 @@ def _result(
         command=run.command,
         pose_noise=summary.pose_noise,
         pose_refinement=getattr(run.sequence, "refinement", None),
+        pose_findings=run.pose_findings,
     )
 
 

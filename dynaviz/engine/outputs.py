@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, all_finite
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.params import to_toml
 from dynaviz.engine.loop import Listener, RunSpec
@@ -94,7 +94,7 @@ class RemoveStaleOutputs(Listener):
 
 
 class MapFiles(Listener):
-    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points).
+    """Writes ``static_map.pcd`` (kept points) and ``dynamic_points.pcd`` (removed points), of the finite ones.
 
     Args:
         folder: the folder.
@@ -118,8 +118,9 @@ class MapFiles(Listener):
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
         """Append the points of a frame."""
+        finite = all_finite(labelled.scan.points)
         for writer, chosen in ((self._kept, ~labelled.dynamic), (self._removed, labelled.dynamic)):
-            points = labelled.scan.points[chosen]
+            points = labelled.scan.points[chosen & finite]
             columns = (points.astype(np.float64) + self._origin if self._origin.any() else points).T
             writer.append(**dict(zip("xyz", columns, strict=True)))
 

@@ -42,19 +42,43 @@ def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
 
     Returns:
         (N,) by name, in the types of the file: x, y and z in float64, metres, with scale and offset applied; and the
-        other dimensions, of the standard and extra.
+        other dimensions, of the standard and extra. One with several values per point is split: ``normal_0`` ...
 
     Raises:
         DataError, MissingDependency: as ``read_las``.
     """
 
     def fields(p: Any) -> dict[str, NDArray[Any]]:
-        names = [name for name in p.point_format.dimension_names if name not in ("X", "Y", "Z")]
-        return {axis: np.asarray(p[axis], np.float64) for axis in "xyz"} | {name: np.array(p[name]) for name in names}
+        found = {axis: np.asarray(p[axis], np.float64) for axis in "xyz"}
+        for name in p.point_format.dimension_names:
+            values = np.array(p[name])
+            if values.ndim > 1:
+                found |= {f"{name}_{k}": values[:, k] for k in range(values.shape[1])}
+            elif name not in ("X", "Y", "Z"):
+                found[name] = values
+        return found
 
     parts = _read_chunks(Path(path), fields)
     empty = {axis: np.empty(0) for axis in "xyz"}
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else empty
+
+
+def read_las_header(path: Path) -> Any:
+    """The header of a file with its variable-length records, as laspy's ``LasHeader``.
+
+    Raises:
+        DataError, MissingDependency: as ``read_las``.
+    """
+    laspy = import_laspy(path)
+    with open_file(path, _HINT) as file:
+        try:
+            size = _checked_size(file)
+            header = laspy.LasHeader.read_from(file)
+            if header.number_of_evlrs and header.start_of_first_evlr < size:
+                header.read_evlrs(file)
+        except Exception as error:  # laspy raises many types of errors for corrupt files
+            raise DataError(path, f"not a valid LAS file ({str(error)[:80]})", hint=_HINT) from None
+    return header
 
 
 def import_laspy(path: Path) -> Any:

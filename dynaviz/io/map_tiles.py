@@ -10,6 +10,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.io.atomic import write_atomic
+from dynaviz.io.las_map import LasHead
 from dynaviz.io.maps import Dtypes, TiledMap, open_map
 
 INDEX = "tiles.json"
@@ -27,11 +28,14 @@ class MapTiles(TiledMap):
         fields, origin: as for ``dynaviz.io.maps.open_map``.
         size: edge of a tile, metres.
         suffix: of the files, which selects their format.
+        head: for the headers of LAS and LAZ files.
     """
 
-    def __init__(self, folder: Path, fields: Dtypes, origin: F64, size: float, suffix: str) -> None:
+    def __init__(
+        self, folder: Path, fields: Dtypes, origin: F64, size: float, suffix: str, head: LasHead | None = None
+    ) -> None:
         super().__init__(folder, fields, origin, size)
-        self._fields, self._origin, self._suffix = fields, origin, suffix
+        self._fields, self._origin, self._suffix, self._head = fields, origin, suffix, head
 
     def _finish(self) -> None:
         for old in (self._folder / INDEX, *self._folder.glob(f"tile_*{self._suffix}")):
@@ -44,7 +48,7 @@ class MapTiles(TiledMap):
         """Write the file of a tile; its entry in the index."""
         name, points = f"tile_{column}_{row}{self._suffix}", 0
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        with open_map(self._folder / name, self._fields, self._origin) as writer, spool.open("rb") as file:
+        with open_map(self._folder / name, self._fields, self._origin, self._head) as writer, spool.open("rb") as file:
             while len(rows := np.fromfile(file, self._row, _ROWS)):
                 xyz = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
                 writer.append(xyz, {field: rows[field] for field in self._fields})

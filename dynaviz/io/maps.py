@@ -1,7 +1,8 @@
 """Write maps piece by piece, with attributes: PCD, PLY, LAS, LAZ, NPZ, and Autoware's divided maps.
 
 A writer is a context manager; its file appears only when the ``with`` block succeeds. Every writer stores attributes
-bit by bit. Coordinates are float64 in maps far from zero, otherwise float32; LAS stores multiples of 0.1 mm.
+bit by bit. Coordinates are float64 in maps far from zero, otherwise float32; LAS stores multiples of 0.1 mm, or of the
+scale of the file that was cleaned.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import atomic_file
 from dynaviz.io.las import import_laspy
-from dynaviz.io.las_map import LasMap
+from dynaviz.io.las_map import LAS, LasHead, LasMap
 from dynaviz.io.pcd import PcdWriter
 
 Dtypes = Mapping[str, np.dtype[Any]]
@@ -48,19 +49,21 @@ class MapWriter(Protocol):
         ...
 
 
-def open_map(path: Path, fields: Dtypes, origin: F64) -> MapWriter:
+def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None) -> MapWriter:
     """A writer for a map; the suffix selects the format.
 
     Args:
         path: the file.
         fields: dtypes of the attributes by name: integers or floats.
         origin: (3,) float64, metres: where the map is. Coordinates are float32 if it is zero.
+        head: for the header of LAS and LAZ files.
 
     Raises:
         UsageError: for an unknown suffix.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
-    return _writer(path)(path, fields, origin)
+    writer = _writer(path)
+    return LasMap(path, fields, origin, head) if writer is LasMap else writer(path, fields, origin)
 
 
 def check_map_path(path: Path) -> None:
@@ -263,7 +266,6 @@ class TiledMap:
 _WRITERS: dict[str, Callable[[Path, Dtypes, F64], MapWriter]] = {
     ".pcd": PcdMap,
     ".ply": PlyMap,
-    ".las": LasMap,
-    ".laz": LasMap,
+    **dict.fromkeys(LAS, LasMap),
     ".npz": NpzMap,
 }

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, all_finite
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
@@ -43,7 +43,7 @@ class RunAnswers:
         origin, parts = origin_of(self.sequence), [np.empty((0, 3))]
         for position in range(len(self.sequence)):
             points = self.sequence[position].points
-            kept = ~self.labels[position] & np.isfinite(points).all(1)
+            kept = ~self.labels[position] & all_finite(points)
             parts.append(points[kept].astype(np.float64) + origin)
         return np.concatenate(parts)
 
@@ -71,7 +71,7 @@ class SavedAnswers:
         """
         pcd = read_pcd(self._file("static_map.pcd"))
         xyz = np.column_stack([pcd[axis].astype(np.float64) for axis in "xyz"])
-        return xyz[np.isfinite(xyz).all(1)]
+        return xyz[all_finite(xyz)]
 
     def _file(self, name: str) -> Path:
         if not (path := self.folder / name).is_file():

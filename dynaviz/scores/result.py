@@ -23,6 +23,7 @@ from dynaviz.arrays import F64
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import atomic_file
 from dynaviz.io.plain_json import read_json
+from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import Answers, SavedAnswers
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.sections import (
@@ -36,7 +37,7 @@ from dynaviz.scores.sections import (
     Sections,
     SequenceInfo,
 )
-from dynaviz.sources.origin import PoseNoise, PoseRefinement
+from dynaviz.sources.origin import PoseFinding, PoseNoise, PoseRefinement
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -70,6 +71,8 @@ class Result:
         command: what the user typed.
         pose_noise: noise of the sequence's poses; None if too few planes are seen, and in results of earlier versions.
         pose_refinement: how the poses were refined; None if they were not.
+        pose_findings: what is likely wrong with poses, frames or units; empty in results of earlier versions.
+        account: where the points of the source went; None in results of earlier versions.
         answers: where ``labels`` and ``static_map`` come from (``dynaviz.scores.answers``); not in the file.
     """
 
@@ -92,6 +95,8 @@ class Result:
     command: str = ""
     pose_noise: PoseNoise | None = None
     pose_refinement: PoseRefinement | None = None
+    pose_findings: tuple[PoseFinding, ...] = ()
+    account: PointAccount | None = None
     answers: Any = field(default=None, repr=False, compare=False)
 
     @property

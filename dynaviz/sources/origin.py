@@ -48,3 +48,20 @@ class PoseRefinement(Struct, frozen=True):
         shift = f"{100 * self.median_m:.1f} cm (at most {100 * self.max_m:.1f} cm)"
         moved = f"moved by {shift} and {self.median_deg:.2f} degrees (at most {self.max_deg:.2f})"
         return f"{moved}; noise {self.before} before, {self.after} after" if self.before and self.after else moved
+
+
+class PoseFinding(Struct, frozen=True):
+    """A finding of the doctor on poses, frames or units that is likely, from a few scans (``diagnosis.quick_check``).
+
+    Attributes:
+        name, problem, fix: as in ``dynaviz.diagnosis.Finding``.
+        option: the option that fixes it, such as ``--points-in world``; empty if the data must be written again.
+    """
+
+    name: str
+    problem: str
+    fix: str
+    option: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.problem}. {self.fix}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -108,7 +109,7 @@ def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
     for part in ("with ring, intensity", "## Removed by reason", "| 0 to 10 m |", "## Look at these first"):
         assert part in page
     names = {path.name for path in (tmp_path / "map_run").iterdir()}
-    assert names == {"summary.md", "labels.npz", "result.json", "config.toml"}
+    assert names == {"summary.md", "labels.npz", "result.json", "config.toml", "trajectory.csv"}
     assert dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist() == cleaned.result.labels[2].tolist()
 
 
@@ -172,6 +173,42 @@ def test_region_and_voxels_limit_the_map_only(tmp_path: Path) -> None:
     x, y = (coordinates(read_fields(tmp_path / "map.pcd")) - FAR)[:, :2].T
     assert len(x) > 10
     assert ((y >= 0) & (y <= 3 - 1.5 * np.abs(x) + 1e-6)).all()
+
+
+def test_a_region_without_points_is_an_error_before_the_run(tmp_path: Path) -> None:
+    scans = write_scans(tmp_path / "scans", offset=FAR)
+    with pytest.raises(UsageError, match=r"--region -4,-3,4,3: contains no point of .*Give it in the coordinates"):
+        clean(scans, tmp_path / "map.pcd", region="-4,-3,4,3")
+    assert not (tmp_path / "map.pcd").exists()
+    assert not (tmp_path / "map_run").exists()
+
+
+@pytest.mark.parametrize("kind", ["poses", "share"])
+@pytest.mark.filterwarnings("ignore:.*quaternion|.*inverted|.*overlap")
+def test_a_doubtful_map_ends_with_a_box_and_code_3(
+    run_command: Command, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Points that are read in the wrong frame; and a share above the limit, which is lowered here."""
+    scans = write_scans(tmp_path / "drive")
+    words = ["clean", scans, "-o", tmp_path / "map.pcd", "-m", METHOD, "--record", "none", "--threads", 1, "--quiet"]
+    if kind == "poses":
+        words += ["--points-in", "world"]
+        expected = "clean.*--points-in world.*--points-in sensor"
+    else:
+        monkeypatch.setattr("dynaviz.cleaning.doubt.MOST_REMOVED", 1.0)
+        expected = "clean.*--poses small-gicp"
+    code, out, err = run_command(*words)
+    assert code == 3
+    assert (tmp_path / "map.pcd").is_file()
+    box = " ".join(err.replace("│", " ").split())
+    assert "check this map before you use it" in box
+    assert re.search(f"Likeliest cause: .*Try: .*{expected}", box)
+    page = (tmp_path / "map_run/summary.md").read_text()
+    assert page.startswith(f"# drive, cleaned with {METHOD}\n\n> **Check this map before you use it.**")
+    code, out, err = run_command(*words, "--accept", "--json", "-")
+    assert code == 0
+    assert "check this map" not in err
+    assert json.loads(out)["doubt"]["command"]
 
 
 def test_a_divided_map(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from helpers.bags import START, at
 from helpers.scan_folders import write_tum_poses
 
 import dynaviz as dv
-from dynaviz.attributes import attributes_of, origin_of
+from dynaviz.contracts.attributes import attributes_of, origin_of
 from dynaviz.errors import DataError
 from dynaviz.io.maps import open_map
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+from collections.abc import Iterator
 from collections.abc import Sequence as Several
 from dataclasses import dataclass
 from itertools import accumulate
@@ -11,7 +12,7 @@ from itertools import accumulate
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes, attributes_of, origin_of
+from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, origin_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
@@ -67,6 +68,11 @@ class Drives:
         """Those of the drive's frame."""
         drive, row = self._place(position)
         return attributes_of(self.drives[drive], row)
+
+    def unposed(self) -> Iterator[Unposed]:
+        """Those of all drives."""
+        for each in self.drives:
+            yield from unposed_of(each)
 
     def __getitem__(self, position: int) -> Scan:
         drive, row = self._place(position)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F64, I64
-from dynaviz.contracts.attributes import Attributes, attributes_of, origin_of
+from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, origin_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
@@ -99,6 +99,11 @@ class Lidars:
         """Those of the lidar's frame."""
         lidar, row = self.order[position].tolist()
         return attributes_of(self.lidars[lidar], row)
+
+    def unposed(self) -> Iterator[Unposed]:
+        """Those of all lidars."""
+        for each in self.lidars:
+            yield from unposed_of(each)
 
     def __getitem__(self, position: int) -> Scan:
         lidar, row = self.order[position].tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, I64, single
-from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, read_fields, without_axes
+from dynaviz.io.gps_time import leap_offset
 from dynaviz.io.poses import read_poses
 from dynaviz.sources.datasets.pose_matching import parse_points_in
 from dynaviz.spatial.trajectory import Moved, Trajectory
@@ -37,7 +39,7 @@ class MergedMapSequence:
     """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with ``--poses``.
 
     Points are in the world frame. They are split into scans of 0.1 s; each ray starts where the sensor was at the time
-    of its point. Points outside the time span of the trajectory are left out.
+    of its point. Points outside the time span of the trajectory are in no scan.
     """
 
     layout: ClassVar[str] = "survey.laz, .las, .pcd or .ply with a time per point, and --poses TRAJECTORY"
@@ -88,16 +90,17 @@ class MergedMapSequence:
             raise DataError(path, problem, hint=_HINT)
         order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
         times = times[order]
+        outside = np.flatnonzero(~inside)
         numbers = (times - times[0]) // PERIOD
         bounds = np.append(np.flatnonzero(np.diff(numbers, prepend=-1)), len(times))
         origin = far_origin(trajectory.poses[0, :3, 3])
-        left_out = len(inside) - len(order)
         facts = {
             "poses": f"{Path(poses).name} ({file.kind}), by stamp",
             "points in": "world frame",
-            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {left_out:,} points outside the poses left out",
+            "split by": f"{name}, {PERIOD / 1e9:g} s per scan; {len(outside):,} points are outside the trajectory",
         }
-        sorted_fields = {key: array[order] for key, array in fields.items()}
+        rows = np.concatenate([order, outside])
+        sorted_fields = {key: array[rows] for key, array in fields.items()}
         return cls(path, sorted_fields, bounds, times, Moved(trajectory, -origin), facts, origin)
 
     @property
@@ -105,9 +108,14 @@ class MergedMapSequence:
         """Name of the file."""
         return self.path.stem
 
+    @property
+    def las_file(self) -> Path | None:
+        """The map, if it is a LAS or LAZ file."""
+        return self.path if self.path.suffix.lower() in (".las", ".laz") else None
+
     @cached_property
     def _points(self) -> NDArray[np.float32]:
-        return single(coordinates(self.fields) - self.origin)
+        return single(self._coordinates(slice(0, int(self.bounds[-1]))) - self.origin)
 
     def __len__(self) -> int:
         return len(self.bounds) - 1
@@ -118,8 +126,23 @@ class MergedMapSequence:
 
     def attributes(self, position: int) -> Attributes:
         """All fields of the file besides the coordinates."""
-        rows = self._rows(position)
+        return self._attributes(self._rows(position))
+
+    def coordinates(self, position: int) -> F64:
+        """(N, 3) float64, metres: coordinates in the file."""
+        return self._coordinates(self._rows(position))
+
+    def unposed(self) -> Iterator[Unposed]:
+        """The points outside the time span of the trajectory."""
+        rows = slice(int(self.bounds[-1]), None)
+        xyz = self._coordinates(rows)
+        yield Unposed(len(xyz), xyz, self._attributes(rows))
+
+    def _attributes(self, rows: slice) -> Attributes:
         return {name: array[rows] for name, array in without_axes(self.fields).items()}
+
+    def _coordinates(self, rows: slice) -> F64:
+        return coordinates({name: array[rows] for name, array in self.fields.items()})
 
     def __getitem__(self, position: int) -> Scan:
         rows = self._rows(position)
@@ -146,12 +169,14 @@ def _nanoseconds(values: NDArray[Any], trajectory: Trajectory) -> I64:
     """Times on the clock of the trajectory.
 
     Units of s, ms, us and ns are tried; of those in which most points lie within the trajectory, the first is used.
-    LAS stores GPS seconds, or GPS seconds minus 1e9. Times that are not finite, or beyond 64 bits, become ``_NEVER``.
+    LAS stores GPS seconds, or GPS seconds minus 1e9; a trajectory may have Unix time instead. Times that are not
+    finite, or beyond 64 bits, become ``_NEVER``.
     """
     first, last = trajectory.span
+    to_unix = leap_offset(trajectory.times[0] / 1e9)
     best: NDArray[Any] = np.empty(0)
     most = -1.0
-    for offset in (0.0, 1e9):
+    for offset in (0.0, 1e9, to_unix, 1e9 + to_unix):
         for unit in (1e9, 1e6, 1e3, 1.0):
             exact = values.dtype.kind in "iu" and unit == 1.0 and not offset
             with np.errstate(over="ignore", invalid="ignore"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64, I64, single
-from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses, UsageError
@@ -173,6 +174,14 @@ class RosBagSequence:
     def attributes(self, position: int) -> Attributes:
         """All fields of the message besides the coordinates, as they are in the message."""
         return without_axes(columns_of(_read_cloud(self.bag, self.clouds, int(self.positions[position]))))
+
+    def unposed(self) -> Iterator[Unposed]:
+        """The points of skipped clouds."""
+        for k in np.setdiff1d(np.arange(len(self.clouds.stamps)), self.positions).tolist():
+            fields = columns_of(_read_cloud(self.bag, self.clouds, k))
+            points = len(fields["x"])
+            in_world = self.points_in == "world"
+            yield Unposed(points, coordinates(fields), without_axes(fields)) if in_world else Unposed(points)
 
 
 def _split(path: Path) -> tuple[Path, str | None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, U16, single
-from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
@@ -59,6 +59,7 @@ class ScanFolderSequence:
     matched: MatchedPoses
     points_in: str
     columns: tuple[str, ...] = ()
+    skipped: tuple[Path, ...] = ()
 
     @classmethod
     def matches(cls, path: Path) -> bool:
@@ -98,7 +99,9 @@ class ScanFolderSequence:
         kept = matched.positions.tolist()
         indices = tuple(kept) if stamps is not None else tuple(numbers[kept].tolist())
         columns = detect_columns(scans[0]) if scans[0].suffix.lower() == ".bin" else ()
-        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame, columns)
+        posed = set(kept)
+        skipped = tuple(scan for k, scan in enumerate(scans) if k not in posed)
+        return cls(folder, Sensor(), tuple(scans[k] for k in kept), indices, matched, frame, columns, skipped)
 
     @property
     def name(self) -> str:
@@ -155,10 +158,36 @@ class ScanFolderSequence:
 
     def attributes(self, position: int) -> Attributes:
         """All fields of the file besides the coordinates, as they are in the file."""
-        path = self.scans[position]
+        return self._attributes(self.scans[position])
+
+    def coordinates(self, position: int) -> F64 | None:
+        """(N, 3) float64, metres: coordinates in the file; None if they are in the sensor frame."""
+        return self._coordinates(self.scans[position]) if self.points_in == "world" else None
+
+    @property
+    def las_file(self) -> Path | None:
+        """The first scan, if it is a LAS or LAZ file in the world frame."""
+        first = self.scans[0]
+        return first if self.points_in == "world" and first.suffix.lower() in (".las", ".laz") else None
+
+    def unposed(self) -> Iterator[Unposed]:
+        """The points of scans without a pose."""
+        for path in self.skipped:
+            if self.points_in == "world":
+                xyz = self._coordinates(path)
+                yield Unposed(len(xyz), xyz, self._attributes(path))
+            else:
+                yield Unposed(len(self._points(path)))
+
+    def _attributes(self, path: Path) -> Attributes:
         if self.columns:
             return velodyne_attributes(read_velodyne(path, len(self.columns)), self.columns)
         return without_axes(read_fields(path))
+
+    def _coordinates(self, path: Path) -> F64:
+        if self.columns:
+            return read_velodyne(path, len(self.columns))[:, :3].astype(np.float64)
+        return coordinates(read_fields(path))
 
     def _points(self, path: Path) -> F32:
         """(N, 3) float32, metres, in the file's frame, or in the world moved by the origin."""

@@ -26,18 +26,30 @@ def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I6
             between the lines of the table follow the motion.
     """
     frames = tuple(frames)
-    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
     stamps = [frame.stamp_ns for frame in frames]
     rows: list[tuple[int, F64]]
-    if None in stamps or len(set(stamps)) < len(stamps):
-        first, rows = "index", list(zip((frame.index for frame in frames), poses, strict=True))
+    by_stamp = None not in stamps and len(set(stamps)) == len(stamps)
+    if not by_stamp:
+        rows = list(zip((frame.index for frame in frames), poses, strict=True))
     else:
         own = np.array(stamps, np.int64)
-        first = "stamp [ns]"
         trajectory = Trajectory.of(own, poses) if moments is None else smoothed(moments, poses)
         times = np.union1d(own, trajectory.times)
         rows = list(zip(times.tolist(), trajectory.at(times), strict=True))
+    write_pose_rows(file, rows, by_stamp)
+
+
+def write_pose_rows(file: Path, rows: Iterable[tuple[int, F64]], by_stamp: bool) -> None:
+    """Write poses, each with its stamp in nanoseconds or the number of its frame.
+
+    Args:
+        file: CSV file.
+        rows: stamp or number, and T_world_sensor, (4, 4) float64, metres.
+        by_stamp: whether the numbers are stamps.
+    """
+    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
     lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]
+    first = "stamp [ns]" if by_stamp else "index"
     write_atomic(file, "\n".join([f"{first},{matrix}", *lines, ""]).encode())
 
 
