@@ -26,8 +26,9 @@ from scipy.spatial.transform import Rotation
 import dynaviz as dv
 from dynaviz.arrays import F64, I64, U8
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
-from dynaviz.sources.odometry.estimated import open_estimated
 from dynaviz.sources.odometry.refine import refine
+from dynaviz.sources.opening import open_source
+from dynaviz.sources.options import SequenceOptions
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.simulate.lidar import sweep_rays
 from dynaviz.synthetic.simulate.presets import PRESETS, Preset
@@ -153,7 +154,7 @@ def variants(bag: Path, folder: Path, odometries: list[str], refined: bool) -> I
     """The bag with each source of poses."""
     yield "given", dv.open(bag)
     for name in odometries:
-        estimated, _ = open_estimated(str(bag), name, folder=folder)
+        estimated = open_source(bag, SequenceOptions(poses=name), folder=folder)
         yield f"`--poses {name}`", estimated
         if refined:
             yield f"`--poses {name} --refine-poses`", refine(estimated)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dynaviz.cleaning import clean
     from dynaviz.diagnosis import doctor
     from dynaviz.explorer import explore
-    from dynaviz.live import live
+    from dynaviz.online import live
     from dynaviz.reports.reporting import report
     from dynaviz.runs.explanation import why
     from dynaviz.scores.result import Result
@@ -46,7 +46,7 @@ _HOMES = {
     "compare": "dynaviz.api",
     "doctor": "dynaviz.diagnosis",
     "explore": "dynaviz.explorer",
-    "live": "dynaviz.live",
+    "live": "dynaviz.online",
     "open": "dynaviz.api",
     "report": "dynaviz.reports.reporting",
     "run": "dynaviz.api",

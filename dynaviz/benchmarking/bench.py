@@ -14,7 +14,7 @@ from dynaviz.benchmarking.leaderboard import Leaderboard
 from dynaviz.benchmarking.plan import BenchPlan
 from dynaviz.benchmarking.plan_file import plan_of, read
 from dynaviz.benchmarking.runner import BenchCallbacks, CellRunner, Executor
-from dynaviz.benchmarking.source import open_source
+from dynaviz.benchmarking.source import open_spec
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.tasks.local import LocalExecutor
@@ -62,7 +62,7 @@ def bench(
         search.check(checked)
     for source in checked.sources:
         if not source.scene and source.name not in checked.holdout:
-            open_source(source)  # fail on a missing sequence before any work starts
+            open_spec(source)  # fail on a missing sequence before any work starts
     with locked(folder), _executor(folder, scheduler, checked, callbacks) as executor:
         runner = CellRunner(folder, checked, executor, fresh, callbacks)
         learning = [source for source in checked.sources if source.name not in checked.holdout]

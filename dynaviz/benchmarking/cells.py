@@ -11,13 +11,15 @@ from typing import Any
 
 import msgspec
 
-from dynaviz import api
 from dynaviz.benchmarking.plan import BenchCell, settings
-from dynaviz.benchmarking.source import open_source
+from dynaviz.benchmarking.source import open_spec
+from dynaviz.contracts.plugin_code import plugin
 from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
+from dynaviz.runs.execution import run_method
+from dynaviz.runs.options import RunOptions
 from dynaviz.scores.result import Result, environment
 
 DECIDING = ("dynaviz", "numba", "numpy", "scipy")  # packages whose versions may change labels
@@ -50,16 +52,20 @@ class CellTask:
             DynavizError: as ``dynaviz.run``, or if the data changed since the bench started.
         """
         cell, chosen = self.cell, self.cell.parameter_set
-        result = api.run(
-            chosen.method,
-            open_source(cell.source),
-            out=folder,
-            record=cell.record,
-            settings=settings(chosen.parameters),
+        options = RunOptions(
+            settings=chosen.parameters,
             online=chosen.online,
             seed=chosen.seed,
             variant=chosen.variant,
             threads=threads,
+            record=cell.record,
+        )
+        result = run_method(
+            chosen.method,
+            open_spec(cell.source),
+            options,
+            out=folder,
+            refine_poses=cell.source.options.refine_poses,
             command=command(cell),
             progress=progress,
         )
@@ -93,6 +99,7 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         "online": cell.parameter_set.online,
         "seed": cell.parameter_set.seed,
         "recording": recorded,
+        "code": code.sha256 if (code := plugin("methods", cell.parameter_set.method)) else "",
         **{package: here.versions[package] for package in DECIDING},
     }
     actual: dict[str, Any] = {
@@ -104,6 +111,7 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
         "online": result.online,
         "seed": result.seed,
         "recording": result.record,
+        "code": result.plugin.sha256 if result.plugin else "",
         **{package: there.versions.get(package) for package in DECIDING},
     }
     if cell.timing:
@@ -127,13 +135,7 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
 def command(cell: BenchCell) -> str:
     """The command that runs this cell alone."""
     source, chosen = cell.source, cell.parameter_set
-    words = ["dynaviz", "run", chosen.method, source.path]
-    words += ["--frames", str(source.frames)] if source.frames and not source.scene else []
-    words += ["--stride", str(source.stride)] if source.stride > 1 else []
-    words += ["--sensor", source.sensor] if source.sensor else []
-    words += ["--poses", source.poses] if source.poses else []
-    words += ["--points-in", source.points_in] if source.points_in else []
-    words += ["--no-deskew"] if source.deskew is False else []
+    words = ["dynaviz", "run", chosen.method, source.path, *source.options.words]
     words += [word for text in settings(chosen.parameters) for word in ("--set", text.replace(" = ", "=", 1))]
     words += ["--online"] if chosen.online else []
     words += ["--seed", str(chosen.seed), "--record", cell.record]

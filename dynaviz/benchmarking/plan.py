@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaviz.contracts import params, registry
+from dynaviz.sources.options import SequenceOptions
 
 
 @dataclass(frozen=True)
@@ -21,22 +22,18 @@ class SequenceSpec:
     Attributes:
         name: name of its folder and in tables.
         path: path for ``dynaviz.open``; empty for a simulated scene, which is written when the bench starts.
-        frames: ``A:B``; for a simulated scene the number of sweeps.
-        stride, sensor, poses, points_in, deskew: as in ``dynaviz.open``.
+        options: how to open it.
         scene: name of a simulated scene, or empty.
+        sweeps: of the simulated scene; None for its own number.
         seed: random seed of the simulated scene.
     """
 
     name: str
     path: str = ""
-    frames: str | int | None = None
-    stride: int = 1
-    sensor: str | None = None
+    options: SequenceOptions = SequenceOptions()  # noqa: RUF009  # it is immutable
     scene: str = ""
+    sweeps: int | None = None
     seed: int = 0
-    poses: str | None = None
-    points_in: str | None = None
-    deskew: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ class ParameterSet:
             UsageError: for an unknown method, preset or parameter, or an invalid value.
         """
         kind = registry.load("methods", method)
-        resolved = params.resolve(kind, preset, config, settings(values or {}))
+        resolved = params.resolve(kind, preset, config, values or {})
         return cls(
             method,
             variant,

@@ -8,7 +8,7 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,13 +18,17 @@ from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
 from dynaviz.scores.result import RecordMode
 from dynaviz.sources.datasets import is_sequence
+from dynaviz.sources.opening import absolute
+from dynaviz.sources.options import SequenceOptions
 
 RECORDS = (*get_args(RecordMode), "none")
+_OPENING: dict[str, Any] = {"frames": str, "stride": int, "sensor": str, "poses": str, "points_in": str, "deskew": bool,
+                            "extrinsic": str, "refine_poses": bool}  # fmt: skip
 KEYS: dict[str, dict[str, Any]] = {
     "bench": {"methods": list, "sequences": list, "variants": list, "grid": dict, "search": dict, "holdout": list,
-              "record": str, "workers": int, "timing": bool},
-    "sequences": {"path": str, "simulate": str, "name": str, "frames": (str, int), "stride": int, "sensor": str,
-                  "seed": int, "poses": str, "points_in": str, "deskew": bool},
+              "record": str, "workers": int, "timing": bool, "opening": dict},
+    "opening": _OPENING,
+    "sequences": {"path": str, "simulate": str, "name": str, "seed": int, **_OPENING, "frames": (str, int)},
     "variants": {"method": str, "name": str, "preset": str, "config": str, "set": dict, "online": bool, "seed": int},
     "search": {"kind": str, "trials": int, "seed": int, "ranges": dict},
 }  # fmt: skip
@@ -43,7 +47,11 @@ def plan_of(table: Mapping[str, Any], place: str = "bench") -> BenchPlan:
     """
     table = checked(table, "bench", place)
     search = _search(table["search"], f"{place} [search]") if table.get("search") else None
-    sources = [_source(entry, f"{place} [[sequences]] {n}") for n, entry in _numbered(table, "sequences")]
+    opening = checked(table.get("opening", {}), "opening", f"{place} [opening]")
+    sources = [
+        _opened_with(_source(entry, f"{place} [[sequences]] {n}"), opening)
+        for n, entry in _numbered(table, "sequences")
+    ]
     held = [_held(entry, sources) for entry in table.get("holdout", [])]
     sources += [source for source in held if source not in sources]
     record, workers, timing = table.get("record"), table.get("workers", 1), table.get("timing", False)
@@ -71,9 +79,9 @@ def read(path: Path) -> dict[str, Any]:
 
     def here(entry: Any, key: str) -> Any:
         if isinstance(entry, str):
-            return anchored(entry, base)
+            return absolute(entry, base)
         if isinstance(entry, dict) and isinstance(entry.get(key), str):
-            return {**entry, key: anchored(entry[key], base)}
+            return {**entry, key: absolute(entry[key], base)}
         return entry
 
     table["sequences"] = [here(entry, "path") for entry in table.get("sequences", [])]
@@ -82,14 +90,6 @@ def read(path: Path) -> dict[str, Any]:
             entry["poses"] = os.path.abspath(base / entry["poses"])  # else a topic or frame of a bag
     table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
     return table
-
-
-def anchored(text: str, base: Path) -> str:
-    """The absolute path of a sequence. A ``FORMAT:`` prefix is kept, and ``simulate:SCENE`` is returned unchanged."""
-    prefix, colon, rest = text.partition(":")
-    if not colon or not prefix.isidentifier() or (base / text).exists():
-        return os.path.abspath(base / text)
-    return text if prefix == "simulate" else f"{prefix}:{os.path.abspath(base / rest)}"
 
 
 def checked(table: Mapping[str, Any], kind: str, place: str) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _source(entry: Any, place: str) -> SequenceSpec:
             return replace(_source(named[2], place), name=named[1])
         prefix, *rest = entry.split(":")
         if prefix != "simulate" or "?" in entry:  # with options: simulated when read, as by dynaviz run
-            return _source({"path": anchored(entry, Path())}, place)
+            return _source({"path": absolute(entry, Path())}, place)
         try:
             scene, frames, seed = [*rest, None, None][:3]
             numbers = {key: int(text) for key, text in (("frames", frames), ("seed", seed)) if text is not None}
@@ -152,11 +152,18 @@ def _source(entry: Any, place: str) -> SequenceSpec:
     source = _simulated(entry, place) if "simulate" in entry else _recorded(entry, place)
     if source.name != re.sub(r"[/\\:\s]", "", source.name) or source.name in ("", ".", "..", "sequences"):
         raise UsageError(f"{place}: name = {source.name!r} is not a valid folder name. Give another name")
-    if source.sensor:
+    if source.options.sensor:
         from dynaviz.contracts.sensors import load_sensor
 
-        load_sensor(source.sensor)
+        load_sensor(source.options.sensor)
     return source
+
+
+def _opened_with(source: SequenceSpec, opening: Mapping[str, Any]) -> SequenceSpec:
+    """A sequence with options of all sequences in place of those that it does not set."""
+    unset = {each.name for each in fields(SequenceOptions) if getattr(source.options, each.name) == each.default}
+    options = {name: value for name, value in opening.items() if name in unset}
+    return replace(source, options=replace(source.options, **options))
 
 
 def _simulated(entry: Mapping[str, Any], place: str) -> SequenceSpec:
@@ -165,23 +172,28 @@ def _simulated(entry: Mapping[str, Any], place: str) -> SequenceSpec:
     scene, frames, seed = entry["simulate"], entry.get("frames"), entry.get("seed", 0)
     if scene not in PRESETS:
         raise UsageError(f"{place}: unknown scene '{scene}'. {suggest(scene, PRESETS)}")
-    if invalid := {"poses", "points_in", "deskew"} & entry.keys():
+    if invalid := {"poses", "points_in", "deskew", "extrinsic"} & entry.keys():
         raise UsageError(f"{place}: {min(invalid)} applies to a sequence with a path, not to a simulated scene")
     if isinstance(frames, str):
         raise UsageError(f"{place}: frames = {frames!r}: give the number of frames of a simulated scene")
     name = entry.get("name") or scene + (f"-{frames}" if frames else "") + (f"-seed{seed}" if seed else "")
-    return SequenceSpec(name, "", frames, entry.get("stride", 1), entry.get("sensor"), scene, seed)
+    return SequenceSpec(name, "", _options(entry), scene, frames, seed)
 
 
 def _recorded(entry: Mapping[str, Any], place: str) -> SequenceSpec:
     if "seed" in entry:
         raise UsageError(f"{place}: seed applies to a simulated scene only")
-    frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
     path, _, query = entry["path"].partition("?")  # implant:SEQUENCE?cars=6&seed=3
     short = "-".join(filter(None, (Path(path.rpartition(":")[2]).name, query)))
     name = entry.get("name") or re.sub("[&=:]", "-", short)
-    options: dict[str, Any] = {key: entry.get(key) for key in ("sensor", "poses", "points_in", "deskew")}
-    return SequenceSpec(name, entry["path"], frames, entry.get("stride", 1), **options)
+    frames = f":{entry['frames']}" if isinstance(entry.get("frames"), int) else entry.get("frames")
+    return SequenceSpec(name, entry["path"], replace(_options(entry), frames=frames))
+
+
+def _options(entry: Mapping[str, Any]) -> SequenceOptions:
+    """How to open a sequence, without its frames, which count sweeps for a simulated scene."""
+    names = {each.name for each in fields(SequenceOptions)} - {"frames"}
+    return SequenceOptions(**{name: value for name, value in entry.items() if name in names})
 
 
 def _held(entry: Any, sources: list[SequenceSpec]) -> SequenceSpec:
@@ -241,7 +253,7 @@ def _located(place: str) -> Iterator[None]:
     try:
         yield
     except UsageError as error:
-        raise UsageError(f"{place}: {str(error).removeprefix('--set: ')}") from None
+        raise UsageError(f"{place}: {str(error).removeprefix('settings: ')}") from None
 
 
 def _search(table: Mapping[str, Any], place: str) -> SearchSpec:

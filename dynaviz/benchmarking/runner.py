@@ -11,7 +11,7 @@ from typing import Protocol
 from dynaviz.benchmarking.cells import CellTask, result_of
 from dynaviz.benchmarking.leaderboard import BenchRow
 from dynaviz.benchmarking.plan import BenchCell, BenchPlan, ParameterSet, SequenceSpec
-from dynaviz.benchmarking.source import open_source, placed, simulated
+from dynaviz.benchmarking.source import open_spec, placed, simulated
 from dynaviz.errors import DynavizError
 from dynaviz.tasks.task import clear, error_of, fail
 
@@ -101,7 +101,7 @@ class CellRunner:
         try:
             if source.scene:
                 simulated(source, report("simulate"))
-            sequence = open_source(source)
+            sequence = open_spec(source)
             report_read, total = report("read"), len(sequence)
             return summarize(sequence, lambda done: report_read(done, total)).digest
         except DynavizError as error:

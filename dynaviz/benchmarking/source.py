@@ -7,30 +7,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from dynaviz import api
 from dynaviz.benchmarking.plan import SequenceSpec
 from dynaviz.contracts.params import read_toml
 from dynaviz.contracts.scan import Sequence, SequenceSlice
 from dynaviz.errors import DataError
+from dynaviz.sources.opening import open_source
 from dynaviz.synthetic.simulate.presets import PRESETS
 
 
-def open_source(source: SequenceSpec) -> Sequence:
+def open_spec(source: SequenceSpec) -> Sequence:
     """Open a sequence of a bench, under its name in the plan.
 
     Raises:
         DataError, UsageError: as ``dynaviz.open``.
     """
-    frames = None if source.scene else source.frames
-    opened = api.open(
-        source.path,
-        frames=str(frames) if frames else None,
-        stride=source.stride,
-        sensor=source.sensor,
-        poses=source.poses,
-        points_in=source.points_in,
-        deskew=source.deskew,
-    )
+    opened = open_source(source.path, source.options.without_refinement)
     return SequenceSlice(opened, range(len(opened)), opened.sensor, source.name)
 
 
@@ -47,7 +38,7 @@ def simulated(source: SequenceSpec, progress: Callable[[int, int], None]) -> Non
     """
     from dynaviz.synthetic.simulate.write import VERSION, simulate
 
-    folder, frames = Path(source.path), source.frames or PRESETS[source.scene].frames
+    folder, frames = Path(source.path), source.sweeps or PRESETS[source.scene].frames
     if folder.exists():
         facts = read_toml(folder / "sequence.toml")
         wanted = {"preset": source.scene, "frames": frames, "seed": source.seed, "generator": VERSION}

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
-from dynaviz import api
 from dynaviz.benchmarking.bench import bench
 from dynaviz.benchmarking.gain import Gain, gain
 from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard
-from dynaviz.benchmarking.plan_file import anchored
 from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.benchmarking.search import default_ranges
 from dynaviz.contracts import registry
@@ -25,6 +23,8 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.collect import combined
 from dynaviz.scores.result import Result
+from dynaviz.sources.opening import absolute, open_source
+from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 from dynaviz.synthetic.implants.lidar import LidarModel
 from dynaviz.synthetic.implants.options import ImplantOptions, parse
 from dynaviz.synthetic.implants.panel import default_panel, votes
@@ -100,12 +100,10 @@ def tune(
     seeds: int = 3,
     holdout: int = 2,
     ranges: Mapping[str, str] | None = None,
-    frames: str | None = None,
-    stride: int = 1,
     workers: int = 1,
     callbacks: BenchCallbacks | None = None,
     progress: Progress = silent,
-    **options: Any,
+    **options: Unpack[SequenceKeywords],
 ) -> Tuned:
     """Find the parameters of a method that suit a sensor and a place, without labels.
 
@@ -121,10 +119,9 @@ def tune(
         trials: number of parameter sets to try, in addition to the default.
         seeds, holdout: number of sequences with implants for the search, and for the scores at the end.
         ranges: by parameter ``LOW:HIGH`` or ``log:LOW:HIGH``; default: half to twice each positive default.
-        frames, stride: frames of the sequence to use.
         workers: number of parallel runs.
         callbacks, progress: receive the progress of the runs, and of what comes before.
-        options: ``sensor``, ``poses``, ``points_in``, ``deskew``, as in ``dynaviz.open``.
+        options: how to open the sequence, as for ``dynaviz.open``.
 
     Raises:
         UsageError: for an unknown method, an invalid range, or a folder that contains a search with other options.
@@ -137,11 +134,9 @@ def tune(
     path, movers = os.fspath(sequence), ImplantOptions()
     if path.startswith("implant:"):
         path, movers = parse(path.removeprefix("implant:"))
-    path = anchored(path, Path())
-    source = {"path": path, "frames": frames, "stride": stride, **options}
-    source = {key: value for key, value in source.items() if value is not None}
-    base = api.open(path, frames=frames, stride=stride, **options)
-    folder = Path(out)
+    path, folder, opening = absolute(path), Path(out), SequenceOptions.of(**options)
+    source = {"path": path, **{name: value for name, value in asdict(opening).items() if value is not None}}
+    base = open_source(path, opening, folder=folder, progress=progress)
     names = [f"seed{seed}" for seed in range(1, 1 + seeds + holdout)]
     _write_implants(base, replace(movers, panel=default_panel(without=method)), folder, names, source, progress)
     held = [*names[seeds:], *([LABELS] if base.has_labels else [])]

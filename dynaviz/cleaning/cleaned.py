@@ -32,6 +32,7 @@ class Cleaned:
 
     Attributes:
         result: of the run: labels, parameters, and what was removed.
+        account: where the points of the source went.
         maps: the maps that were written; the clean map first.
         folder: files of the run: summary, labels, recording, and estimated poses.
         poses: estimated poses; None if the sequence had poses.
@@ -43,6 +44,7 @@ class Cleaned:
     """
 
     result: Result
+    account: PointAccount
     maps: tuple[WrittenMap, ...]
     folder: Path
     poses: EstimatedPoses | None = None
@@ -56,11 +58,6 @@ class Cleaned:
     def removals(self) -> Removals:
         """What was removed."""
         return self.result.sections.removals or Removals()
-
-    @property
-    def account(self) -> PointAccount:
-        """Where the points went."""
-        return self.result.account or PointAccount()
 
     def headline(self) -> str:
         """One line: how many points were removed."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import is_quiet, show
-from dynaviz.cli.options import Quiet, RecordModeOption
+from dynaviz.cli.options import SEQUENCE, Quiet, RecordModeOption, takes
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -32,6 +32,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("bench")(bench)
 
 
+@takes(SEQUENCE)
 def bench(
     file: Annotated[
         Path | None,
@@ -86,6 +87,8 @@ def bench(
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")
     ] = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Run methods on sequences and show a leaderboard.
 
@@ -105,9 +108,11 @@ def bench(
 
     table = read(file) if file else {}
     table = {key: value for key, value in table.items() if key not in _overridden(timing, scheduler)}
+    opening = {name: value for name, value in options.items() if value not in (None, False, 1)}
     table |= _given(
         methods=methods,
         sequences=sequences,
+        opening=opening,
         workers=workers,
         timing=timing,
         record=record and record.value,

@@ -3,32 +3,13 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, program, progress, show, warn
-from dynaviz.cli.options import (
-    Deskew,
-    Extrinsic,
-    Frames,
-    Json,
-    PointsIn,
-    Poses,
-    Preset,
-    Quiet,
-    Record,
-    RecordModeOption,
-    RefinePoses,
-    Scheduler,
-    SensorName,
-    Stride,
-    Threads,
-    Workers,
-    method_names,
-)
+from dynaviz.cli.options import RUN, SEQUENCE, Json, Quiet, method_names, takes, typed_command
 
 
 def add_to(app: typer.Typer) -> None:
@@ -36,9 +17,25 @@ def add_to(app: typer.Typer) -> None:
     app.command("clean")(clean)
 
 
+TILES = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METRES|autoware",
+        help="Run on squares of this size, for drives of any length, and write a file for each into a folder, or "
+        "Autoware's divided map if MAP has no suffix; 'autoware' writes that without dividing the run.",
+    ),
+]
+
+
+@takes(SEQUENCE, {**RUN, "tiles": TILES}, without=("maps",))
 def clean(
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="Bag, folder of scans or sequence. FORMAT:PATH forces the format.")
+        list[str],
+        typer.Argument(
+            metavar="SEQ",
+            help="Bag, folder of scans or sequence; several drives in one world frame make one map. FORMAT:PATH forces "
+            "the format.",
+        ),
     ],
     out: Annotated[
         Path,
@@ -57,16 +54,6 @@ def clean(
     voxel_size: Annotated[
         float | None, typer.Option(metavar="METRES", help="Write one point per voxel of this size.")
     ] = None,
-    tiles: Annotated[
-        str | None,
-        typer.Option(
-            metavar="METRES|autoware",
-            help="Run on squares of this size, for drives of any length, and write a file for each into a folder, "
-            "or Autoware's divided map if MAP has no suffix; 'autoware' writes that without dividing the run.",
-        ),
-    ] = None,
-    workers: Workers = 1,
-    scheduler: Scheduler = None,
     keep_dynamic: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the removed points to this file.")
     ] = None,
@@ -79,22 +66,10 @@ def clean(
     accept: Annotated[
         bool, typer.Option("--accept", help="Exit with 0 even if much was removed or the poses are likely wrong.")
     ] = False,
-    frames: Frames = None,
-    stride: Stride = 1,
-    poses: Poses = None,
-    refine_poses: RefinePoses = False,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
-    extrinsic: Extrinsic = None,
-    sensor: SensorName = None,
-    preset: Preset = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
-    ] = None,
-    record: Record = RecordModeOption.errors,
-    threads: Threads = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Clean a map of moving objects: from raw data to a map, in one command.
 
@@ -111,37 +86,23 @@ def clean(
     """
     from dynaviz import cleaning
 
-    with progress(f"clean {sequence}") as report:
+    with progress(f"clean {' '.join(sequence)}") as report:
         cleaned = cleaning.clean(
-            sequence,
+            sequence if len(sequence) > 1 else sequence[0],
             out,
             method=method,
             region=region,
             voxel_size=voxel_size,
-            tiles=tiles,
-            workers=workers,
-            scheduler=scheduler,
             keep_dynamic=keep_dynamic,
             mark=mark,
             drop_unposed=drop_unposed,
-            frames=frames,
-            stride=stride,
-            poses=poses,
-            points_in=points_in,
-            deskew=deskew,
-            extrinsic=extrinsic,
-            sensor=sensor,
-            refine_poses=refine_poses,
-            preset=preset,
-            settings=tuple(settings or ()),
-            record=record.value,
-            threads=threads,
-            command=shlex.join(["dynaviz", *sys.argv[1:]]),
+            command=typed_command(),
             progress=report,
+            **options,
         )
     if not print_json(cleaned.to_dict(), json):
         show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
-        if record is not RecordModeOption.none:
+        if options["record"] != "none":
             recording = shlex.quote(str(cleaned.folder / "run.rrd"))
             show(f"Check what was removed with: {program()} view {recording}")
         show(f"Points: {cleaned.account}")

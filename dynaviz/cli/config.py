@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import asdict
 from json import dumps
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, show
-from dynaviz.cli.options import Json, Method, Preset, sensor_completions
+from dynaviz.cli.options import METHOD, Json, Method, sensor_completions, takes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -19,13 +18,9 @@ def add_to(app: typer.Typer) -> None:
     app.command("config")(config)
 
 
+@takes(METHOD, without=("seed", "threads"))
 def config(
     method: Method,
-    preset: Preset = None,
-    file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="TOML file with parameters.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
-    ] = None,
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -35,6 +30,8 @@ def config(
         ),
     ] = None,
     json: Json = None,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Show the parameters of a method.
 
@@ -51,7 +48,7 @@ def config(
     from dynaviz.contracts.sensors import load_sensor
 
     kind = registry.load("methods", method)
-    resolved = params.resolve(kind, preset, file, settings or ())
+    resolved = params.resolve(kind, **options)
     described = params.describe(kind.Params)
     rows = [
         {"name": name, "value": getattr(resolved.params, name), "set_by": resolved.source[name], **asdict(each)}

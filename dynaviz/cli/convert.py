@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
+from dynaviz.cli.options import SEQUENCE, takes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -17,17 +17,14 @@ def add_to(app: typer.Typer) -> None:
     app.command("convert")(convert)
 
 
+@takes(SEQUENCE)
 def convert(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Output folder. Must not exist.")],
-    frames: Frames = None,
-    stride: Stride = 1,
-    sensor: SensorName = None,
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Convert a sequence to the public benchmark's layout.
 
@@ -40,11 +37,10 @@ def convert(
     classes) and, if there is ground truth, gt_cloud.pcd (intensity 0 static, 1 dynamic, 255 unlabelled). The original
     licence still applies to the copy.
     """
+    from dynaviz import api
     from dynaviz.sources.datasets.convert import convert as write
 
-    opened = open_sequence(
-        sequence, frames=frames, stride=stride, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew
-    )
+    opened = api.open(sequence, **options)
     with progress(f"convert {opened.name}") as report:
         done = write(opened, out, lambda frame, total: report("write", frame, total))
     for remark in done.remarks():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import Deskew, Extrinsic, Frames, Json, PointsIn, Poses, Quiet, SensorName
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -15,18 +15,15 @@ def add_to(app: typer.Typer) -> None:
     app.command("doctor")(doctor)
 
 
+@takes(SEQUENCE)
 def doctor(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
     ],
-    frames: Frames = None,
-    sensor: SensorName = None,
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
-    extrinsic: Extrinsic = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Diagnose a sequence and suggest fixes.
 
@@ -37,18 +34,10 @@ def doctor(
     dynaviz doctor kitti/sequences/08 --frames 0:200 --json findings.json
     dynaviz doctor files:scans --poses odometry.txt --sensor vlp16
     """
-    from dynaviz.cli.options import open_sequence
+    from dynaviz import api
     from dynaviz.diagnosis import doctor as examine
 
-    opened = open_sequence(
-        sequence,
-        frames=frames,
-        sensor=sensor,
-        poses=poses,
-        points_in=points_in,
-        deskew=deskew,
-        extrinsic=extrinsic,
-    )
+    opened = api.open(sequence, **options)
     with progress(f"doctor on {opened.name}") as report:
         diagnosis = examine(opened, progress=report)
     if not print_json(diagnosis.to_dict(), json):

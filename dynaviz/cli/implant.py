@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Stride, open_sequence
+from dynaviz.cli.options import SEQUENCE, takes
 
 
 def add_to(app: typer.Typer) -> None:
@@ -17,6 +17,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("implant")(implant)
 
 
+@takes(SEQUENCE)
 def implant(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQ", help="Sequence folder or bag. FORMAT:PATH forces the format.")
@@ -43,12 +44,8 @@ def implant(
             "[default: three fast methods]",
         ),
     ] = None,
-    frames: Frames = None,
-    stride: Stride = 1,
-    sensor: SensorName = None,
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Put movers with exact ground truth into a recorded sequence.
 
@@ -59,29 +56,28 @@ def implant(
     dynaviz implant path/to/sequence out/again --scene out/implants/implants.toml
     dynaviz run dufomap "implant:path/to/sequence?cars=6&seed=3"
     """
+    from dynaviz import api
     from dynaviz.synthetic.implants.options import ImplantOptions
     from dynaviz.synthetic.implants.panel import default_panel
     from dynaviz.synthetic.implants.sequence import ImplantedSequence
     from dynaviz.synthetic.implants.write import SCENE_FILE, write
 
-    opened = open_sequence(sequence, sensor=sensor, poses=poses, points_in=points_in, deskew=deskew)
+    opened = api.open(sequence, **options)
     methods: tuple[str, ...] = () if opened.has_labels else default_panel()
     if panel is not None:
         methods = () if panel == "none" else tuple(filter(None, panel.split(",")))
-    options = ImplantOptions(
+    movers = ImplantOptions(
         cars=cars,
         trucks=trucks,
         cyclists=cyclists,
         persons=persons,
         parks=parks,
         seed=seed,
-        frames=frames,
-        stride=stride,
         scene=None if scene is None else str(scene),
         panel=methods,
     )
     with progress(f"implant {opened.name}") as report:
-        implanted = ImplantedSequence.of(opened, options, report)
+        implanted = ImplantedSequence.of(opened, movers, report)
         done = write(implanted, out, lambda frame, total: report("write", frame, total))
     for remark in done.remarks():
         warnings.warn(remark, stacklevel=1)

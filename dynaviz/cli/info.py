@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import Deskew, Extrinsic, Json, PointsIn, Poses, Quiet, open_sequence
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
 
 if TYPE_CHECKING:
     from dynaviz.arrays import F64
@@ -35,17 +35,16 @@ def add_to(app: typer.Typer) -> None:
     app.command("info")(info)
 
 
+@takes(SEQUENCE)
 def info(
     path: Annotated[
         str,
         typer.Argument(metavar="SEQ|RUN", help="Sequence (FORMAT:PATH forces the format), or a run: folder or file."),
     ],
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
-    extrinsic: Extrinsic = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Describe a sequence, a recording or a result.
 
@@ -58,6 +57,7 @@ def info(
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
     """
+    from dynaviz import api
     from dynaviz.io.lock import unfinished
 
     if (Path(path) / "result.json").is_file():
@@ -81,9 +81,7 @@ def info(
     else:
         if left := unfinished(Path(path)):
             raise left
-        facts = _sequence_facts(
-            open_sequence(path, poses=poses, points_in=points_in, deskew=deskew, extrinsic=extrinsic)
-        )
+        facts = _sequence_facts(api.open(path, **options))
         if not print_json(facts, json):
             _show_pairs(path, facts)
 
@@ -109,15 +107,17 @@ def _show_result(result: Result) -> None:
 
 
 def _sequence_facts(sequence: Sequence) -> dict[str, str]:
+    from dynaviz.contracts.scan import base_of
     from dynaviz.sources.summary import summarize
 
     with progress(sequence.name) as report:
         counted = _Counted(sequence)
         summary = summarize(counted, lambda done: report("read", done, len(sequence)))
+    source = base_of(sequence)
     low, high = summary.extent.low, summary.extent.high
     return {
         "name": sequence.name,
-        "format": type(sequence).__name__,
+        "format": type(source).__name__,
         "sensor": _sensor(sequence),
         "frames": f"{summary.frames:,}",
         "points": f"{summary.points:,} ({summary.points // max(summary.frames, 1):,} per frame)",
@@ -127,7 +127,7 @@ def _sequence_facts(sequence: Sequence) -> dict[str, str]:
         "extent": " x ".join(f"{size:.1f}" for size in high - low) + " m",
         "low corner": " ".join(f"{x:.2f}" for x in low) + " m",
         "digest": summary.digest,
-        **(sequence.facts if isinstance(sequence, HasFacts) else {}),
+        **(source.facts if isinstance(source, HasFacts) else {}),
     }
 
 

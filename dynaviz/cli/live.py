@@ -8,29 +8,15 @@ import shlex
 import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, program, progress, show
-from dynaviz.cli.options import (
-    Deskew,
-    Extrinsic,
-    Frames,
-    Json,
-    PointsIn,
-    Poses,
-    Preset,
-    Quiet,
-    SensorName,
-    Stride,
-    Threads,
-    method_names,
-    open_sequence,
-)
+from dynaviz.cli.options import METHOD, SEQUENCE, Json, Quiet, method_names, takes
 
 if TYPE_CHECKING:
-    from dynaviz.live.player import PlayReport
+    from dynaviz.online.player import PlayReport
 
 
 def add_to(app: typer.Typer) -> None:
@@ -38,6 +24,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("live")(live)
 
 
+@takes(SEQUENCE, METHOD)
 def live(
     source: Annotated[
         str, typer.Argument(metavar="SOURCE", help="Bag, MCAP file, folder of scans or sequence to play.")
@@ -61,20 +48,10 @@ def live(
         Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Record the last minutes into this folder.")
     ] = None,
     minutes: Annotated[float, typer.Option(metavar="N", help="How many minutes that recording keeps.")] = 5.0,
-    frames: Frames = None,
-    stride: Stride = 1,
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
-    extrinsic: Extrinsic = None,
-    sensor: SensorName = None,
-    preset: Preset = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
-    ] = None,
-    threads: Threads = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Play a recording to a method as a sensor would: scan by scan, at its own speed, in bounded memory.
 
@@ -86,18 +63,12 @@ def live(
     dynaviz live drive.bag -m dufomap --serve --port 9090
     dynaviz live simulate:demo --rate 0 -o recordings/live --minutes 2
     """
+    from dynaviz import api
+    from dynaviz.runs.options import MethodOptions
     from dynaviz.runs.playback import play_live
 
-    sequence = open_sequence(
-        source,
-        frames=frames,
-        stride=stride,
-        poses=poses,
-        points_in=points_in,
-        deskew=deskew,
-        extrinsic=extrinsic,
-        sensor=sensor,
-    )
+    method_options = {name: options.pop(name) for name in METHOD}
+    sequence = api.open(source, **options)
     with contextlib.ExitStack() as bar:
 
         def finished(played: PlayReport) -> None:
@@ -112,9 +83,7 @@ def live(
             method,
             rate=rate,
             reach=reach,
-            preset=preset,
-            settings=tuple(settings or ()),
-            threads=threads,
+            options=MethodOptions(**method_options),
             view=view,
             serve=serve,
             port=port,

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import inspect
+import shlex
+import sys
+from collections.abc import Callable, Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import set_quiet
-
-if TYPE_CHECKING:
-    from dynaviz.contracts.scan import Sequence
 
 
 class PointFrame(StrEnum):
@@ -61,55 +62,146 @@ Method = Annotated[
     str,
     typer.Argument(metavar="METHOD", help="Method name; see 'dynaviz list methods'.", autocompletion=method_names),
 ]
-Preset = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME", help="Published parameter set; see 'dynaviz list presets'.", autocompletion=preset_completions
-    ),
-]
-Frames = Annotated[str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")]
-Stride = Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.")]
-SensorName = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME|FILE.toml",
-        help="Sensor, if the data do not define it; see 'dynaviz list sensors'.",
-        autocompletion=sensor_completions,
-    ),
-]
-Poses = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FILE|small-gicp",
-        help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag also a topic or "
-        "TF frame.",
-    ),
-]
-RefinePoses = Annotated[
-    bool, typer.Option("--refine-poses", help="Register each scan to the scans around it to refine its pose (open3d).")
-]
-Extrinsic = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X,Y,Z,ROLL,PITCH,YAW",
-        help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of the vehicle.",
-    ),
-]
-PointsIn = Annotated[PointFrame | None, typer.Option(help="Coordinate frame of the stored points. [default: sensor]")]
-Deskew = Annotated[
-    bool | None,
-    typer.Option("--deskew/--no-deskew", help="Compensate the motion during each sweep of a bag. [default: deskew]"),
-]
 Record = Annotated[RecordModeOption, typer.Option(help="How much to record in run.rrd.")]
-RecordBudget = Annotated[
-    str | None,
-    typer.Option(metavar="SIZE", help="Size of the recordings, such as 2GB; states of the method are left out first."),
-]
-Workers = Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")]
-Scheduler = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
-]
 Threads = Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")]
+Moved = Annotated[
+    str | None,
+    typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it is no longer where the run found it."),
+]
+
+SEQUENCE: dict[str, Any] = {
+    "frames": Annotated[str | None, typer.Option(metavar="A:B", help="Use only these frames, as in a Python slice.")],
+    "stride": Annotated[int, typer.Option(metavar="N", help="Use every N-th frame.")],
+    "sensor": Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.toml",
+            help="Sensor, if the data do not define it; see 'dynaviz list sensors'.",
+            autocompletion=sensor_completions,
+        ),
+    ],
+    "poses": Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|small-gicp",
+            help="Sensor poses: a KITTI, TUM or CSV file, or an odometry that estimates them. For a bag also a topic "
+            "or TF frame.",
+        ),
+    ],
+    "refine_poses": Annotated[
+        bool, typer.Option("--refine-poses", help="Register each scan to the scans around it to refine its pose.")
+    ],
+    "points_in": Annotated[
+        PointFrame | None, typer.Option(help="Coordinate frame of the stored points. [default: sensor]")
+    ],
+    "deskew": Annotated[
+        bool | None,
+        typer.Option("--deskew/--no-deskew", help="Compensate the motion during each sweep. [default: deskew]"),
+    ],
+    "extrinsic": Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,ROLL,PITCH,YAW",
+            help="Pose of the lidar on the vehicle, or a file with it, if the poses are those of the vehicle.",
+        ),
+    ],
+}
+"""Options of commands that open a sequence, by field of ``SequenceOptions``."""
+
+METHOD: dict[str, Any] = {
+    "preset": Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Published parameter set; see 'dynaviz list presets'.",
+            autocompletion=preset_completions,
+        ),
+    ],
+    "config": Annotated[
+        Path | None, typer.Option(metavar="FILE", help="TOML file with parameters, such as config.toml of a run.")
+    ],
+    "settings": Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
+    ],
+    "seed": Annotated[int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")],
+    "threads": Threads,
+}
+"""Options of commands that start a method, by field of ``MethodOptions``."""
+
+RUN: dict[str, Any] = {
+    **METHOD,
+    "online": Annotated[
+        bool | None,
+        typer.Option(
+            "--online/--offline",
+            help="Label each scan as soon as it is observed, or all scans at the end. [default: offline]",
+        ),
+    ],
+    "variant": Annotated[str, typer.Option(metavar="NAME", help="Name of the parameter set, for tables.")],
+    "record": Record,
+    "record_budget": Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="Size of the recordings, such as 2GB; states of the method are left out first."
+        ),
+    ],
+    "view": Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")],
+    "tiles": Annotated[
+        str | None,
+        typer.Option(metavar="METRES", help="Divide the map into squares of this size, for drives of any length."),
+    ],
+    "workers": Annotated[int, typer.Option(min=1, metavar="N", help="Number of tiles that run at a time.")],
+    "scheduler": Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run the tiles on the workers of this Dask scheduler.")
+    ],
+    "maps": Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")],
+}
+"""Options of commands that run a method on a sequence, by field of ``RunOptions``."""
+
+DEFAULTS: dict[str, Any] = {
+    "stride": 1, "refine_poses": False, "variant": "", "record": RecordModeOption.errors, "view": False, "workers": 1,
+    "maps": True,
+}  # fmt: skip
+"""Defaults other than None."""
+
+
+def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable[[Callable[..., None]], Any]:
+    """Give a command all options of some tables, which it receives as ``options``, a dictionary.
+
+    The names and values are those of the keyword arguments of ``dynaviz.open`` and ``dynaviz.run``.
+
+    Args:
+        tables: ``SEQUENCE``, ``METHOD`` or ``RUN``.
+        without: options that the command sets itself.
+    """
+    wanted = {name: kind for table in tables for name, kind in table.items() if name not in without}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def call(*args: Any, **given: Any) -> None:
+            options = {name: _plain(name, given.pop(name)) for name in wanted}
+            command(*args, options=options, **given)
+
+        own = inspect.signature(command, eval_str=True)
+        listed = [each for name, each in own.parameters.items() if name != "options"]
+        last = next((k for k, each in enumerate(listed) if each.name in ("json", "quiet")), len(listed))
+        listed[last:last] = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=DEFAULTS.get(name), annotation=annotation)
+            for name, annotation in wanted.items()
+        ]
+        listed = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in listed]
+        call.__signature__ = own.replace(parameters=listed)  # type: ignore[attr-defined]
+        call.__annotations__ = {each.name: each.annotation for each in listed}
+        return call
+
+    return decorate
+
+
+def _plain(name: str, value: Any) -> Any:
+    """An option's value as Python functions take it."""
+    if isinstance(value, StrEnum):
+        return value.value
+    return tuple(value or ()) if name == "settings" else value
 
 
 Json = Annotated[
@@ -124,8 +216,6 @@ def recording_in(path: Path) -> Path:
     return path / "run.rrd" if path.is_dir() else path
 
 
-def open_sequence(path: str | list[str], **options: Any) -> Sequence:
-    """``dynaviz.open``, imported on first use."""
-    from dynaviz import api
-
-    return api.open(path, **options)
+def typed_command() -> str:
+    """What the user typed, for the record."""
+    return shlex.join(["dynaviz", *sys.argv[1:]])

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import show
+from dynaviz.cli.options import Moved
 
 
 def add_to(app: typer.Typer) -> None:
@@ -17,10 +18,7 @@ def add_to(app: typer.Typer) -> None:
 
 def rescore(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder or result.json of a run.")],
-    sequence: Annotated[
-        str | None,
-        typer.Option(metavar="SEQ", help="Sequence of the run, if it is no longer where the run found it."),
-    ] = None,
+    sequence: Moved = None,
 ) -> None:
     """Score a run again with the corrected ground truth of its corrections.json.
 

@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, program, progress, show, written
-from dynaviz.cli.options import (
-    Deskew,
-    Extrinsic,
-    Frames,
-    Json,
-    Method,
-    PointsIn,
-    Poses,
-    Preset,
-    Quiet,
-    Record,
-    RecordBudget,
-    RecordModeOption,
-    RefinePoses,
-    Scheduler,
-    SensorName,
-    Stride,
-    Threads,
-    Workers,
-    open_sequence,
-)
+from dynaviz.cli.options import RUN, SEQUENCE, Json, Method, Quiet, takes, typed_command
 
 
 def add_to(app: typer.Typer) -> None:
@@ -38,6 +17,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("run")(run)
 
 
+@takes(SEQUENCE, RUN)
 def run(
     method: Method,
     sequence: Annotated[
@@ -52,44 +32,10 @@ def run(
         Path | None,
         typer.Option("-o", "--out", help="Output folder. [default: recordings/SEQUENCE/METHOD]"),
     ] = None,
-    frames: Frames = None,
-    stride: Stride = 1,
-    online: Annotated[
-        bool | None,
-        typer.Option(
-            "--online/--offline",
-            help="Label each scan as soon as it is observed, or all scans at the end. [default: offline]",
-        ),
-    ] = None,
-    preset: Preset = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file with parameters, such as config.toml of a run.")
-    ] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Set one parameter. Repeatable.")
-    ] = None,
-    sensor: SensorName = None,
-    poses: Poses = None,
-    refine_poses: RefinePoses = False,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
-    extrinsic: Extrinsic = None,
-    record: Record = RecordModeOption.errors,
-    record_budget: RecordBudget = None,
-    view: Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")] = False,
-    threads: Threads = None,
-    seed: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="Random seed of the method. [default: 0]")
-    ] = None,
-    tiles: Annotated[
-        float | None,
-        typer.Option(metavar="METRES", help="Divide the map into squares of this size, for drives of any length."),
-    ] = None,
-    workers: Workers = 1,
-    scheduler: Scheduler = None,
-    maps: Annotated[bool, typer.Option("--map/--no-map", help="Write static_map.pcd and dynamic_points.pcd.")] = True,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Run a method on a sequence.
 
@@ -103,39 +49,23 @@ def run(
     dynaviz run dufomap "drive.bag#/velodyne_points" --poses map
     dynaviz run seethrough monday/ tuesday/ --tiles 200 --workers 4
     """
-    from dynaviz import api
+    from dynaviz.runs.execution import run_method
+    from dynaviz.runs.options import split
+    from dynaviz.sources.opening import open_source
 
-    opened = open_sequence(
-        sequence if len(sequence) > 1 else sequence[0],
-        frames=frames,
-        stride=stride,
-        sensor=sensor,
-        poses=poses,
-        points_in=points_in,
-        deskew=deskew,
-        extrinsic=extrinsic,
-    )
+    opening, running = split(options)
+    with progress("open") as report:
+        source = sequence if len(sequence) > 1 else sequence[0]
+        opened = open_source(source, opening.without_refinement, progress=report)
     folder = out or Path("recordings") / opened.name / method
     with progress(f"{method} on {opened.name}") as report:
-        result = api.run(
+        result = run_method(
             method,
             opened,
+            running,
             out=folder,
-            record=record.value,
-            view=view,
-            refine_poses=refine_poses,
-            preset=preset,
-            config=config,
-            settings=tuple(settings or ()),
-            online=online,
-            seed=seed,
-            threads=threads,
-            record_budget=record_budget,
-            tiles=tiles,
-            workers=workers,
-            scheduler=scheduler,
-            maps=maps,
-            command=shlex.join(["dynaviz", *sys.argv[1:]]),
+            refine_poses=opening.refine_poses,
+            command=typed_command(),
             progress=report,
         )
     if print_json(result.to_dict(), json):
@@ -143,4 +73,4 @@ def run(
     from dynaviz.cli.cases import top_of
 
     command = f"{program()} failures {shlex.quote(str(folder / 'result.json'))}"
-    show(result, *top_of(result, command), written(folder, record is not RecordModeOption.none))
+    show(result, *top_of(result, command), written(folder, running.record != "none"))

@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, progress, show, written
-from dynaviz.cli.options import (
-    Frames,
-    Json,
-    PointsIn,
-    Poses,
-    Quiet,
-    Record,
-    RecordModeOption,
-    Stride,
-    Threads,
-    open_sequence,
-)
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, Record, RecordModeOption, Threads, takes, typed_command
 
 
 def add_to(app: typer.Typer) -> None:
@@ -29,6 +16,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("score")(score)
 
 
+@takes(SEQUENCE)
 def score(
     map: Annotated[
         Path,
@@ -52,14 +40,12 @@ def score(
     key: Annotated[
         str | None, typer.Option(metavar="NAME", help="Array with the labels, for .npz files of scans with several.")
     ] = None,
-    frames: Frames = None,
-    stride: Stride = 1,
-    poses: Poses = None,
-    points_in: PointsIn = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
     json: Json = None,
     quiet: Quiet = False,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Score a cleaned map, or labels of each scan, from another program.
 
@@ -77,7 +63,7 @@ def score(
     from dynaviz import api
     from dynaviz.engine.external import default_name
 
-    opened = open_sequence(sequence, frames=frames, stride=stride, poses=poses, points_in=points_in)
+    opened = api.open(sequence, **options)
     label = default_name(map) if name is None else name
     folder = out or Path("recordings") / opened.name / label
     with progress(f"{label} on {opened.name}") as report:
@@ -90,7 +76,7 @@ def score(
             out=folder,
             record=record.value,
             threads=threads,
-            command=shlex.join(["dynaviz", *sys.argv[1:]]),
+            command=typed_command(),
             progress=report,
         )
     if not print_json(result.to_dict(), json):

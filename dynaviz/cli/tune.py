@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.options import Deskew, Frames, PointsIn, Poses, SensorName, Stride
+from dynaviz.cli.options import SEQUENCE, takes
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.runner import BenchCallbacks
@@ -20,6 +20,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("tune")(tune)
 
 
+@takes(SEQUENCE)
 def tune(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQ", help="Sequence folder or bag, or implant:SEQ?cars=6&persons=10.")
@@ -41,12 +42,8 @@ def tune(
         ),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, metavar="N", help="Number of parallel runs.")] = 1,
-    frames: Frames = None,
-    stride: Stride = 1,
-    sensor: SensorName = None,
-    poses: Poses = None,
-    points_in: PointsIn = None,
-    deskew: Deskew = None,
+    *,
+    options: dict[str, Any],
 ) -> None:
     """Find parameters for your sensor and place, without labels.
 
@@ -62,7 +59,6 @@ def tune(
 
     from dynaviz.benchmarking.tune import tune as run
 
-    options = {"sensor": sensor, "poses": poses, "points_in": points_in, "deskew": deskew}
     chosen = dict(_assignment(text) for text in ranges or [])
     runs = (trials + 1) * seeds + 2 * holdout
     with progress(f"tune {method}", {"search": "runs"}) as report:
@@ -74,12 +70,10 @@ def tune(
             seeds=seeds,
             holdout=holdout,
             ranges=chosen,
-            frames=frames,
-            stride=stride,
             workers=workers,
             callbacks=_callbacks(report, runs),
             progress=report,
-            **{name: value for name, value in options.items() if value is not None},
+            **options,
         )
     show(tuned)
     if not tuned.improved:

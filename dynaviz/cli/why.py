@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.options import Threads
+from dynaviz.cli.options import Moved, Threads
 
 
 def add_to(app: typer.Typer) -> None:
@@ -22,10 +22,7 @@ def why(
         int, typer.Option(min=0, metavar="F", help="Frame: its position in the run, as in 'dynaviz failures'.")
     ],
     point: Annotated[int, typer.Option(min=0, metavar="P", help="Point: its row in the scan of that frame.")],
-    sequence: Annotated[
-        str | None,
-        typer.Option(metavar="SEQ", help="Sequence of the run, if it is no longer where the run found it."),
-    ] = None,
+    sequence: Moved = None,
     out: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Also write the whole ledger to a JSON file.")
     ] = None,

@@ -249,6 +249,13 @@ class SequenceSlice:
         return self.whole[self.positions[position]]
 
 
+def base_of(sequence: Sequence) -> Sequence:
+    """The sequence from which frames were selected, however often: it has the files and facts of its format."""
+    while isinstance(sequence, SequenceSlice):
+        sequence = sequence.whole
+    return sequence
+
+
 def select_frames(
     sequence: Sequence, frames: str | None = None, stride: int = 1, sensor: Sensor | None = None
 ) -> Sequence:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView
+from dynaviz.contracts.scan import Scan, Sequence, SequenceView, base_of
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
@@ -89,8 +89,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     Takes less than a second. Simulated sequences, and copies with implants, are not checked: reading them is slow.
     Errors of reading are not reported: reading the whole sequence reports them.
     """
-    whole = sequence.whole if isinstance(sequence, SequenceSlice) else sequence
-    if getattr(type(whole), "nested", False) or len(sequence) < 2:
+    if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
         return ()
     gap = min(QUICK_GAP, len(sequence) - 1)
     starts = np.linspace(0, len(sequence) - 1 - gap, QUICK_PAIRS).astype(int)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynaviz.contracts.attributes import attributes_of
-from dynaviz.contracts.scan import HasScanFiles, Sequence, SequenceSlice
+from dynaviz.contracts.scan import HasScanFiles, Sequence, base_of
 from dynaviz.diagnosis.finding import Confidence, Finding
 from dynaviz.errors import DataError
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne
@@ -25,7 +25,7 @@ def check_columns(sequence: Sequence, index: int, position: int) -> Iterator[Fin
         index: number of the frame whose file is examined.
         position: its position in the sequence.
     """
-    whole = sequence.whole if isinstance(sequence, SequenceSlice) else sequence
+    whole = base_of(sequence)
     file = whole.scan_file(index) if isinstance(whole, HasScanFiles) else None
     if file is None or file.suffix.lower() != ".bin":
         return

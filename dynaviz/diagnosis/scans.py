@@ -10,7 +10,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.extent import FAR
-from dynaviz.contracts.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, SequenceSlice
+from dynaviz.contracts.scan import HasScanFiles, HasUnmatchedPoints, Label, Scan, Sequence, base_of
 from dynaviz.diagnosis.finding import SHOWN, Confidence, Finding, settable
 from dynaviz.spatial import geometry
 
@@ -354,16 +354,12 @@ class ScanChecker:
 
 def file_of(sequence: Sequence, index: int) -> str | None:
     """The file of a frame, by its number; None if the format does not keep one file per frame."""
-    whole = _whole(sequence)
+    whole = base_of(sequence)
     file = whole.scan_file(index) if isinstance(whole, HasScanFiles) else None
     return None if file is None else str(file)
 
 
 def _unmatched_points(sequence: Sequence) -> Mapping[int, int]:
     """The number of points without ground truth, by frame number, of the frames read so far."""
-    whole = _whole(sequence)
+    whole = base_of(sequence)
     return whole.unmatched if isinstance(whole, HasUnmatchedPoints) else {}
-
-
-def _whole(sequence: Sequence) -> Sequence:
-    return sequence.whole if isinstance(sequence, SequenceSlice) else sequence

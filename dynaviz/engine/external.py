@@ -22,8 +22,8 @@ from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, read_fields
-from dynaviz.io.npy import open_npy
 from dynaviz.io.points import read_points
+from dynaviz.scores.labels import RunLabels
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.nearest import Nearest
 
@@ -124,33 +124,17 @@ class PrecomputedLabels:
     scoring = "mask"
 
     def __init__(self, path: Path, name: str) -> None:
-        self.path, self.params = path, NoParams()
-        with open_npy(path, "labels.npz of a run", "Give that file, or a cleaned map") as z:
-            for key, kinds in (("points", "iu"), ("frames", "iu"), ("dynamic", "u"), ("reasons", "u")):
-                if z[key].ndim != 1 or z[key].dtype.kind not in kinds or (kinds == "u" and z[key].dtype != np.uint8):
-                    raise ValueError(f"{key} is an array {z[key].shape} of {z[key].dtype}")
-            points, frames = z["points"].astype(np.int64), z["frames"].tolist()
-            self._dynamic, self._reasons, self._digest = z["dynamic"], z["reasons"], str(z["sequence_digest"])
-            legend = [str(reason) for reason in z["reason_names"]]
-            self._unanswered = legend.index(UNANSWERED) if UNANSWERED in legend else None
-            ends = np.cumsum(points)
-            rows = zip(frames, points.tolist(), ends.tolist(), strict=True)
-            self._rows = {index: (end - n, end) for index, n, end in rows}
-        total = int(points.sum())
-        if (
-            (points < 0).any()
-            or len(self._reasons) != total
-            or len(self._dynamic) != -(-total // 8)
-            or len(self._rows) != len(points)
-        ):
-            raise DataError(path, "is inconsistent: its arrays have different lengths", hint="Write or copy it again")
+        self.path, self.params, self._labels = path, NoParams(), RunLabels.load(path)
+        legend = self._labels.legend
+        self._unanswered = legend.index(UNANSWERED) if UNANSWERED in legend else None
+        self._positions = {number: position for position, number in enumerate(self._labels.frames.tolist())}
         reasons = tuple(Reason(reason, "from the labels file") for reason in legend)
         self.info = MethodInfo(name, f"{name} (labels)", f"another run, which wrote {path.name}", reasons)
 
     @property
     def frames(self) -> Collection[int]:
         """Numbers of the frames that have labels."""
-        return self._rows.keys()
+        return self._positions.keys()
 
     def begin(self, context: Context) -> None:
         """Nothing to prepare."""
@@ -161,18 +145,18 @@ class PrecomputedLabels:
         Raises:
             DataError: if the file has none for it.
         """
-        if scan.index not in self._rows:
+        position = self._positions.get(scan.index)
+        if position is None:
             raise DataError(self.path, f"has no labels for frame {scan.index}", hint="Write or copy it again")
-        first, end = self._rows[scan.index]
-        bits, reasons = np.unpackbits(self._dynamic[first // 8 : -(-end // 8)]), self._reasons[first:end]
-        answered = self._unanswered is None or end == first or bool(reasons[0] != self._unanswered)
-        return Labels(bits[first % 8 : first % 8 + end - first].astype(np.bool_), reasons, answered)
+        reasons = self._labels.reasons_of(position)
+        answered = self._unanswered is None or not len(reasons) or bool(reasons[0] != self._unanswered)
+        return Labels(self._labels[position], reasons, answered)
 
     def check(self, sequence: str, summary: SequenceSummary) -> None:
         """Raise DataError if the labels are from a different sequence than the one with this name and summary."""
-        if summary.digest != self._digest:
+        if summary.digest != (digest := self._labels.sequence_digest):
             problem = (
-                f"is from a different sequence: the labels have the digest {self._digest[:12]}..., "
+                f"is from a different sequence: the labels have the digest {digest[:12]}..., "
                 f"the frames of {sequence} {summary.digest[:12]}..."
             )
             raise DataError(

@@ -8,6 +8,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -19,17 +20,19 @@ from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context, Labeller, Labels, Method
 from dynaviz.contracts.metric import Figure, Labelled, Metric
+from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
-from dynaviz.contracts.scan import Scan, Sequence, stream
+from dynaviz.contracts.scan import Scan, Sequence, base_of, stream
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import RunAnswers
 from dynaviz.scores.labels import RunLabels
-from dynaviz.scores.result import Result, environment
-from dynaviz.scores.sections import Runtime, Sections, SequenceInfo, Source
-from dynaviz.sources.origin import PoseFinding
+from dynaviz.scores.result import RecordMode, Result, environment
+from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
+from dynaviz.sources.opening import provenance
+from dynaviz.sources.origin import Origin, PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
 
@@ -53,6 +56,10 @@ class RunSpec:
         command: what the user typed, for the record.
         scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
         pose_findings: what is likely wrong with the poses of the sequence, for the result.
+        origin: where the sequence came from; None for that of the sequence itself.
+        record: how much the recording contains; None without one.
+        folder: for the files of the run; None if it writes none.
+        recording: its file; None if there is none.
         summary: of the sequence if it is known, which saves a pass over it.
     """
 
@@ -68,6 +75,10 @@ class RunSpec:
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
+    origin: Origin | None = None
+    record: RecordMode | None = None
+    folder: Path | None = None
+    recording: Path | None = None
     summary: SequenceSummary | None = None
     pose_findings: tuple[PoseFinding, ...] = ()
 
@@ -131,7 +142,7 @@ def execute(
     listeners: Iterable[Listener] = (),
     probe: Probe = SILENT,
     progress: Progress = silent,
-    source: Callable[[], Source] | None = None,
+    more: Callable[[], Mapping[str, Any]] = dict,
 ) -> Result:
     """Label a sequence, score the labels, and notify the listeners.
 
@@ -140,7 +151,7 @@ def execute(
         listeners: recordings and other outputs, called in this order.
         probe: receives the method's states; use ``SILENT`` for an honest timing.
         progress: called after each frame of each phase.
-        source: called at the end for the section on the file of another program.
+        more: called at the end for further sections of the result, by name.
 
     Returns:
         The result; ``instrumented`` says whether states were recorded.
@@ -191,10 +202,8 @@ def execute(
                 step(frame, scan)
 
     # Before the metrics finish: the memory they need then is not the method's.
-    runtime = clock.runtime(threads) if method else Runtime(frames=total)
-    sections = _sections(run.metrics, source)
-    instrumented = method is not None and probe is not SILENT
-    result = _result(run, summary, sections, runtime, answer.sha256(), instrumented)
+    runtime = clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))
+    sections = msgspec.structs.replace(_sections(run.metrics), **more())
     labels = RunLabels(answer.packed(), np.array(counts, np.int64))
     unposed, judged = sum(each.number for each in unposed_of(run.sequence)), sum(counts) - not_finite
     account = PointAccount(
@@ -204,7 +213,9 @@ def execute(
         unposed_left_out=unposed,
         not_finite=not_finite,
     )
-    result = dataclasses.replace(result, answers=RunAnswers(run.sequence, labels), account=account)
+    answers = RunAnswers(run.sequence, labels, run.folder, run.recording)
+    instrumented = method is not None and probe is not SILENT
+    result = _result(run, summary, sections, runtime, answers, account, answer.sha256(), instrumented)
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)
@@ -236,14 +247,14 @@ def _check(method: str, labels: Any, points: int) -> None:
 _KIT = "Check the method with dynaviz.testing.check_method"
 
 
-def _sections(metrics: Iterable[Metric], source: Callable[[], Source] | None) -> Sections:
+def _sections(metrics: Iterable[Metric]) -> Sections:
     sections = Sections()
     try:
         for metric in metrics:  # one by one, because plain values of many frames need much more memory
             sections = sections.joined(metric.finish())
     except msgspec.ValidationError as error:
         raise PluginError(f"a metric returned an invalid section: {error}") from None
-    return msgspec.structs.replace(sections, source=source() if source else None)
+    return sections
 
 
 def _result(
@@ -251,11 +262,14 @@ def _result(
     summary: SequenceSummary,
     sections: Sections,
     runtime: Runtime,
+    answers: RunAnswers,
+    account: PointAccount,
     labels_sha256: str,
     instrumented: bool,
 ) -> Result:
+    name = run.labeller.info.name
     return Result(
-        method=run.labeller.info.name,
+        method=name,
         parameters=dataclasses.asdict(run.params),
         sequence=SequenceInfo(run.sequence.name, summary.digest, summary.frames, summary.points),
         sections=sections,
@@ -267,12 +281,17 @@ def _result(
         parameter_origins=run.parameter_origins,
         scoring=run.scoring,
         labels_sha256=labels_sha256,
+        record=run.record,
         instrumented=instrumented,
         environment=environment(),
         command=run.command,
         pose_noise=summary.pose_noise,
-        pose_refinement=getattr(run.sequence, "refinement", None),
+        pose_refinement=getattr(base_of(run.sequence), "refinement", None),
         pose_findings=run.pose_findings,
+        origin=run.origin or provenance(run.sequence),
+        plugin=plugin("methods", name) if hasattr(run.labeller, "Params") else None,
+        account=account,
+        answers=answers,
     )
 
 

@@ -53,6 +53,10 @@ class SourceCheck(Listener):
             unanswered_points=sum(points for _, _, points in self._unanswered),
         )
 
+    def sections(self) -> Mapping[str, Source]:
+        """The section ``source`` of a result."""
+        return {"source": self.section()}
+
     def _remarks(self) -> Iterator[str]:
         """What a user should know before trusting the scores."""
         if self._unanswered:

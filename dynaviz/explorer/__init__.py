@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:
     from dynaviz.explorer.server import Explorer
@@ -21,8 +18,8 @@ def explore(
     In a notebook, the returned object shows the page; elsewhere open its ``url`` in a browser.
 
     Args:
-        run: its folder, ``result.json`` or ``run.rrd``; or a result that was written to a folder, or loaded from one.
-            It needs a recording with points.
+        run: its folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in this process. It
+            needs a recording with points.
         other: a run on the same frames, to compare.
         port: to listen on; 0 for any free port.
 
@@ -31,21 +28,11 @@ def explore(
 
     Raises:
         DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
-        UsageError: if the runs are of different sequences, or for a result without a folder.
+        UsageError: if the runs are of different sequences, or for a result without a recording.
         MissingDependency: without the packages of the extra ``explore``.
     """
     from dynaviz.explorer.answers import Explored
     from dynaviz.explorer.run import ExploredRun
     from dynaviz.explorer.server import Explorer
 
-    return Explorer(Explored(ExploredRun(_path(run)), None if other is None else ExploredRun(_path(other))), port)
-
-
-def _path(run: str | os.PathLike[str] | Result) -> str | os.PathLike[str]:
-    """Where the files of a run are."""
-    if isinstance(run, str | os.PathLike):
-        return run
-    folder: Path | None = getattr(run.answers, "folder", None)
-    if folder is None:
-        raise UsageError("the result has no folder. Give out=FOLDER to dynaviz.run, or the path of the run")
-    return folder
+    return Explorer(Explored(ExploredRun(run), None if other is None else ExploredRun(other)), port)

@@ -106,7 +106,7 @@ class Ledgers:
                     if asked != [*key[1:]] and other.future is not None:
                         other.future.cancel()  # if it still waits: the user has clicked elsewhere since
                 job = self._jobs[key] = Job(self._closed)
-                run = self._runs[key[0]].path
+                run = self._runs[key[0]].run
                 job.future = self._worker.submit(why, run, key[1], key[2], progress=job.progress)
                 while len(self._jobs) > MOST:
                     self._jobs.pop(next(iter(self._jobs)))

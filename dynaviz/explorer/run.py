@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,13 @@ from dynaviz.contracts.probe import Voxels
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.runs.explanation import sentence
-from dynaviz.runs.saved_run import run_file
+from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.answers import Answers
 from dynaviz.scores.result import Result
 from dynaviz.views import paths
 from dynaviz.views.cases import WRONG
 from dynaviz.views.read.focus import Focus
-from dynaviz.views.read.reader import DrawnPoints, RunRecording, viewable
+from dynaviz.views.read.reader import DrawnPoints, viewable
 
 NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
 GATHERED = (paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)  # of all frames; none is right and kept
@@ -32,9 +31,10 @@ class ExploredRun:
     """A recorded run, in memory.
 
     Args:
-        path: its folder, ``result.json`` or ``run.rrd``.
+        run: its folder, ``result.json`` or ``run.rrd``; or a result with a recording.
 
     Attributes:
+        run: the run.
         path: of the recording.
         recording, result: of the run.
         frames: number of frames.
@@ -43,17 +43,15 @@ class ExploredRun:
         DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
     """
 
-    def __init__(self, path: str | os.PathLike[str]):
-        self.path = run_file(Path(path), "run.rrd")
+    def __init__(self, run: str | os.PathLike[str] | Result):
+        self.run = open_run(run)
+        self.path = self.run.recording_file
         viewable(self.path)
-        self.recording = RunRecording(self.path)
-        result = self.recording.result
-        if result is None:
-            raise DataError(self.path, "is the recording of a run that did not finish", hint="Run the method again")
+        self.recording = self.run.recording
         if self.recording.properties["mode"] == "scores":
             hint = "Run the method again with --record errors"
             raise DataError(self.path, "contains scores alone, without points to explore", hint=hint)
-        self.result: Result = result
+        self.result: Result = self.run.result
         self.frames = self.recording.frames
         self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)}
         self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}

@@ -3,32 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dynaviz.contracts import params, registry
-from dynaviz.contracts import scan as scans
 from dynaviz.contracts.evidence import Explains
 from dynaviz.contracts.method import Reason
-from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.engine.ledger import GRAZING, Ledger, PointLedger
-from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.engine.needs import suited
-from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
-from dynaviz.runs.saved_run import open_result, open_sequence_of
+from dynaviz.runs.run import Run, open_run
 from dynaviz.scores.result import Result
-from dynaviz.sources.summary import SequenceSummary
+from dynaviz.sources.opening import Source
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-_ELSEWHERE = "Give the sequence of the run: --sequence PATH, or sequence= in Python"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +88,11 @@ def sentence(truth: str | None, removed: bool, reason: Reason) -> str:
 
 
 def why(
-    run: str | os.PathLike[str] | Result,
+    run: str | os.PathLike[str] | Result | Run,
     frame: int,
     point: int,
     *,
-    sequence: scans.Sequence | str | os.PathLike[str] | None = None,
+    sequence: Source | None = None,
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Why:
@@ -111,11 +101,10 @@ def why(
     The run is repeated to ask the method after each scan, so this takes as long as the run.
 
     Args:
-        run: a run's folder, ``result.json`` or ``run.rrd``; or a result, if ``sequence`` or its command gives the data.
+        run: a run's folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in this process.
         frame: position in the run, as in the recording and in failure cases.
         point: row in the scan of that frame.
-        sequence: the run's sequence, open or as a path; by default that of the run's command. A path keeps the
-            command's ``--frames`` and other options.
+        sequence: the run's sequence, open or as a path, if the data moved. A path is opened as the run opened it.
         threads: for kernels; None for all cores.
         progress: called with a phase, the number of frames done and their total.
 
@@ -128,10 +117,10 @@ def why(
 
 
 def explain(
-    run: str | os.PathLike[str] | Result,
+    run: str | os.PathLike[str] | Result | Run,
     points: Mapping[int, Sequence[int]],
     *,
-    sequence: scans.Sequence | str | os.PathLike[str] | None = None,
+    sequence: Source | None = None,
     threads: int | None = None,
     progress: Progress = silent,
 ) -> dict[int, tuple[Why, ...]]:
@@ -147,64 +136,16 @@ def explain(
     Raises:
         UsageError, DataError: as ``why``.
     """
-    path, result = (Path("result.json"), run) if isinstance(run, Result) else open_result(Path(run))
-    opened = sequence if isinstance(sequence, scans.Sequence) else _sequence_of(result, path, sequence)
-    spec = _spec(result, path, opened, threads)
+    opened = run if isinstance(run, Run) else open_run(run)
     ledgers = {frame: Ledger(frame, rows) for frame, rows in points.items()}
-    replayed = execute(spec, [_SameData(result, path), *ledgers.values()], progress=progress)
-    if result.labels_sha256 and replayed.labels_sha256 != result.labels_sha256:
-        version = result.environment.versions.get("dynaviz", "of another version")
-        problem = f"was written by dynaviz {version}, whose labels this version does not reproduce"
-        raise DataError(path, problem, hint="Run the method again")
+    spec = opened.replay(ledgers.values(), at=sequence, threads=threads, progress=progress)
     info, note = spec.labeller.info, ""
     if spec.method is None:
         note = "The labels come from another program, so there is no ledger: only the rays are known."
     elif not isinstance(spec.method, Explains):
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
-    facts = result.method, info.title, opened.name, result.online
+    facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {frame: tuple(Why(*facts, found, note) for found in ledger.ledgers) for frame, ledger in ledgers.items()}
-
-
-class _SameData(Listener):
-    """Checks that the sequence is that of the run."""
-
-    def __init__(self, result: Result, path: Path) -> None:
-        self._result, self._path = result, path
-
-    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
-        """Compare digests."""
-        if self._result.sequence.digest not in ("", summary.digest):
-            problem = f"is from a different sequence than the {summary.frames:,} frames of {run.sequence.name}"
-            raise DataError(self._path, problem, hint=_ELSEWHERE)
-
-
-def _spec(result: Result, path: Path, sequence: scans.Sequence, threads: int | None) -> RunSpec:
-    """The run again, without metrics; labels of another program are read from the run's files."""
-    if result.sections.source is not None:
-        file = path.parent / "labels.npz"
-        if not file.is_file():
-            hint = "Give the run's folder, with its labels.npz"
-            raise DataError(path, "contains labels of another program, which cannot be repeated", hint=hint)
-        labels = PrecomputedLabels(file, result.method)
-        return RunSpec(labels, sequence, labels.params, threads=threads)
-    kind = registry.load("methods", result.method)
-    settings = [f"{name}={json.dumps(value)}" for name, value in result.parameters.items()]
-    resolved = params.resolve(kind, settings=settings).params
-    sequence = suited(kind, resolved, sequence)
-    return RunSpec(kind(resolved), sequence, resolved, online=result.online, seed=result.seed, threads=threads)
-
-
-def _sequence_of(result: Result, path: Path, given: str | os.PathLike[str] | None) -> scans.Sequence:
-    """The sequence of a run, from its command or a path."""
-    try:
-        opened = open_sequence_of(result, path.parent, given)
-    except DataError as error:
-        if given is not None:
-            raise
-        raise DataError(error.path, error.problem, at=error.at, hint=_ELSEWHERE) from None
-    if opened is None:
-        raise UsageError(f"{path}: the run's command does not name its sequence. {_ELSEWHERE}")
-    return opened
 
 
 def _plain(value: Any) -> Any:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from dynaviz import kernels
-from dynaviz.contracts import params, registry
 from dynaviz.contracts.probe import SILENT
 from dynaviz.contracts.scan import Sequence, stream
 from dynaviz.engine.needs import suited
 from dynaviz.errors import UsageError
-from dynaviz.live import check_numbers, why_not_live
-from dynaviz.live.player import PERIOD, Played, PlayReport, play
-from dynaviz.live.session import LiveSession, Settings, warm_up
+from dynaviz.online import check_numbers, why_not_live
+from dynaviz.online.player import PERIOD, Played, PlayReport, play
+from dynaviz.online.session import LiveSession, Settings, warm_up
 from dynaviz.progress import Progress, silent
+from dynaviz.runs.options import MethodOptions
 
 
 def play_live(
@@ -26,9 +25,7 @@ def play_live(
     *,
     rate: float = 1.0,
     reach: float = 60.0,
-    preset: str | None = None,
-    settings: Iterable[str] | Mapping[str, Any] = (),
-    threads: int | None = None,
+    options: MethodOptions = MethodOptions(),  # noqa: B008  # it is immutable
     view: bool = False,
     serve: bool = False,
     port: int | None = None,
@@ -45,8 +42,7 @@ def play_live(
         method: its name.
         rate: speed as a multiple of the recorded one; 0 plays every scan as fast as possible.
         reach: metres around the sensor within which points are judged.
-        preset, settings: layers of parameters.
-        threads: for kernels; None for all cores.
+        options: with which parameters the method starts.
         view: show it in a viewer.
         serve: show it in a browser on this machine.
         port: of the page, with ``serve``.
@@ -67,15 +63,14 @@ def play_live(
     if port is not None and not serve:
         raise UsageError(f"port {port} is that of a page: add --serve")
     check_numbers(reach, 0, 0.2)
-    kind = registry.load("methods", method)
+    kind, resolved = options.resolved(method)
     if reason := why_not_live(kind):
         raise UsageError(f"{method} cannot run live: {reason}")
-    resolved = params.resolve(kind, preset, None, settings)
     sequence = suited(kind, resolved.params, sequence)
-    options = Settings(reach) if kind.info.needs_map else Settings(reach, 0)  # nothing is revised here
+    settings = Settings(reach, 20 if kind.info.needs_map else 0, seed=options.seed or resolved.seed or 0)
     period = 1 / sequence.sensor.rate if sequence.sensor.rate else PERIOD
-    kernels.set_threads(threads)
-    warm_up(kind, resolved.params, sequence.sensor, options)
+    kernels.set_threads(options.threads)
+    warm_up(kind, resolved.params, sequence.sensor, settings)
     with contextlib.ExitStack() as stack:
         recording = None
         if view or serve or out is not None:
@@ -92,7 +87,7 @@ def play_live(
             folder = None if out is None else Path(out)
             recording = LiveRecording(kind.info, sequence.name, folder, minutes, inlet, period)
             stack.callback(recording.close)
-        session = LiveSession(kind(resolved.params), sequence.sensor, options, recording or SILENT)
+        session = LiveSession(kind(resolved.params), sequence.sensor, settings, recording or SILENT)
         report = PlayReport(method, sequence.name, rate)
 
         def shown(played: Played) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +17,11 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
+from dynaviz.progress import Progress, silent
 from dynaviz.runs.rescore import rescore as score_again
-from dynaviz.runs.saved_run import open_sequence_of, run_file
-from dynaviz.scores.collect import collect
+from dynaviz.runs.run import open_run
 from dynaviz.scores.scores import SCORES, accuracies
+from dynaviz.sources.opening import Source
 
 FILE = "corrections.json"
 SCHEMA = 1
@@ -87,7 +89,7 @@ class Corrections(Struct, frozen=True):
 
 
 @dataclass(frozen=True)
-class Rescored:
+class CorrectedScores:
     """Scores of a run before and after its corrections.
 
     Attributes:
@@ -152,26 +154,26 @@ def correct(run: Path, sequence: str, case: int, correction: Correction | None) 
     return changed
 
 
-def rescore(run: Path, sequence: str | None = None) -> Rescored:
+def rescore(
+    run: str | os.PathLike[str], sequence: Source | None = None, progress: Progress = silent
+) -> CorrectedScores:
     """Score the stored labels of a run with its corrected ground truth. The run's files stay as they are.
 
     Args:
-        run: its folder or its ``result.json``.
-        sequence: path of its sequence; None for that in its command.
+        run: its folder, ``result.json`` or ``run.rrd``.
+        sequence: the run's sequence, if the data moved.
+        progress: called while poses are refined again.
 
     Raises:
         DataError: for files that are missing or cannot be read, or a different sequence.
-        UsageError: without ground truth, or if the run's command does not name its sequence.
+        UsageError: without ground truth, or if the run does not state where its sequence came from.
     """
-    (saved,) = collect([run_file(run, "result.json")])
-    result = saved.result
-    assert result is not None  # a run that failed has no result.json
+    saved = open_run(run)
+    result, folder = saved.result, saved.file("labels.npz").parent
     if not result.has_truth:
-        raise UsageError(f"{saved.file}: the run has no ground truth to correct")
-    corrections = read_corrections(saved.folder, result.sequence.digest)
-    opened = open_sequence_of(result, saved.folder, sequence)
-    if opened is None:
-        raise UsageError(f"{saved.file}: the run's command does not name its sequence. Give it with --sequence")
+        raise UsageError(f"{saved.path}: the run has no ground truth to correct")
+    corrections = read_corrections(folder, result.sequence.digest)
+    opened = saved.sequence(sequence, progress)
     changed = 0
 
     def corrected(position: int, scan: Scan) -> Scan:
@@ -181,11 +183,11 @@ def rescore(run: Path, sequence: str | None = None) -> Rescored:
             changed += int((found.labels != scan.labels).sum())
         return found
 
-    again = score_again(saved, result.scoring, opened, corrected)
+    again = score_again(saved, opened, corrected)
     if again.sequence_digest != result.sequence.digest:
         problem = f"is from a different sequence than {opened.name}"
-        raise DataError(saved.file, problem, hint="Give the sequence of the run with --sequence")
-    return Rescored(_scores(result.counts), _scores(again.counts), len(corrections.corrections), changed)
+        raise DataError(saved.path, problem, hint="Give the sequence of the run with --sequence")
+    return CorrectedScores(_scores(result.counts), _scores(again.counts), len(corrections.corrections), changed)
 
 
 def _scores(counts: Mapping[str, int]) -> dict[str, float | None]:

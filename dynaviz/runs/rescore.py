@@ -11,10 +11,9 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.protocol import EvaluationProtocol, ProtocolScores
 from dynaviz.contracts.scan import Outcome, Scan, Sequence, stream
-from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.errors import DataError
-from dynaviz.scores.collect import StudyRun
+from dynaviz.runs.run import Run
 from dynaviz.sources.summary import ScanDigest
 
 COUNTS = {
@@ -51,24 +50,21 @@ def as_it_is(position: int, scan: Scan) -> Scan:
     return scan
 
 
-def rescore(
-    run: StudyRun, scoring: str, sequence: Sequence, corrected: Callable[[int, Scan], Scan] = as_it_is
-) -> Rescored:
-    """Score the ``labels.npz`` of a run.
+def rescore(run: Run, sequence: Sequence, corrected: Callable[[int, Scan], Scan] = as_it_is) -> Rescored:
+    """Score the stored labels of a run.
 
     Args:
-        run: its folder contains ``labels.npz``.
-        scoring: of its result.
+        run: with ``labels.npz`` in its folder.
         sequence: contains the frames of the run, and possibly others.
         corrected: gives a scan other ground truth, which is scored; it receives the position in the run, and the scan.
 
     Raises:
         DataError: if the labels cannot be read, or are for other frames or points.
     """
-    file = run.folder / "labels.npz"
-    labels = PrecomputedLabels(file, run.method)
+    labels = run.labeller
+    file = labels.path
     protocols: dict[str, EvaluationProtocol] = {
-        name: kind(scoring) for name, kind in registry.loadable("protocols").items()
+        name: kind(run.result.scoring) for name, kind in registry.loadable("protocols").items()
     }
     digest, bits, outcomes = ScanDigest(), PackedBits(), np.zeros(len(Outcome), np.int64)
     positions: list[int] = []

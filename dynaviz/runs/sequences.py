@@ -2,56 +2,43 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DynavizError
-from dynaviz.runs.saved_run import open_sequence_of
-from dynaviz.scores.collect import StudyRun
-from dynaviz.scores.result import Result
+from dynaviz.runs.run import Run
 from dynaviz.sources.datasets import is_sequence, open_sequence
-
-OpenedBy = Callable[[Result, Path], Sequence | None]
-"""Opens the sequence of a result in a folder again; None if it cannot."""
-
-
-def by_command(result: Result, folder: Path) -> Sequence | None:
-    """Open the sequence that the command of a run names; None if that fails, as for a path that moved."""
-    try:
-        return open_sequence_of(result, folder)
-    except DynavizError:
-        return None
+from dynaviz.sources.opening import Source, open_source
+from dynaviz.sources.options import SequenceOptions
 
 
 class SequenceFinder:
-    """Finds the sequence of a run: given by the user, by its command, or a folder of its name near the run.
+    """Finds the sequence of a run: given by the user, where the run found it, or in a folder of its name near the run.
 
     A sequence is chosen by its name. Whether it is the same is decided by its digest, which needs a pass over it.
 
     Args:
-        given: sequences of the user; opened at once.
-        opened_by: how to open it if it was not given.
+        given: sequences of the user, open or as paths; opened at once.
 
     Raises:
         DynavizError: if a given sequence cannot be opened.
     """
 
-    def __init__(self, given: Iterable[str | os.PathLike[str]] = (), opened_by: OpenedBy = by_command) -> None:
-        self._given = [open_sequence(os.fspath(path)) for path in given]
-        self._opened_by = opened_by
+    def __init__(self, given: Iterable[Source] = ()) -> None:
+        self._given = [open_source(each, SequenceOptions()) for each in given]
 
-    def find(self, run: StudyRun, result: Result) -> Sequence | None:
+    def find(self, run: Run) -> Sequence | None:
         """The sequence of a run; None if it is not found."""
-        name = result.sequence.name
+        name = run.result.sequence.name
         for sequence in self._given:
             if sequence.name == name:
                 return sequence
-        opened = self._opened_by(result, run.folder)
-        if opened is not None and opened.name == name:
-            return opened
-        return next(filter(None, (_opened(folder / name, name) for folder in run.folder.resolve().parents[:3])), None)
+        with contextlib.suppress(DynavizError):  # the data moved
+            return run.sequence()
+        near = [] if run.folder is None else run.folder.resolve().parents[:3]
+        return next(filter(None, (_opened(folder / name, name) for folder in near)), None)
 
 
 def _opened(path: Path, name: str) -> Sequence | None:

@@ -32,11 +32,19 @@ class Answers(Protocol):
 
 @dataclass(frozen=True)
 class RunAnswers:
-    """Of a run in this process, whose scans are read again for the map. ``folder`` has its files, if it wrote any."""
+    """Of a run in this process, whose scans are read again for the map.
+
+    Attributes:
+        sequence: what it ran on.
+        labels: of the run.
+        folder: with its files, if it wrote any.
+        recording: its file, if there is one.
+    """
 
     sequence: Sequence
     labels: RunLabels
     folder: Path | None = None
+    recording: Path | None = None
 
     def static_map(self) -> F64:
         """As ``Answers``; only finite points."""

@@ -20,6 +20,7 @@ import msgspec
 
 from dynaviz import kernels
 from dynaviz.arrays import F64
+from dynaviz.contracts.plugin_code import Plugin
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import atomic_file
 from dynaviz.io.plain_json import read_json
@@ -37,7 +38,7 @@ from dynaviz.scores.sections import (
     Sections,
     SequenceInfo,
 )
-from dynaviz.sources.origin import PoseFinding, PoseNoise, PoseRefinement
+from dynaviz.sources.origin import Origin, PoseFinding, PoseNoise, PoseRefinement
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -73,6 +74,8 @@ class Result:
         pose_refinement: how the poses were refined; None if they were not.
         pose_findings: what is likely wrong with poses, frames or units; empty in results of earlier versions.
         account: where the points of the source went; None in results of earlier versions.
+        origin: where the sequence came from, to open it again; None in results of earlier versions.
+        plugin: the code of the method; None for another program, and in results of earlier versions.
         answers: where ``labels`` and ``static_map`` come from (``dynaviz.scores.answers``); not in the file.
     """
 
@@ -97,6 +100,8 @@ class Result:
     pose_refinement: PoseRefinement | None = None
     pose_findings: tuple[PoseFinding, ...] = ()
     account: PointAccount | None = None
+    origin: Origin | None = None
+    plugin: Plugin | None = None
     answers: Any = field(default=None, repr=False, compare=False)
 
     @property
@@ -164,6 +169,10 @@ class Result:
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in _NOT_IN_FILE}
         plain: dict[str, Any] = msgspec.to_builtins(fields)
         return {"schema": SCHEMA, "n_parameters": len(self.parameters), **plain, **self.sections.plain()}
+
+    def recorded_as(self, sha256: str | None) -> Result:
+        """The result with the digest of its finished recording, the only fact that the recording cannot contain."""
+        return dataclasses.replace(self, recording_sha256=sha256)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write ``result.json``, whole or not at all."""

@@ -25,7 +25,7 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import State, Text, Value
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError
-from dynaviz.live.player import Played
+from dynaviz.online.player import Played
 from dynaviz.views import keys, paths, viewer
 from dynaviz.views.layout import KEY_SHARE, blueprint, follow, solid
 from dynaviz.views.read.view import ports, tunnel

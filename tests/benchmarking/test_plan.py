@@ -43,7 +43,7 @@ def test_pose_files_are_relative_to_the_file_but_topics_are_not(tmp_path: Path) 
         {"path": "b.bag", "poses": "/odom", "deskew": False},
     ]
     file.write_text(tomli_w.dumps({"methods": ["octomap"], "sequences": entries}))
-    a, b = plan_of(read(file)).sources
+    a, b = (source.options for source in plan_of(read(file)).sources)
     assert (a.poses, a.points_in, a.deskew) == (f"{tmp_path}/a.tum", "world", None)
     assert (b.poses, b.points_in, b.deskew) == ("/odom", None, False)
 

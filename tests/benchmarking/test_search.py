@@ -97,13 +97,13 @@ def test_the_search_never_opens_held_out_sequences(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[tuple[str, int]] = []
-    real = sources.api.open
+    real = sources.open_source
 
-    def spy(path: str, **options: object):
+    def spy(path: str, *options: object):
         opened.append((Path(path).name, len(in_process.ran)))
-        return real(path, **options)
+        return real(path, *options)
 
-    monkeypatch.setattr(sources.api, "open", spy)
+    monkeypatch.setattr(sources, "open_source", spy)
     board = bench(table(rooms[:1], holdout=[str(rooms[1])], search=spec(trials=4)), tmp_path / "a")
     assert min(ran for name, ran in opened if name == "two") == 5, "before the defaults and all trials had run"
     assert min(ran for name, ran in opened if name == "one") == 0

@@ -5,20 +5,19 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.browser import CHROMIUM, measured
-from helpers.guessing_method import Guess, guess_run
+from helpers.guessing_method import Guess, run_into
 from helpers.html_pages import Page
 from helpers.made_results import result
 from helpers.scan_folders import write_kitti_poses, write_scans
 from helpers.worlds import InMemory, room
 
-from dynaviz.api import _run_into, run
+from dynaviz.api import run
 from dynaviz.contracts import registry
 from dynaviz.contracts.protocol import ProtocolScores
 from dynaviz.contracts.scan import Sequence, select_frames
@@ -27,6 +26,7 @@ from dynaviz.reports.board.check import check_board
 from dynaviz.reports.board.entries import read_board
 from dynaviz.reports.board.write import write_board
 from dynaviz.reports.reporting import Study
+from dynaviz.runs.run import open_run
 from dynaviz.runs.sequences import SequenceFinder
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
@@ -51,11 +51,11 @@ def folder(tmp_path: Path, hall: InMemory) -> Path:
 def guess(sequence: Sequence, folder: Path) -> None:
     """Run the test's method with the metrics that a check compares."""
     metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "voxelwise"))
-    _run_into(folder, None, "errors", replace(guess_run(sequence), metrics=metrics), False, lambda *_: None)
+    run_into(folder, sequence, recorded=False, metrics=metrics)
 
 
 def finder(sequence: InMemory | None) -> SequenceFinder:
-    return SequenceFinder(opened_by=lambda result, folder: sequence)
+    return SequenceFinder([] if sequence is None else [sequence])
 
 
 def edit(path: Path, change: Callable[[Any], None]) -> None:
@@ -132,7 +132,7 @@ def flip_a_label(folder: Path) -> None:
             ),
             "^board.json has other scores, or lacks the entry$",
         ),
-        (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz: cannot be read"),
+        (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz: does not exist"),
         (
             lambda folder: edit(folder / "end/result.json", lambda r: r["sequence"].update(digest="0")),
             "the sequence differs from that of the run",
@@ -161,8 +161,7 @@ def test_methods_are_run_again(tmp_path: Path) -> None:
     dense = room(frames=4, rays=1500)
     run("octomap", select_frames(dense, "1:"), out=tmp_path / "a", record="none", settings=("resolution=0.2",))
     assert check_board(tmp_path, tmp_path, finder(dense), rerun=True)[0].verdicts["rerun"] == "same"
-    config = tmp_path / "a/config.toml"
-    config.write_text(config.read_text().replace("resolution = 0.2", "resolution = 1.0"))
+    edit(tmp_path / "a/result.json", lambda result: result["parameters"].update(resolution=1.0))
     (checked,) = check_board(tmp_path, tmp_path, finder(dense), rerun=True)
     assert checked.problem == "the method gives other labels"
 
@@ -171,15 +170,13 @@ def test_sequences_are_found_by_name_near_the_run(tmp_path: Path, hall: InMemory
     write_kitti_poses(write_scans(tmp_path / "room") / "poses.txt")
     out = tmp_path / "runs/guess"
     guess(hall, out)
-    (found_run,) = collect([out])
-    made = found_run.result
-    assert made is not None
-    found = SequenceFinder().find(found_run, made)
+    found_run = open_run(out)
+    found = SequenceFinder().find(found_run)
     assert found is not None
     assert (found.name, len(found)) == ("room", 5)
     given = SequenceFinder([tmp_path / "room"])
-    assert given.find(found_run, made) is not found
-    assert SequenceFinder().find(found_run, Result("m", {}, SequenceInfo("elsewhere"))) is None
+    assert given.find(found_run) is not found
+    assert SequenceFinder().find(open_run(Result("m", {}, SequenceInfo("elsewhere")))) is None
 
 
 def made_study(tmp_path: Path, *results: Result, **scores: dict[str, float]) -> Study:

@@ -264,7 +264,7 @@ def test_arrays_and_settings_from_python(tmp_path: Path) -> None:
         ("-o map.pcd --voxel-size 0", "at least 0.001"),
         ("-o map.pcd --keep-dynamic map.pcd", "is the map itself"),
         ("-o map.pcd --tiles autoware", "a divided map is a folder"),
-        ("-o map --tiles 20m", "give metres, or autoware"),
+        ("-o map --tiles 20m", "from 10 to 1000; or autoware"),
     ],
 )
 def test_mistakes_are_found_before_anything_is_read(run_command: Command, typed: str, message: str) -> None:

@@ -5,12 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from helpers.mos_files import write_helimos
-
-from dynaviz.runs.sequences import by_command
-from dynaviz.scores.result import Result
-from dynaviz.scores.sections import SequenceInfo
 
 
 def test_write_and_recompute(run_command, tmp_path: Path) -> None:
@@ -37,14 +32,6 @@ def test_write_and_recompute(run_command, tmp_path: Path) -> None:
     assert "the sequence helimos_ouster_val was not found; give it with --sequence" in out
     moved = f"helimos_val:{root.with_name('moved')}"
     assert "other scores" in run_command("board", tmp_path / "runs", "--check", "--sequence", moved)[1]
-
-
-@pytest.mark.parametrize(
-    "command",
-    ["", "dynaviz demo", "dynaviz run m nowhere", "dynaviz run m", "dynaviz run m s --no-such", "dynaviz huh"],
-)
-def test_commands_that_open_nothing(command: str, tmp_path: Path) -> None:
-    assert by_command(Result("m", {}, SequenceInfo(), command=command), tmp_path) is None
 
 
 def test_rerun_needs_check(run_command, tmp_path: Path) -> None:

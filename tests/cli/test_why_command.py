@@ -21,14 +21,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("why")
     convert(room(frames=6, rays=400), path / "room")
     sequence = api.open(path / "room", frames="1:", stride=2)
-    command = "dynaviz run octomap room --frames 1: --stride 2 --set resolution=0.4"
-    api.run("octomap", sequence, out=path / "run", record="scores", settings=("resolution=0.4",), command=command)
+    api.run("octomap", sequence, out=path / "run", record="scores", settings=("resolution=0.4",))
     return path
 
 
 @pytest.fixture
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of the run; the working folder is that of its command."""
+    """The folder of the run; the working folder is that of its sequence."""
     monkeypatch.chdir(folder)
     return folder / "run"
 
@@ -51,11 +50,16 @@ def test_it_reads_recordings_and_finds_moved_sequences(
     run_command: Command, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    code, _, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5)
-    assert code == 2
-    assert "Give the sequence of the run: --sequence PATH" in err
-    code, out, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5, "--sequence", run.parent / "room")
-    assert code == 0, err
+    moved = run.parent / "moved"
+    (run.parent / "room").rename(moved)
+    try:
+        code, _, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5)
+        assert code == 2
+        assert "Give the sequence of the run: --sequence PATH" in err
+        code, out, err = run_command("why", run / "run.rrd", "--frame", 0, "--point", 5, "--sequence", moved)
+        assert code == 0, err
+    finally:
+        moved.rename(run.parent / "room")
     assert "point 5 of frame 0" in out
 
 
@@ -71,7 +75,7 @@ def test_labels_of_another_program_have_rays_but_no_ledger(run_command: Command,
     (scored / "labels.npz").unlink()
     code, _, err = run_command("why", scored, "--frame", 1, "--point", 40)
     assert code == 2
-    assert "Give the run's folder, with its labels.npz" in err
+    assert "labels.npz: does not exist. Give the folder of a finished run" in err
 
 
 def test_wrong_arguments_give_one_line(run_command: Command, run: Path) -> None:

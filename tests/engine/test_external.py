@@ -120,7 +120,7 @@ def test_damaged_labels_are_rejected(little_room: InMemory, tmp_path: Path) -> N
     with pytest.raises(DataError, match="arrays have different lengths"):
         dv.score(path, little_room)
     np.savez(path, **{**whole, "frames": whole["frames"][:-1]})
-    with pytest.raises(DataError, match=r"not a valid labels\.npz of a run"):
+    with pytest.raises(DataError, match="arrays have different lengths"):
         dv.score(path, little_room)
 
 

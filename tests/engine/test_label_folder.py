@@ -29,7 +29,7 @@ def run(sequence: InMemory, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     """A run with its files and recording, and ``labels/*.label`` in the same folder."""
     folder = tmp_path_factory.mktemp("made") / "run"
     result = dv.run("octomap", sequence, out=folder, threads=1)
-    export_labels(folder, sequence, folder / "predictions")
+    export_labels(folder, folder / "predictions", sequence)
     return folder, result
 
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
-import typer
 from helpers.worlds import pose, room
 
 from dynaviz import api
-from dynaviz.cli import app
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan
@@ -21,7 +18,7 @@ from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.runs.explanation import explain, why
-from dynaviz.runs.saved_run import _FLAGS, sequence_options
+from dynaviz.scores.result import Result
 from dynaviz.testing import InMemory
 
 HIT, MISS = np.log(0.7 / 0.3), np.log(0.4 / 0.6)
@@ -169,36 +166,13 @@ def test_labels_of_another_version_are_an_error() -> None:
         why(result, 0, 0, sequence=scans)
 
 
-@pytest.mark.parametrize(
-    ("command", "found"),
-    [
-        ("run --online octomap path --frames -5: --no-deskew", {"sequence": "path", "frames": "-5:", "deskew": False}),
-        ("run m p --set a=1 --set b=2 -o out --stride 2 --sensor s", {"sequence": "p", "stride": 2, "sensor": "s"}),
-        ("run m p --refine-poses --frames :3 -o out", {"sequence": "p", "frames": ":3", "refine_poses": True}),
-        ("score map.pcd p --radius 0.1 --points-in world", {"sequence": "p", "points_in": "world"}),
-    ],
-)
-def test_the_sequence_is_found_in_the_command(command: str, found: dict[str, Any]) -> None:
-    assert sequence_options(shlex.split(command)) == found
-
-
-def test_the_options_without_a_value_are_known() -> None:
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]  # a group
-    options = [each for name in ("run", "score") for each in commands[name].params if each.param_type_name == "option"]
-    flags = {name for each in options if each.is_flag for name in (*each.opts, *each.secondary_opts)}
-    assert {name for name in flags if name.startswith("--")} <= {f"--{name}" for name in _FLAGS}
-    with_value = {name for each in options if not each.is_flag for name in each.opts}
-    assert {name for name in with_value if not name.startswith("--")} == {"-o"}
-
-
-@pytest.mark.parametrize("command", ["", "demo", "bench -s p -o out"])
-def test_other_commands_name_no_sequence(command: str) -> None:
-    assert sequence_options(shlex.split(command)) == {}
-
-
 def test_a_different_sequence_is_an_error() -> None:
     result = api.run("octomap", room(frames=2, rays=300))
     with pytest.raises(DataError, match="is from a different sequence than the 3 frames of room"):
         why(result, 0, 0, sequence=room(frames=3, rays=300))
-    with pytest.raises(UsageError, match=r"the run's command does not name its sequence\. Give the sequence"):
-        why(result, 0, 0)
+    assert why(result, 0, 0).ledger.searched == 2  # its sequence is still in memory
+    loaded = Result.from_dict(result.to_dict(), "result.json")
+    with pytest.raises(UsageError, match=r"from data in memory, which only the process .* dynaviz.explore\(result\)"):
+        why(loaded, 0, 0)
+    with pytest.raises(UsageError, match=r"does not state where its sequence came from\. Give the sequence"):
+        why(replace(loaded, origin=None), 0, 0)

@@ -33,8 +33,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "unknown": ("unknown", "resolution=0.3", "errors"),
     }
     for name, (sequence, setting, record) in made.items():
-        out, command = folder / name, f"dynaviz run octomap {folder / sequence} --set {setting}"
-        dv.run("octomap", folder / sequence, out=out, record=record, settings=(setting,), command=command)
+        dv.run("octomap", folder / sequence, out=folder / name, record=record, settings=(setting,))
     return {name: folder / name for name in made}
 
 

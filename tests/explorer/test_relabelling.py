@@ -92,7 +92,7 @@ def test_files_that_are_no_corrections_are_refused(run: Path, content: str, mess
 def test_runs_that_cannot_be_rescored(runs: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no ground truth to correct"):
         rescore(runs["unknown"])
-    with pytest.raises(DataError, match=r"result\.json: does not exist"):
+    with pytest.raises(DataError, match=r"contains no result\.json and no run\.rrd"):
         rescore(tmp_path)
 
 

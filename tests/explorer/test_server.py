@@ -230,7 +230,7 @@ def test_runs_without_ground_truth_have_clusters(runs: dict[str, Path]) -> None:
 def test_runs_that_cannot_be_explored(runs: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(DataError, match="without points to explore"):
         dv.explore(runs["scores"])
-    with pytest.raises(DataError, match=r"run\.rrd: does not exist"):
+    with pytest.raises(DataError, match=r"contains no result\.json and no run\.rrd"):
         dv.explore(tmp_path)
     with pytest.raises(UsageError, match="from a different sequence"):
         dv.explore(runs["fine"], runs["unknown"])
@@ -242,7 +242,7 @@ def test_results_are_explored_in_the_folder_of_their_run(runs: dict[str, Path], 
     for result, frames in zip(results, (6, 2), strict=True):
         with dv.explore(result) as server:
             assert ask(server, "runs")["a"]["frames"] == frames
-    with pytest.raises(UsageError, match="the result has no folder"):
+    with pytest.raises(UsageError, match="the run was not recorded"):
         dv.explore(dv.run("octomap", scans))
 
 

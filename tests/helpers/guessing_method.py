@@ -26,6 +26,9 @@ from dynaviz.contracts.probe import (
 )
 from dynaviz.contracts.scan import Outcome, Scan, Sequence
 from dynaviz.engine.loop import RunSpec, execute
+from dynaviz.progress import Progress, silent
+from dynaviz.runs.execution import run_spec
+from dynaviz.scores.result import Result
 from dynaviz.views.record.recorder import Recorder
 
 
@@ -119,7 +122,15 @@ class Numbers:
 def guess_run(sequence: Sequence, **changes: Any) -> RunSpec:
     """A run of the test's method."""
     params = GuessParams()
-    return RunSpec(Guess(params), sequence, params, (Numbers(Guess.info),), **changes)
+    return RunSpec(Guess(params), sequence, params, **{"metrics": (Numbers(Guess.info),), **changes})
+
+
+def run_into(
+    folder: Path, sequence: Sequence, *, recorded: bool = True, progress: Progress = silent, **changes: Any
+) -> Result:
+    """Run the test's method with all files of a run."""
+    files: dict[str, Any] = {"recording": folder / "run.rrd", "record": "errors"} if recorded else {}
+    return run_spec(guess_run(sequence, folder=folder, **files, **changes), progress)
 
 
 def record(sequence: Sequence, path: Path, mode: Any = "errors", **changes: Any) -> Path:

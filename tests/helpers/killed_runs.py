@@ -14,12 +14,11 @@ import sys
 import time
 from pathlib import Path
 
-from dynaviz.api import _run_into
 from dynaviz.contracts.extent import Extent
 from dynaviz.engine.loop import execute
 from dynaviz.views.layout import Findings, layout
 from dynaviz.views.record import recorder  # noqa: F401  imported once, before all forks
-from helpers.guessing_method import guess_run
+from helpers.guessing_method import guess_run, run_into
 from helpers.worlds import room
 
 FRAMES = 10
@@ -31,7 +30,7 @@ def run_and_report(folder: Path, pipe: int) -> None:
     def report(phase: str, done: int, total: int) -> None:
         os.write(pipe, b"." if phase == "label" else b"-")
 
-    _run_into(folder, folder / "run.rrd", "errors", guess_run(room(FRAMES, 1000), threads=1), False, report)
+    run_into(folder, room(FRAMES, 1000), threads=1, progress=report)
 
 
 def fork_and_kill(folder: Path, steps: int, seconds: float) -> dict[str, int]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.api import _run_into, run
+from dynaviz.api import run
 from dynaviz.benchmarking.plan_file import plan_of, read
 from dynaviz.contracts.params import resolve
 from dynaviz.contracts.registry import load
@@ -29,7 +29,7 @@ from dynaviz.sources.datasets import open_sequence
 from dynaviz.views.read.reader import RunRecording
 from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
-from helpers.guessing_method import guess_run, record
+from helpers.guessing_method import record, run_into
 from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_sweep, write_tracking
 from helpers.mos_files import write_doals, write_helimos
 from helpers.nuscenes_files import write_nuscenes
@@ -178,7 +178,7 @@ def tiny_benchmark(folder: Path) -> Path:
 
 def finished(folder: Path) -> Path:
     """The files of a run."""
-    _run_into(folder / "out", folder / "out/run.rrd", "errors", guess_run(room(3, 300)), False, lambda *_: None)
+    run_into(folder / "out", room(3, 300))
     return folder / "out"
 
 

@@ -16,7 +16,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.method import Context, Live
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import UsageError
-from dynaviz.live.session import LiveSession, Settings
+from dynaviz.online.session import LiveSession, Settings
 from dynaviz.testing.checks import ask
 from dynaviz.testing.world import SENSOR, crossing, turn
 

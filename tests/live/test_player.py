@@ -17,7 +17,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.method import Labels
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.live.player import PlayReport, play
+from dynaviz.online.player import PlayReport, play
 from dynaviz.runs.playback import play_live
 from dynaviz.testing.world import InMemory, crossing
 

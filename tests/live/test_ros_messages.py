@@ -13,7 +13,7 @@ from helpers.bags import BagWriter
 from scipy.spatial.transform import Rotation
 
 from dynaviz.contracts import registry
-from dynaviz.live.session import LiveSession, Settings
+from dynaviz.online.session import LiveSession, Settings
 from dynaviz.testing.world import SENSOR
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ros2_live"

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.guessing_method import guess_run, record
+from helpers.guessing_method import guess_run, record, run_into
 from helpers.killed_runs import FRAMES
 from helpers.resource_limits import files_end_at
 from helpers.worlds import InMemory, room
 from rerun.chunk import RrdReader
 
-from dynaviz.api import _run_into
 from dynaviz.contracts.scan import Scan, outcomes
 from dynaviz.engine.loop import execute
 from dynaviz.errors import DataError
@@ -144,9 +143,10 @@ def test_a_killed_run_leaves_every_frame_but_the_last(tmp_path: Path) -> None:
 INTERRUPTED = """
 import os, signal, sys
 sys.path[:0] = {folders!r}
-import dynaviz.api as api
+from dynaviz.runs import execution
+from dynaviz.sources import opening
 from dynaviz.cli import main
-from helpers.guessing_method import guess_run
+from helpers.guessing_method import run_into
 from helpers.worlds import room
 
 class Signals:
@@ -156,10 +156,10 @@ class Signals:
             os.kill(os.getpid(), self.number)
 
 def one(*arguments, out, **options):
-    api._run_into(out, out / "run.rrd", "errors", guess_run(room(6, 500)), False, Signals({number}))
+    run_into(out, room(6, 500), progress=Signals({number}))
 
-api.open = lambda *a, **k: room(6, 500)
-api.run = one
+opening.open_source = lambda *a, **k: room(6, 500)
+execution.run_method = one
 sys.argv = ["dynaviz", "run", "octomap", "somewhere", "-o", {out!r}]
 main()
 """
@@ -205,7 +205,7 @@ def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(tmp_path: Pa
 @pytest.mark.parametrize("limit", [0, 2_000, 40_000])
 def test_on_a_full_disk_no_file_gets_its_final_name(tmp_path: Path, limit: int) -> None:
     with pytest.raises(DataError, match="cannot be written"), files_end_at(limit):
-        _run_into(tmp_path / "out", tmp_path / "out/run.rrd", "errors", guess_run(room(6, 500)), False, lambda *_: None)
+        run_into(tmp_path / "out", room(6, 500))
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 
 
@@ -216,6 +216,6 @@ def test_unwritable_paths(tmp_path: Path, run_command: Command) -> None:
         with pytest.raises(DataError, match="cannot be written"), Recorder(out) as recorder:
             execute(guess_run(room(2, 100)), [recorder], recorder)
         with pytest.raises(DataError, match="cannot be written"):
-            _run_into(out, None, "errors", guess_run(room(2, 100)), False, lambda *_: None)
+            run_into(out, room(2, 100), recorded=False)
         code, _, err = run_command("repair", whole, "-o", out)
         assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynaviz import api
 from dynaviz.contracts.scan import Sequence, SequenceSlice
+from dynaviz.engine.loop import execute
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
 from dynaviz.reports.board.entries import FILE, BoardFile, Entry, read_board
 from dynaviz.runs.rescore import Rescored, rescore
+from dynaviz.runs.run import open_run
 from dynaviz.runs.sequences import SequenceFinder
 from dynaviz.scores.collect import StudyRun, collect
 from dynaviz.scores.result import Result
@@ -75,19 +76,18 @@ def _checked(
 ) -> CheckedEntry:
     verdicts = dict.fromkeys(PARTS, ABSENT)
     verdicts["recording"] = _recording(run, result)
-    sequence = finder.find(run, result)
+    opened = open_run(result)
+    sequence = finder.find(opened)
     if sequence is None:
         problem = f"the sequence {result.sequence.name} was not found; give it with --sequence"
         return CheckedEntry(run, verdicts, problem)
     try:
-        found = rescore(run, result.scoring, sequence)
+        found = rescore(opened, sequence)
     except DataError as error:
         return CheckedEntry(run, verdicts, str(error))
     verdicts |= _compared(result, found, board, Entry.of(run, result, run.folder))
-    if rerun and (run.folder / "config.toml").is_file():
-        again = api.run(
-            result.method, _same_frames(sequence, found), config=run.folder / "config.toml", record="none"
-        )  # fmt: skip
+    if rerun and result.sections.source is None:
+        again = execute(opened.spec(_same_frames(sequence, found)))
         verdicts["rerun"] = _verdict(again.labels_sha256 == result.labels_sha256)
     return CheckedEntry(run, verdicts, "; ".join(_problems(verdicts)))
 

@@ -14,6 +14,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.reports.board.entries import FILE, BoardFile, Entry, read_board, save_board, version
 from dynaviz.reports.reporting import Study
 from dynaviz.runs.rescore import rescore
+from dynaviz.runs.run import open_run
 from dynaviz.runs.sequences import SequenceFinder
 from dynaviz.scores.collect import StudyRun, collect
 from dynaviz.scores.result import Result
@@ -75,11 +76,12 @@ def scored(entry: Entry, run: StudyRun, result: Result, finder: SequenceFinder) 
     """The entry with its scores, or with a remark why there are none."""
     if not (run.folder / "labels.npz").is_file():
         return msgspec.structs.replace(entry, remark="labels.npz is missing")
-    sequence = finder.find(run, result)
+    opened = open_run(result)
+    sequence = finder.find(opened)
     if sequence is None:
         return msgspec.structs.replace(entry, remark="the sequence was not found; give it with --sequence")
     try:
-        found = rescore(run, result.scoring, sequence)
+        found = rescore(opened, sequence)
     except DataError as error:
         return msgspec.structs.replace(entry, remark=str(error))
     if found.sequence_digest != result.sequence.digest:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64, single
-from dynaviz.contracts.attributes import Attributes, far_origin
-from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
+from dynaviz.sources.datasets.extrinsic import parse_extrinsic
+from dynaviz.sources.datasets.pose_matching import MatchedPoses, match_poses, parse_points_in
 from dynaviz.spatial import geometry
 
 _HINT = "Give a list of (points, pose) or (points, pose, stamp): (N, 3 or more) metres in the sensor frame, (4, 4), ns"
@@ -42,13 +45,26 @@ class ArraySequence:
     has_labels: bool = False
 
     @classmethod
-    def of(cls, scans: Iterable[Any], points_in: str | None = None) -> ArraySequence:
+    def of(
+        cls,
+        scans: Iterable[Any],
+        points_in: str | None = None,
+        poses: str | None = None,
+        extrinsic: str | None = None,
+        deskew: bool | None = None,
+    ) -> ArraySequence:
         """A sequence of ``(points, pose)`` or ``(points, pose, stamp in nanoseconds)``.
+
+        Args:
+            scans: the scans.
+            points_in, poses, extrinsic, deskew: as for ``dynaviz.open``; a file of poses replaces those of the scans.
 
         Raises:
             UsageError: for anything else, or arrays of other shapes; names the scan.
         """
-        clouds, poses, stamps = list[NDArray[Any]](), list[F64](), list[int | None]()
+        if deskew:
+            raise UsageError("deskew: arrays have no times of points. Leave it out, or open a bag")
+        clouds, own, stamps = list[NDArray[Any]](), list[F64](), list[int | None]()
         for number, scan in enumerate(scans):
             if not isinstance(scan, list | tuple) or len(scan) not in (2, 3):
                 raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {_HINT}")
@@ -57,13 +73,21 @@ class ArraySequence:
                 found = f"points {points.shape} of {points.dtype} and a pose {pose.shape}"
                 raise UsageError(f"scan {number}: {found}. {_HINT}")
             clouds.append(points)
-            poses.append(pose)
+            own.append(pose)
             stamps.append(int(scan[2]) if len(scan) == 3 and scan[2] is not None else None)
         if not clouds:
             raise UsageError(f"there are no scans. {_HINT}")
-        origin, T = far_origin(poses[0][:3, 3]), np.array(poses)
-        T[:, :3, 3] -= origin
-        return cls(tuple(clouds), T, tuple(stamps), points_in or "sensor", origin=origin)
+        numbers = np.arange(len(clouds))
+        times = None if None in stamps else np.array(stamps, np.int64)
+        if poses is None:
+            matched = MatchedPoses(numbers, np.array(own), times, "of the arrays")
+        else:
+            matched = match_poses(Path(poses), Path("the arrays"), times, numbers)
+        mount = parse_extrinsic(extrinsic)
+        matched = (matched if mount is None else matched.mounted(mount)).near_zero()
+        kept = matched.positions.tolist()
+        chosen = tuple(clouds[k] for k in kept), matched.poses, tuple(stamps[k] for k in kept)
+        return cls(*chosen, parse_points_in(points_in), origin=matched.origin)
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -79,3 +103,9 @@ class ArraySequence:
         world = self.points_in == "world"
         points = single(xyz - self.origin) if world else geometry.transform(T_world_sensor, xyz)
         return Scan(position % len(self), points, T_world_sensor, self.stamps[position])
+
+
+def without_poses(sequence: Sequence) -> bool:
+    """Whether several scans have the identity as pose, as programs write that know no poses."""
+    some = {0, len(sequence) // 2, len(sequence) - 1}
+    return len(some) > 1 and all(np.array_equal(sequence[k].T_world_sensor, np.eye(4)) for k in some)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import warnings
 from pathlib import Path
-from typing import Any
 
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Sequence, select_frames
@@ -15,6 +14,7 @@ from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.pose_matching import NO_POSES
 from dynaviz.sources.odometry.estimate import EstimatedPoses, estimate
 from dynaviz.sources.odometry.reposed import ReposedSequence
+from dynaviz.sources.options import SequenceOptions
 
 DEFAULT = "small-gicp"
 
@@ -25,59 +25,61 @@ def is_odometry(poses: str) -> bool:
     return poses in known and not Path(poses).exists()
 
 
-def open_estimated(
-    text: str,
-    odometry: str = DEFAULT,
-    folder: Path | None = None,
-    frames: str | None = None,
-    progress: Progress = silent,
-    **options: Any,
-) -> tuple[Sequence, EstimatedPoses]:
-    """Open a sequence with estimated poses. Bags are deskewed with them.
+def estimate_poses(
+    source: str | Sequence, odometry: str, folder: Path | None, options: SequenceOptions, progress: Progress = silent
+) -> EstimatedPoses:
+    """Estimate the poses of the chosen frames of a sequence, or find those of an earlier call.
 
     Args:
-        text: as for ``dynaviz.sources.datasets.open_sequence``.
+        source: as for ``dynaviz.sources.datasets.open_sequence``, or a sequence in memory.
         odometry: its name.
         folder: where to keep the poses; None for ``recordings/SEQUENCE``.
-        frames: ``A:B``, the frames to use.
+        options: which frames, and how to read them. Bags are deskewed with the poses found.
         progress: called after each sweep.
-        options: ``points_in`` and ``deskew`` as for ``dynaviz.open``.
 
     Raises:
         UsageError, DataError, MissingDependency: as ``open_sequence`` and ``estimate``.
     """
-    if options.get("points_in") == "world":
+    if options.points_in == "world":
         raise UsageError(f"--poses {odometry}: needs points in the sensor frame, not --points-in world")
-    if options.pop("extrinsic", None) is not None:
+    if options.extrinsic is not None:
         raise UsageError(f"--poses {odometry}: estimates the poses of the lidar itself; leave out --extrinsic")
-    own = _with_own_poses(text, options)
-    if own is not None and not _accepts_poses(own):
-        own = select_frames(own, frames)
-        found = estimate(odometry, own, _folder(folder, own), False, progress)
-        return ReposedSequence.read(own, found.file), found
-    whole = open_sequence(text, poses=NO_POSES, **options)
-    raw = select_frames(whole, frames)
-    compensate = options.get("deskew") is not False
-    found = estimate(odometry, raw, _folder(folder, raw), compensate, progress)
+    own = _with_fixed_poses(source, options)
+    raw = select_frames(_raw(source, options) if own is None else own, options.frames)
+    compensate = own is None and options.deskew is not False
+    return estimate(odometry, raw, Path("recordings") / raw.name if folder is None else folder, compensate, progress)
+
+
+def with_estimated(source: str | Sequence, file: Path, options: SequenceOptions) -> Sequence:
+    """The chosen frames of a sequence with the poses of a file that ``estimate_poses`` wrote. The stride is left out.
+
+    Args:
+        source, options: as for ``estimate_poses``.
+        file: the poses.
+    """
+    if (own := _with_fixed_poses(source, options)) is not None:
+        return ReposedSequence.read(select_frames(own, options.frames), file)
+    assert isinstance(source, str)
+    frames = len(select_frames(_raw(source, options), options.frames))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*are skipped")  # the frames that were not selected
-        opened = open_sequence(text, poses=str(found.file), **options)
+        opened = open_sequence(source, poses=str(file), **options.of_format)
     # The pose at the end of the last sweep may cover the stamp of the sweep after it.
-    return select_frames(opened, f":{len(raw)}" if len(opened) > len(raw) else None), found
+    return select_frames(opened, f":{frames}" if len(opened) > frames else None)
 
 
-def _with_own_poses(text: str, options: dict[str, Any]) -> Sequence | None:
-    """The sequence with its own poses; None if it has none."""
+def _with_fixed_poses(source: str | Sequence, options: SequenceOptions) -> Sequence | None:
+    """The sequence with its own poses; None if its format reads poses from a file."""
+    if not isinstance(source, str):
+        return source
     try:
-        return open_sequence(text, **options)
+        own = open_sequence(source, **options.of_format)
     except DataError:
         return None
+    return None if "poses" in inspect.signature(getattr(type(own), "open", _raw)).parameters else own
 
 
-def _accepts_poses(sequence: Sequence) -> bool:
-    """Whether the format of a sequence can be opened with other poses."""
-    return "poses" in inspect.signature(getattr(type(sequence), "open", _with_own_poses)).parameters
-
-
-def _folder(folder: Path | None, sequence: Sequence) -> Path:
-    return Path("recordings") / sequence.name if folder is None else folder
+def _raw(source: str | Sequence, options: SequenceOptions) -> Sequence:
+    """The sequence with each scan in its own frame."""
+    assert isinstance(source, str)
+    return open_sequence(source, poses=NO_POSES, **options.of_format)

@@ -243,12 +243,18 @@ def _save_note(folder: Path, key: str, moved: PoseRefinement) -> None:
     write_atomic(folder / "poses_refined.toml", tomli_w.dumps({"key": key, **facts}).encode())
 
 
-def _cached(folder: Path, key: str, sequence: Sequence, frames: list[Scan]) -> RefinedSequence | None:
-    """The sequence with the poses of an earlier call with the same key; None if there are none."""
+def refined_before(sequence: Sequence, folder: Path) -> RefinedSequence | None:
+    """The sequence with the refined poses of a run's folder, for this sequence; None if they are not there."""
+    frames = [without_points(scan) for scan in stream(sequence)]
+    return _cached(folder, None, sequence, frames)
+
+
+def _cached(folder: Path, key: str | None, sequence: Sequence, frames: list[Scan]) -> RefinedSequence | None:
+    """The sequence with the poses of an earlier call with the same key, or any key; None if there are none."""
     try:
         facts = tomllib.loads((folder / "poses_refined.toml").read_text(encoding="utf-8"))
         moved = msgspec.convert(facts, PoseRefinement)
-        if facts.get("key") != key:
+        if key is not None and facts.get("key") != key:
             return None
         poses = _read(folder, origin_of(sequence), frames)
     except (OSError, ValueError, IndexError, DataError):

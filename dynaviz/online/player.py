@@ -12,7 +12,7 @@ import numpy as np
 
 from dynaviz.contracts.method import Labels
 from dynaviz.contracts.scan import Scan
-from dynaviz.live.session import LiveSession
+from dynaviz.online.session import LiveSession
 
 PERIOD = 0.1  # seconds between scans without stamps, unless the sensor's rate is known
 QUANTILES = (50, 95, 99)

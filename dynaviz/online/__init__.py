@@ -11,7 +11,7 @@ from dynaviz.contracts import params, registry
 from dynaviz.contracts.method import Live, Method
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import UsageError
-from dynaviz.live.session import LiveSession, Settings, warm_up
+from dynaviz.online.session import LiveSession, Settings, warm_up
 
 __all__ = ["LiveSession", "live", "why_not_live"]
 

@@ -20,7 +20,7 @@ from dynaviz.contracts.probe import SILENT, Probe
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
-from dynaviz.live.static_map import StaticMap
+from dynaviz.online.static_map import StaticMap
 from dynaviz.spatial import geometry
 
 _HINT = "Give points (N, 3 or more) in metres and the sensor's pose (4, 4)"

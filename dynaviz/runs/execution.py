@@ -1,0 +1,264 @@
+"""Run a method, or score what another program wrote: with its files, its recording and, if wanted, on tiles."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast, get_args
+
+import msgspec
+
+from dynaviz.contracts import registry
+from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.probe import SILENT, Probe
+from dynaviz.contracts.scan import Sequence
+from dynaviz.engine.external import External
+from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.needs import suited
+from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
+from dynaviz.engine.source_check import SourceCheck, source_check
+from dynaviz.errors import UsageError
+from dynaviz.io.lock import locked
+from dynaviz.progress import Progress, silent
+from dynaviz.runs.options import Record, RunOptions
+from dynaviz.runs.tiles.counts import TileCounts
+from dynaviz.runs.tiles.run import TileOptions, label_tiles
+from dynaviz.scores.result import RecordMode, Result
+from dynaviz.sources.opening import refined
+from dynaviz.sources.origin import PoseFinding
+from dynaviz.views.record.quota import parse_bytes
+
+
+def run_method(
+    method: str,
+    sequence: Sequence,
+    options: RunOptions,
+    *,
+    out: Path | None = None,
+    refine_poses: bool = False,
+    command: str = "",
+    progress: Progress = silent,
+) -> Result:
+    """Run a method on a sequence, score it, and write its files; ``dynaviz.run`` describes what it raises.
+
+    Args:
+        method: its name.
+        sequence: what to run it on.
+        options: how to run it.
+        out: folder for the files of the run; None writes none.
+        refine_poses: refine the poses first, and keep them in the folder.
+        command: what the user typed, for the record.
+        progress: called with a phase, the number of frames or tiles done and their total.
+    """
+    kind, resolved = options.resolved(method)
+    findings = _pose_findings(sequence)
+    sequence = suited(kind, resolved.params, sequence)
+    if refine_poses:
+        sequence = refined(sequence, out, progress)
+    recording, mode = recording_of(options.record, out)
+    if options.view and recording is None:
+        raise UsageError("view needs a recording: give out=FOLDER or record=FILE.rrd, and not record=none")
+    spec = RunSpec(
+        labeller=kind(resolved.params),
+        sequence=sequence,
+        params=resolved.params,
+        metrics=tuple(metric(kind.info) for metric in registry.loadable("metrics").values()),
+        online=bool(options.online if options.online is not None else resolved.online),
+        seed=options.seed if options.seed is not None else resolved.seed or 0,
+        variant=options.variant,
+        preset=options.preset,
+        parameter_origins=resolved.source,
+        threads=options.threads,
+        command=command,
+        pose_findings=findings,
+        record=mode,
+        folder=out,
+        recording=recording,
+    )
+    budget = parse_bytes(options.record_budget) if isinstance(options.record_budget, str) else options.record_budget
+    if (size := options.tile_size) is not None:
+        tiles = TileOptions(size, options.workers, options.scheduler, budget)
+        result = _run_tiles(spec, tiles, options.maps, progress)
+    elif options.workers != 1 or options.scheduler:
+        raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
+    else:
+        result = run_spec(spec, progress, view=options.view, maps=options.maps, budget=budget)
+    _warn_of_size(recording, result, budget)
+    return result
+
+
+def score_external(
+    external: External,
+    sequence: Sequence,
+    *,
+    out: Path | None = None,
+    record: Record | str | os.PathLike[str] = "errors",
+    threads: int | None = None,
+    command: str = "",
+    progress: Progress = silent,
+) -> Result:
+    """Score what another program wrote; ``dynaviz.score`` describes the arguments and errors."""
+    recording, mode = recording_of(record, out)
+    if out is not None and out.resolve() in _overwritten(external.path):
+        raise UsageError(f"the files of the run would overwrite {external.path}: give another folder than {out}")
+    spec = RunSpec(
+        labeller=external,
+        sequence=sequence,
+        params=external.params,
+        metrics=tuple(metric(external.info) for metric in registry.loadable("metrics").values()),
+        threads=threads,
+        command=command,
+        scoring=external.scoring,
+        record=mode,
+        folder=out,
+        recording=recording,
+    )
+    return run_spec(spec, progress, check=source_check(external))
+
+
+def recording_of(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode | None]:
+    """Path and mode of the recording; None for no recording.
+
+    Raises:
+        UsageError: for an unknown mode.
+    """
+    if Path(record).suffix == ".rrd":
+        return Path(record), "errors"
+    if record not in get_args(Record):
+        raise UsageError(f"record = {record}: give {', '.join(_modes())}, or the path of an .rrd file")
+    return (None, None) if folder is None or record == "none" else (folder / "run.rrd", cast(RecordMode, record))
+
+
+def _modes() -> tuple[str, ...]:
+    return *get_args(RecordMode), "none"
+
+
+def run_spec(
+    spec: RunSpec,
+    progress: Progress = silent,
+    *,
+    view: bool = False,
+    maps: bool = True,
+    budget: int | None = None,
+    check: SourceCheck | None = None,
+) -> Result:
+    """Run and write all files; each appears only when it is complete, ``result.json`` last.
+
+    Args:
+        spec: what to run; its folder is locked meanwhile.
+        progress: called with a phase, the number of frames done and their total.
+        view: show the recording in a viewer while it is written.
+        maps: whether to write maps.
+        budget: bytes of the recording; None for any size.
+        check: of another program's output.
+    """
+    with _locked(spec):
+        others, more = ((), dict) if check is None else ([check], check.sections)
+        return _run(spec, progress, view, maps, budget, others, more)
+
+
+def _locked(spec: RunSpec) -> contextlib.AbstractContextManager[Any]:
+    return locked(spec.folder, spec.command) if spec.folder else contextlib.nullcontext()
+
+
+def _run(
+    spec: RunSpec,
+    progress: Progress,
+    view: bool,
+    maps: bool,
+    budget: int | None,
+    others: Iterable[Listener],
+    more: Callable[[], Mapping[str, Any]],
+) -> Result:
+    """Run in a locked folder; the other listeners are notified first."""
+    folder, recorder = spec.folder, None
+    probe: Probe = SILENT
+    with contextlib.ExitStack() as files:
+        listeners: list[Listener] = [*others]
+        if folder is not None:
+            listeners.append(RemoveStaleOutputs(folder, spec.recording, maps))
+            listeners.append(files.enter_context(LabelsFile(folder)))
+            if maps:
+                listeners.append(files.enter_context(MapFiles(folder, origin_of(spec.sequence))))
+        if spec.recording is not None:
+            from dynaviz.views.record.recorder import Recorder
+
+            mode = spec.record or "errors"
+            recorder = files.enter_context(Recorder(spec.recording, mode, live=view, budget=budget))
+            listeners.append(recorder)
+            probe = SILENT if mode == "scores" else recorder  # it shows no states, so the runtime stays honest
+        result = execute(spec, listeners, probe, progress, more)
+    if recorder is not None:
+        result = result.recorded_as(recorder.sha256())
+    if folder is not None:
+        write_summary(folder, spec, result)
+    return result
+
+
+def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progress) -> Result:
+    """Run every tile, then score and record the labels of all as those of one run."""
+    folder = spec.folder
+    if folder is None:
+        raise UsageError("tiles need out=FOLDER, which keeps the answers of finished tiles")
+    drawn = spec.record not in (None, "scores")
+    share = options.budget and options.budget // 2  # of the recordings of tiles, and of that of the whole run
+    with _locked(spec):
+        labeller = label_tiles(
+            folder,
+            type(spec.labeller),
+            spec.params,
+            spec.sequence,
+            replace(options, budget=share if drawn else None),
+            online=spec.online,
+            seed=spec.seed,
+            record=spec.record if drawn else None,
+            progress=progress,
+        )
+        whole, counts = replace(spec, labeller=labeller, summary=labeller.summary), TileCounts(options.size)
+        others: list[Listener] = [counts]
+        if drawn:
+            from dynaviz.views.record.overview import Overview
+
+            others.append(Overview(folder / "overview.rrd", counts))
+        budget = share if drawn else options.budget
+
+        def tiling() -> Mapping[str, Any]:
+            return {"tiling": msgspec.structs.replace(labeller.tiling, tile=counts.rows())}
+
+        return _run(whole, progress, False, maps, budget, others, tiling)
+
+
+def _overwritten(path: Path) -> list[Path]:
+    """Folders in which the files of a run would overwrite, or mix with, this file or folder."""
+    return [path.resolve()] if path.is_dir() else [path.resolve().parent] if path.name in FILES else []
+
+
+def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
+    """What is likely wrong with poses or points, with a warning. Data sets with ground truth are taken to be right."""
+    if sequence.has_labels:
+        return ()
+    from dynaviz.diagnosis import quick_check
+
+    findings = tuple(quick_check(sequence))
+    for each in findings:
+        warnings.warn(f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=4)
+    return findings
+
+
+def _warn_of_size(recording: Path | None, result: Result, budget: int | None) -> None:
+    """Warn if the recordings are larger than their budget."""
+    if recording is None or budget is None:
+        return
+    paths = [recording]
+    if tiling := result.sections.tiling:
+        folders = [f"tiles/{tile.column}_{tile.row}" for tile in tiling.tile]
+        paths += [recording.parent / name for name in ("overview.rrd", *(f"{folder}/run.rrd" for folder in folders))]
+    sizes = [path.stat().st_size for path in paths if path.is_file()]
+    if sum(sizes) > budget:
+        files = "the recording has" if len(sizes) == 1 else f"{len(sizes)} recordings have"
+        problem = f"{files} {sum(sizes) / 1e6:.1f} MB, more than the budget of {budget / 1e6:.1f} MB"
+        warnings.warn(f"{problem}: labels, maps and cases are always recorded", stacklevel=4)

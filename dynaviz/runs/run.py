@@ -1,0 +1,240 @@
+"""The only place that opens a run: its result, labels and recording, its sequence, and the run again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from dynaviz.contracts import registry
+from dynaviz.contracts.plugin_code import plugin
+from dynaviz.contracts.scan import Sequence
+from dynaviz.engine.external import PrecomputedLabels
+from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.needs import suited
+from dynaviz.errors import DataError, UsageError
+from dynaviz.progress import Progress, silent
+from dynaviz.scores.answers import RunAnswers
+from dynaviz.scores.labels import RunLabels
+from dynaviz.scores.result import Result
+from dynaviz.sources.opening import Source, open_source, reopened
+from dynaviz.sources.options import SequenceOptions
+from dynaviz.sources.summary import SequenceSummary
+
+if TYPE_CHECKING:
+    from dynaviz.views.read.reader import RunRecording
+
+ELSEWHERE = "Give the sequence of the run: --sequence PATH, or sequence= in Python"
+_FINISHED = "Give the folder of a finished run, its result.json or run.rrd"
+
+
+class Run:
+    """A run: what it found, what it ran on, and how to repeat it.
+
+    Attributes:
+        result: what it found.
+        path: the file that the result was read from; ``result.json`` without a folder for a run in this process.
+        folder: with its files; None for a run in this process that wrote none.
+    """
+
+    def __init__(self, result: Result, path: Path, folder: Path | None) -> None:
+        self.result, self.path, self.folder = result, path, folder
+
+    def file(self, name: str) -> Path:
+        """One of its files.
+
+        Raises:
+            DataError: if it does not exist.
+        """
+        if self.folder is None:
+            raise UsageError(f"the run has no folder with {name}. Give out=FOLDER to dynaviz.run")
+        if not (path := self.folder / name).is_file():
+            raise DataError(path, "does not exist", hint=_FINISHED)
+        return path
+
+    @property
+    def recording_file(self) -> Path:
+        """The file of its recording.
+
+        Raises:
+            DataError: if it was not recorded.
+        """
+        answers = self.result.answers
+        if isinstance(answers, RunAnswers) and answers.recording is not None:
+            return answers.recording
+        if self.path.suffix == ".rrd":
+            return self.path
+        if self.folder is None:
+            raise UsageError("the run was not recorded. Give out=FOLDER or record=FILE.rrd to dynaviz.run")
+        if not (path := self.folder / "run.rrd").is_file():
+            raise DataError(path, "does not exist", hint="Give a run that was recorded, without --record none")
+        return path
+
+    @cached_property
+    def recording(self) -> RunRecording:
+        """Its recording."""
+        from dynaviz.views.read.reader import RunRecording
+
+        return RunRecording(self.recording_file)
+
+    @property
+    def labels(self) -> RunLabels:
+        """Its labels by position of the frame.
+
+        Raises:
+            DataError: if ``labels.npz`` is missing or damaged.
+        """
+        answers = self.result.answers
+        return answers.labels if isinstance(answers, RunAnswers) else RunLabels.load(self.file("labels.npz"))
+
+    @property
+    def labeller(self) -> PrecomputedLabels:
+        """Its stored labels as a labeller, which knows their reasons and the frames that they are for."""
+        return PrecomputedLabels(self.file("labels.npz"), self.result.method)
+
+    def sequence(self, at: Source | None = None, progress: Progress = silent) -> Sequence:
+        """The frames of the run with its poses and sensor, bit for bit.
+
+        Args:
+            at: an open sequence, or the path of the data if they moved; None for where the run found them.
+            progress: called while poses are refined again, because their file is missing.
+
+        Raises:
+            UsageError: for a run of data in memory, or of an earlier version, without ``at``.
+            DataError: for data that cannot be read.
+        """
+        origin = self.result.origin
+        if isinstance(at, Sequence):
+            return at
+        if at is None and isinstance(self.result.answers, RunAnswers):
+            in_memory: Sequence = self.result.answers.sequence
+            return in_memory
+        if origin is None:
+            if at is None:
+                raise UsageError(f"{self.path}: the run does not state where its sequence came from. {ELSEWHERE}")
+            return open_source(at, SequenceOptions())
+        if at is None and not origin.sources:
+            problem = "the run was made from data in memory, which only the process that made it can open again"
+            raise UsageError(f"{self.path}: {problem}: call dynaviz.explore(result) there. {ELSEWHERE}")
+        try:
+            return reopened(origin, self.folder, at if isinstance(at, str | os.PathLike) else None, progress)
+        except DataError as error:
+            if at is not None:
+                raise
+            raise DataError(error.path, error.problem, at=error.at, hint=ELSEWHERE) from None
+
+    def spec(self, sequence: Sequence, threads: int | None = None) -> RunSpec:
+        """The run again, on its sequence, without metrics; labels of another program are read from the run's files.
+
+        Raises:
+            UsageError: for a method that is not installed, or has other parameters by now.
+        """
+        result = self.result
+        if result.sections.source is not None:
+            labels = self.labeller
+            return RunSpec(labels, sequence, labels.params, threads=threads)
+        kind = registry.load("methods", result.method)
+        parameters = self.parameters(kind)
+        sequence = suited(kind, parameters, sequence)
+        return RunSpec(kind(parameters), sequence, parameters, (), result.online, result.seed, threads=threads)
+
+    def parameters(self, kind: type[Any]) -> Any:
+        """Its parameters, as an instance of the method's ``Params``.
+
+        Raises:
+            UsageError: if the method has other parameters by now.
+        """
+        try:
+            return msgspec.convert(self.result.parameters, kind.Params)
+        except (msgspec.ValidationError, ValueError) as error:
+            name = self.result.method
+            raise UsageError(f"{self.path}: {name} has other parameters than the run: {error}. Run it again") from None
+
+    def replay(
+        self,
+        listeners: Iterable[Listener] = (),
+        *,
+        at: Source | None = None,
+        threads: int | None = None,
+        progress: Progress = silent,
+    ) -> RunSpec:
+        """Run the method again on the same data, and check that the labels are the same.
+
+        Args:
+            listeners: notified of each scan.
+            at: as for ``sequence``.
+            threads: for kernels; None for all cores.
+            progress: called with a phase, the number of frames done and their total.
+
+        Returns:
+            What ran.
+
+        Raises:
+            UsageError: as ``sequence`` and ``spec``.
+            DataError: for data that cannot be read, a different sequence, or different labels.
+        """
+        spec = self.spec(self.sequence(at, progress), threads)
+        replayed = execute(spec, [_SameData(self), *listeners], progress=progress)
+        if self.result.labels_sha256 and replayed.labels_sha256 != self.result.labels_sha256:
+            raise DataError(self.path, self._changed(), hint="Run the method again")
+        return spec
+
+    def _changed(self) -> str:
+        """Why a replay may give other labels."""
+        now, then = _code(self.result)
+        if then and now and now != then:
+            return f"was made by other code of {self.result.method}, whose labels this version does not reproduce"
+        version = self.result.environment.versions.get("dynaviz", "of another version")
+        return f"was written by dynaviz {version}, whose labels this version does not reproduce"
+
+
+def _code(result: Result) -> tuple[str, str]:
+    """Digests of the method's code now and when the run was made; empty if unknown."""
+    found = plugin("methods", result.method)
+    return found.sha256 if found else "", result.plugin.sha256 if result.plugin else ""
+
+
+def open_run(run: str | os.PathLike[str] | Result) -> Run:
+    """Open a run.
+
+    Args:
+        run: its folder, ``result.json`` or ``run.rrd``; or a result.
+
+    Raises:
+        DataError: if there is no result, or the run did not finish.
+    """
+    if isinstance(run, Result):
+        folder: Path | None = getattr(run.answers, "folder", None)
+        return Run(run, Path("result.json") if folder is None else folder / "result.json", folder)
+    path = Path(run)
+    if path.is_dir():
+        path = next((path / name for name in ("result.json", "run.rrd") if (path / name).is_file()), path)
+        if path.is_dir():
+            raise DataError(path, "contains no result.json and no run.rrd", hint="Give the folder of a finished run")
+    if path.suffix != ".rrd":
+        return Run(Result.load(path), path, path.parent)
+    from dynaviz.views.read.reader import RunRecording
+
+    recording = RunRecording(path)
+    if recording.result is None:
+        raise DataError(path, "is the recording of a run that did not finish", hint="Run the method again")
+    found = Run(recording.result, path, path.parent)
+    found.__dict__["recording"] = recording
+    return found
+
+
+class _SameData(Listener):
+    """Checks that the sequence is that of the run."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
+        """Compare digests."""
+        if self._run.result.sequence.digest not in ("", summary.digest):
+            problem = f"is from a different sequence than the {summary.frames:,} frames of {run.sequence.name}"
+            raise DataError(self._run.path, problem, hint=ELSEWHERE)
