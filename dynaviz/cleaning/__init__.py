@@ -5,14 +5,9 @@ from __future__ import annotations
 import dataclasses
 import os
 import shlex
-import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Unpack
 
-import numpy as np
-
-from dynaviz.arrays import U8
 from dynaviz.cleaning.cleaned import Cleaned
 from dynaviz.cleaning.doubt import doubt_of
 from dynaviz.cleaning.trajectory import UsedPoses

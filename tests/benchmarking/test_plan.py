@@ -23,7 +23,7 @@ def test_the_example_explains_every_key() -> None:
     assert plan.search
     assert plan.holdout
     explained = set(re.findall(r"^(?:# )?(\w+) = .+# \S", EXAMPLE.read_text(), re.M))
-    tables = {"sequences", "variants", "grid", "search", "ranges"}
+    tables = {"sequences", "variants", "grid", "search", "ranges", "opening"}
     assert {key for keys in KEYS.values() for key in keys} - tables <= explained
 
 

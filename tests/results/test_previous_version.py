@@ -53,7 +53,7 @@ def test_results_load_and_are_written_unchanged(files: Path, name: str) -> None:
     path = files / name / "result.json"
     result = Result.load(path)
     plain, old = json.loads(json.dumps(result.to_dict())), json.loads(path.read_text())
-    added = {"preset", "parameter_origins"}
+    added = {"preset", "parameter_origins", "pose_findings"}
     assert unchanged(old, {key: value for key, value in plain.items() if key not in added})
     assert "octomap" in str(result)
     assert f"{old['metrics']['SA']:.2f}" in str(result)
