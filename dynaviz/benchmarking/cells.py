@@ -79,11 +79,17 @@ class CellTask:
 
 def result_of(cell: BenchCell, folder: Path) -> Result | None:
     """The result of a finished cell, if it is complete and has the same data, parameters and versions; else None."""
+    result, problem = earlier_result(cell, folder)
+    return None if problem else result
+
+
+def earlier_result(cell: BenchCell, folder: Path) -> tuple[Result | None, str]:
+    """The result in the folder of a cell, and why it is not that of the cell, as a clause; empty if it is."""
     try:
         result = Result.load(folder / "result.json")
     except DataError:
-        return None
-    return None if difference(cell, result, folder) else result
+        return None, ""
+    return result, difference(cell, result, folder) or ""
 
 
 def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
@@ -122,6 +128,8 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
             "states recorded": result.instrumented,
         }
     for name, value in expected.items():
+        if name == "code" and value != actual[name]:
+            return f"the code of {cell.parameter_set.method} changed"
         if _plain(value) != _plain(actual[name]):
             return f"{name} is {actual[name]!r}, not {value!r}"
     if recorded:

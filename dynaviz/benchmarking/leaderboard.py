@@ -25,6 +25,7 @@ class BenchRow:
         result: None if it failed.
         error: why it failed, a sentence; else None.
         kept: whether the result is from an earlier run of the bench.
+        outdated: why an earlier result was not kept, a clause; empty if there was none.
     """
 
     cell: BenchCell
@@ -32,6 +33,7 @@ class BenchRow:
     result: Result | None = None
     error: str | None = None
     kept: bool = False
+    outdated: str = ""
 
 
 @dataclass(frozen=True)

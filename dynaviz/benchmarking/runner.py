@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from dynaviz.benchmarking.cells import CellTask, result_of
+from dynaviz.benchmarking.cells import CellTask, earlier_result, result_of
 from dynaviz.benchmarking.leaderboard import BenchRow
 from dynaviz.benchmarking.plan import BenchCell, BenchPlan, ParameterSet, SequenceSpec
 from dynaviz.benchmarking.source import open_spec, placed, simulated
@@ -51,6 +51,7 @@ class CellRunner:
     callbacks: BenchCallbacks
     _digests: dict[SequenceSpec, str | DynavizError] = field(default_factory=dict)
     _ended: dict[Path, BenchRow] = field(default_factory=dict)
+    _outdated: dict[Path, str] = field(default_factory=dict)
 
     def rows(self, sets: Iterable[ParameterSet], sources: Iterable[SequenceSpec]) -> list[BenchRow]:
         """Run every set on every sequence; return the rows sequence by sequence, in the given order."""
@@ -65,9 +66,12 @@ class CellRunner:
                 clear(CellTask(cell), folder)
                 fail(CellTask(cell), folder, str(problem))
                 self._end(cell)
-            elif result := None if self.fresh else result_of(cell, folder):
+                continue
+            result, outdated = (None, "") if self.fresh else earlier_result(cell, folder)
+            if result is not None and not outdated:
                 self._end(cell, BenchRow(cell, folder, result, kept=True))
             else:
+                self._outdated[cell.path] = outdated
                 todo.append(CellTask(cell))
         with contextlib.closing(self.executor.run(todo)) as ended:  # type: ignore[type-var]
             for task in ended:
@@ -79,7 +83,7 @@ class CellRunner:
         if row is None:
             result = result_of(cell, folder)
             error = None if result else error_of(folder) or "its files disappeared. Run the bench again."
-            row = BenchRow(cell, folder, result, error)
+            row = BenchRow(cell, folder, result, error, outdated=self._outdated.get(cell.path, ""))
         self._ended[cell.path] = row
         self.callbacks.ended(row)
 

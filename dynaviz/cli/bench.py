@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sys
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dynaviz.cli.console import is_quiet, show
-from dynaviz.cli.options import SEQUENCE, Quiet, RecordModeOption, takes
+from dynaviz.cli.options import DEFAULTS, SEQUENCE, Quiet, RecordModeOption, takes
 
 if TYPE_CHECKING:
     from dynaviz.benchmarking.leaderboard import Leaderboard
@@ -108,7 +109,7 @@ def bench(
 
     table = read(file) if file else {}
     table = {key: value for key, value in table.items() if key not in _overridden(timing, scheduler)}
-    opening = {name: value for name, value in options.items() if value not in (None, False, 1)}
+    opening = {name: value for name, value in options.items() if value != DEFAULTS.get(name)}
     table |= _given(
         methods=methods,
         sequences=sequences,
@@ -181,6 +182,9 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
     kept, failed = sum(row.kept for row in every), len(board.failed)
     finished = len(every) - failed
     done = f"{finished} run{'s' * (finished != 1)} finished" + (f" ({kept} from before)" if kept else "")
+    for reason, rows in itertools.groupby(sorted(row.outdated for row in every if row.outdated)):
+        number = len(list(rows))
+        yield f"{number} run{'s' * (number != 1)} repeated: {reason}."
     yield f"{done}, {failed} failed. The files of each run are in {out}/SEQUENCE/METHOD."
     if board.failed:
         log = board.failed[0].folder / "error.log"

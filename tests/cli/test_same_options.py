@@ -1,0 +1,160 @@
+"""Every verb takes the options of what it does, under the same names, and passes them on."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+import dynaviz as dv
+from dynaviz.cli import app, main
+from dynaviz.runs import execution, playback
+from dynaviz.runs.options import (
+    MethodKeywords,
+    MethodOptions,
+    RunKeywords,
+    RunOptions,
+    SequenceRunKeywords,
+)
+from dynaviz.sources import opening
+from dynaviz.sources.options import SequenceKeywords, SequenceOptions
+
+SEQUENCE = {"frames": "1:3", "stride": 2, "sensor": "vlp16", "poses": "p.tum", "points_in": "world", "deskew": False,
+            "extrinsic": "1,2,3,0,0,0", "refine_poses": True}  # fmt: skip
+METHOD = {"preset": "av2", "config": Path("c.toml"), "settings": ("a=1",), "seed": 7, "threads": 1}
+RUN = {**METHOD, "online": True, "variant": "v", "record": "scores", "record_budget": "1GB", "view": True,
+       "tiles": "50", "workers": 2, "scheduler": "s:1", "maps": False}  # fmt: skip
+OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["m.pcd", "SEQ"], "live": ["SEQ"],
+         "info": ["SEQ"], "doctor": ["SEQ"], "convert": ["SEQ", "OUT"], "implant": ["SEQ", "OUT"],
+         "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
+         "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
+RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
+WITHOUT_SEQUENCE = {"demo", "check", "compare", "config", "download", "explore", "export-labels", "failures", "list",
+                    "repair", "report", "board", "rescore", "shot", "simulate", "view", "why"}  # fmt: skip
+
+
+class Seen(Exception):
+    """The options that reached the one place that opens sequences, or that runs methods."""
+
+    def __init__(self, options: Any):
+        self.options = options
+
+
+def flags(options: dict[str, Any]) -> list[str]:
+    names = {"settings": "--set", "maps": "--map", "online": "--online"}
+    words: list[str] = []
+    for name, value in options.items():
+        flag = names.get(name, "--" + name.replace("_", "-"))
+        if isinstance(value, bool):
+            words.append(flag if value else flag.replace("--", "--no-", 1))
+        else:
+            words += [flag, *(value if isinstance(value, tuple) else [str(value)])]
+    return words
+
+
+@pytest.fixture
+def caught(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def seen(source: Any, options: SequenceOptions, **more: Any) -> Any:
+        raise Seen(options)
+
+    for module in ("dynaviz.sources.opening", "dynaviz.api", "dynaviz.cleaning", "dynaviz.benchmarking.tune",
+                   "dynaviz.benchmarking.source"):  # fmt: skip
+        monkeypatch.setattr(f"{module}.open_source", seen)
+
+
+def typed(monkeypatch: pytest.MonkeyPatch, *words: str) -> Any:
+    monkeypatch.setattr("sys.argv", ["dynaviz", *words])
+    with pytest.raises(Seen) as found:
+        main()
+    return found.value.options
+
+
+def test_options_and_keywords_have_the_same_names() -> None:
+    for options, keywords in (
+        (SequenceOptions, SequenceKeywords),
+        (MethodOptions, MethodKeywords),
+        (RunOptions, RunKeywords),
+    ):
+        assert {each.name for each in dataclasses.fields(options)} == set(keywords.__annotations__) | (
+            set(MethodKeywords.__annotations__) if keywords is RunKeywords else set()
+        )
+    assert SEQUENCE.keys() == {each.name for each in dataclasses.fields(SequenceOptions)}
+    assert RUN.keys() == {each.name for each in dataclasses.fields(RunOptions)}
+    defaults = SequenceOptions()
+    assert all(getattr(defaults, name) != value for name, value in SEQUENCE.items())
+
+
+def test_every_command_is_listed_here() -> None:
+    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]  # a group
+    assert commands == OPENS.keys() | WITHOUT_SEQUENCE
+
+
+@pytest.mark.parametrize("command", OPENS)
+def test_commands_pass_all_options_of_opening(command: str, caught: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = typed(monkeypatch, command, *OPENS[command], *flags(SEQUENCE))
+    left_to_the_run = command in ("run", "clean", "bench")  # refines into the folder of the run
+    assert found == SequenceOptions(**{**SEQUENCE, "refine_poses": not left_to_the_run})
+
+
+@pytest.mark.parametrize("command", RUNS)
+def test_commands_pass_all_options_of_running(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    opened = opening.open_source(SCANS, SequenceOptions())
+    for module in ("dynaviz.sources.opening", "dynaviz.api", "dynaviz.cleaning"):
+        monkeypatch.setattr(f"{module}.open_source", lambda *given, **more: opened)
+
+    def ran(method: str, sequence: Any, options: Any, **more: Any) -> Any:
+        raise Seen((options, more.get("refine_poses")))
+
+    monkeypatch.setattr(execution, "run_method", ran)
+    monkeypatch.setattr("dynaviz.cleaning.run_method", ran)
+    monkeypatch.setattr(playback, "play_live", lambda *given, options, **more: ran("", None, options))
+    found, refine_poses = typed(monkeypatch, command, *OPENS[command], "--refine-poses", *flags(RUNS[command]))
+    if command == "live":
+        assert found == MethodOptions(**METHOD)
+    else:
+        assert found == RunOptions(**{**RUN, "maps": False})
+        assert refine_poses
+
+
+SCANS = [(np.ones((9, 3)), np.eye(4))]
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        lambda **options: dv.open("SEQ", **options),
+        lambda **options: dv.run("octomap", "SEQ", **options),
+        lambda **options: dv.clean("SEQ", "m.pcd", **options),
+        lambda **options: dv.score("m.pcd", "SEQ", **options),
+        lambda **options: dv.tune("SEQ", "octomap", "OUT", **options),
+        lambda **options: dv.bench({"methods": ["octomap"], "sequences": ["SEQ"], "opening": options}, "OUT"),
+    ],
+    ids=["open", "run", "clean", "score", "tune", "bench"],
+)
+def test_python_verbs_pass_all_options_of_opening(verb: Any, caught: None) -> None:
+    with pytest.raises(Seen) as found:
+        verb(**SEQUENCE)
+    assert dataclasses.replace(found.value.options, refine_poses=True) == SequenceOptions(**SEQUENCE)
+
+
+@pytest.mark.parametrize("verb", [dv.run, dv.clean])
+def test_python_verbs_that_run_a_method_take_all_options(verb: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def ran(method: str, sequence: Any, options: Any, **more: Any) -> Any:
+        raise Seen(options)
+
+    for module in ("dynaviz.api", "dynaviz.cleaning"):
+        monkeypatch.setattr(f"{module}.run_method", ran)
+    annotation = inspect.signature(verb).parameters["options"].annotation
+    assert "SequenceRunKeywords" in str(annotation), SequenceRunKeywords
+    given = ("octomap", SCANS) if verb is dv.run else (SCANS, "m.pcd")
+    with pytest.raises(Seen) as found:
+        verb(*given, **RUN)
+    assert found.value.options == RunOptions(**{**RUN, "maps": False})
