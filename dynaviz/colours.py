@@ -69,6 +69,8 @@ OTHERS: tuple[Colour, ...] = (
 )  # fmt: skip
 
 
+HIT, CROSSED, GRAZED = 1, 2, 3  # classes of rays
+RAYS: dict[int, Colour] = {HIT: (60, 205, 140), CROSSED: (180, 80, 255), GRAZED: (120, 40, 140)}
 STATE: Colour = (0, 175, 155)  # of a state without values or classes
 CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
     (118, 118, 126),

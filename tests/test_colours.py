@@ -8,7 +8,6 @@ from helpers.colour_vision import EYES, contrast, smallest_difference
 from dynaviz import colours
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Outcome
-from dynaviz.views.record.case_timeline import RAY_COLOURS
 
 WHITE, BLACK = (255, 255, 255), (16, 18, 20)
 SCORED = (Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE)
@@ -28,7 +27,7 @@ def test_outcomes_differ_and_errors_stand_out(eye: str) -> None:
 
 @pytest.mark.parametrize("eye", EYES)
 def test_rays_differ_from_each_other_and_from_all_points(eye: str) -> None:
-    points, rays = colours.BRIGHT.values(), RAY_COLOURS.values()
+    points, rays = colours.BRIGHT.values(), colours.RAYS.values()
     assert min(smallest_difference([ray, point], eye) for ray in rays for point in points) > 15
     assert smallest_difference(rays, eye) > 15
     assert min(contrast(ray, colours.BACKGROUND, eye) for ray in rays) > 1.8

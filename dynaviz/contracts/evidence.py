@@ -48,6 +48,21 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What a scan adds to a sum of log-odds at the points where it applies: the logit of a parameter.
+
+    Attributes:
+        name: what the scan saw, such as ``crossed``.
+        parameter: name of the parameter, a probability.
+        applies: (K,) bool, whether the last scan added it.
+    """
+
+    name: str
+    parameter: str
+    applies: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
     """A number at each asked point, after the scan that was observed last.
 
@@ -59,6 +74,8 @@ class Quantity:
             reading of the last scan alone, and NaN if that scan measured nothing at the point.
         threshold: value at which the label changes; None if no single value does.
         legend: names of the values 0, 1, ... of a quantity that is a class.
+        steps: of a sum of log-odds that starts at 0, what the last scan added, in this order. Each sum is clamped.
+        limits: names of the parameters, probabilities, between whose logits it is clamped; empty for none.
     """
 
     name: str
@@ -67,6 +84,8 @@ class Quantity:
     total: bool = False
     threshold: float | None = None
     legend: tuple[str, ...] = ()
+    steps: tuple[Step, ...] = ()
+    limits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +98,7 @@ class Term:
         test: one of ``TESTS``.
         threshold: one value, or (K,) one for each point.
         unit: such as ``m``.
+        parameter: name of the parameter that is the threshold; empty if none is.
     """
 
     name: str
@@ -86,6 +106,7 @@ class Term:
     test: str
     threshold: ArrayLike
     unit: str = ""
+    parameter: str = ""
 
     def holds(self) -> Bool:
         """(K,) bool."""

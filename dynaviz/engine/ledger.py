@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,8 +16,9 @@ from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule
 from dynaviz.contracts.method import Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import PluginError, UsageError
+from dynaviz.progress import Progress, silent
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.surface import surface_normal
 
@@ -35,6 +37,7 @@ class TermValue:
     threshold: float
     unit: str
     holds: bool
+    parameter: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,7 @@ class LedgerEntry:
         changes: what the scan added to those quantities that accumulate.
         holds: names of the rules that hold by the numbers of this scan.
         removed: the verdict by the scans so far; None if the method cannot tell.
+        steps: names of the steps of sums that apply to the scan.
     """
 
     frame: int
@@ -84,17 +88,31 @@ class LedgerEntry:
     changes: Mapping[str, float]
     holds: tuple[str, ...]
     removed: bool | None
+    steps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityInfo:
-    """A quantity of the ledger; fields as in ``dynaviz.contracts.evidence.Quantity``."""
+    """A quantity of the ledger; fields as in ``dynaviz.contracts.evidence.Quantity``.
+
+    Attributes:
+        steps: name and parameter of each step.
+    """
 
     name: str
     unit: str
     total: bool
     threshold: float | None
     legend: tuple[str, ...]
+    steps: tuple[tuple[str, str], ...] = ()
+    limits: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, quantity: Quantity) -> QuantityInfo:
+        """Without values."""
+        steps = tuple((step.name, step.parameter) for step in quantity.steps)
+        q = quantity
+        return cls(q.name, q.unit, q.total, q.threshold, q.legend, steps, q.limits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,15 +156,13 @@ class Ledger(Listener):
 
     Args:
         frame: position in the run.
-        points: rows in its scan; at most ``kernels.witnesses.MOST``.
+        points: rows in its scan.
 
     Attributes:
         ledgers: one for each point, after the frame was labelled and all scans were searched.
     """
 
     def __init__(self, frame: int, points: Sequence[int]) -> None:
-        if not 1 <= len(points) <= kernels.witnesses.MOST:
-            raise UsageError(f"{len(points)} points: give 1 to {kernels.witnesses.MOST}")
         self._frame, self._rows = frame, np.array(points, np.int64)
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
@@ -166,7 +182,7 @@ class Ledger(Listener):
         self._asked, self._truth = Asked(scan.without_truth(), self._rows, first), scan.labels
         self._run, self._explains = run, labeller if isinstance(labeller, Explains) else None
         self._cells = voxels_around(self._asked.points, EDGE)
-        self._normals = [_normal_at(scan.points, point) for point in self._asked.points]
+        self._normals = _normals(scan.points, self._asked.points)
         self._books = [_Book() for _ in self._rows]
         self._verdict, self._searched, self._over = Verdict(), 0, False
         self._quantities: tuple[Quantity, ...] = ()
@@ -186,8 +202,8 @@ class Ledger(Listener):
         if self._run.method is None:
             self._enter(labelled.frame, labelled.scan)
         if labelled.frame == self._frame:
-            if self._explains is not None:
-                self._verdict.add(self._explains.evidence(self._asked))
+            if (evidence := self._evidence()) is not None:
+                self._verdict.add(evidence)
             self._over = self._over or self._run.online
             self._labels = labelled.dynamic[self._rows], labelled.reasons[self._rows]
 
@@ -202,7 +218,7 @@ class Ledger(Listener):
     def _enter(self, frame: int, scan: Scan) -> None:
         """Add an entry to each ledger that the scan concerns."""
         self._searched += 1
-        evidence = None if self._explains is None else self._explains.evidence(self._asked)
+        evidence = self._evidence()
         values: tuple[Quantity, ...] = ()
         held: dict[str, Bool] = {}
         removed: Bool | None = None
@@ -212,21 +228,30 @@ class Ledger(Listener):
             self._over = self._verdict.final
             held = {rule.name: rule.holds() for rule in evidence.rules}
             removed = self._verdict.dynamic() if evidence.rules else None
-        cells = np.ascontiguousarray(self._cells)
-        hit, crossed = kernels.witnesses.touched(scan.points, scan.origins, cells[:, 0].copy(), cells[:, 1].copy())
-        for k, book in enumerate(self._books):
-            bit = np.uint32(1) << np.uint32(k)
-            rays = np.flatnonzero(hit & bit), np.flatnonzero(crossed & bit)
+        for k, (book, rays) in enumerate(zip(self._books, _touching(scan, self._cells), strict=True)):
             changes = book.update(values, k)
             if evidence is not None:
                 book.compare(evidence, k, frame)
             read = any(not q.total and not np.isnan(q.values[k]) for q in values)
+            read = read or any(step.applies[k] for q in values for step in q.steps)
             if len(rays[0]) or len(rays[1]) or changes or read or frame == self._frame:
                 geometry = _geometry(scan, *rays, self._asked.points[k], self._normals[k])
                 numbers = {q.name: _plain(q.values[k]) for q in values}
                 holds = tuple(name for name, of in held.items() if of[k])
                 so_far = None if removed is None else bool(removed[k])
-                book.entries.append(LedgerEntry(frame, scan.index, *geometry, numbers, changes, holds, so_far))
+                steps = tuple(step.name for q in values for step in q.steps if step.applies[k])
+                book.entries.append(LedgerEntry(frame, scan.index, *geometry, numbers, changes, holds, so_far, steps))
+
+    def _evidence(self) -> Evidence | None:
+        """What the method states on the points; for so few, starting threads would take most of the time."""
+        if self._explains is None:
+            return None
+        threads = kernels.threads_in_use()
+        kernels.set_threads(1)
+        try:
+            return self._explains.evidence(self._asked)
+        finally:
+            kernels.set_threads(threads)
 
     def _close(self, k: int) -> PointLedger:
         dynamic, codes = self._labels
@@ -250,10 +275,37 @@ class Ledger(Listener):
             reason=info.reasons[codes[k]],
             verdict=None if verdict is None else bool(verdict[k]),
             rules=rules,
-            quantities=tuple(QuantityInfo(q.name, q.unit, q.total, q.threshold, q.legend) for q in self._quantities),
+            quantities=tuple(map(QuantityInfo.of, self._quantities)),
             entries=tuple(self._books[k].entries),
             searched=self._searched,
         )
+
+
+def replay(
+    run: RunSpec, summary: SequenceSummary, asked: Sequence[tuple[int, Sequence[int]]], progress: Progress = silent
+) -> list[tuple[PointLedger, ...]]:
+    """The ledgers of points, from repeating a run with the same labeller.
+
+    Args:
+        run: its labeller forgets what it knows, and then knows it again.
+        summary: of its sequence.
+        asked: frames with rows of their scans; a frame may occur several times.
+        progress: as for ``execute``.
+
+    Returns:
+        For each of ``asked`` the ledgers of its points.
+
+    Raises:
+        PluginError: if the evidence of the method contradicts its labels.
+        DataError: for data that cannot be read.
+    """
+    rows: dict[int, list[int]] = {}
+    for frame, points in asked:
+        rows.setdefault(frame, []).extend(points)
+    ledgers = {frame: Ledger(frame, points) for frame, points in rows.items() if points}
+    execute(dataclasses.replace(run, metrics=(), summary=summary), list(ledgers.values()), progress=progress)
+    left = {frame: iter(ledger.ledgers) for frame, ledger in ledgers.items()}
+    return [tuple(next(left[frame]) for _ in points) for frame, points in asked]
 
 
 @dataclass(slots=True)
@@ -302,7 +354,8 @@ def _terms(rule: Rule, k: int) -> tuple[TermValue, ...]:
     for term in rule.terms:
         values = np.asarray(term.values, np.float64)
         threshold = float(np.broadcast_to(np.asarray(term.threshold, np.float64), values.shape)[k])
-        found.append(TermValue(term.name, _plain(values[k]), term.test, threshold, term.unit, bool(term.holds()[k])))
+        value, holds = _plain(values[k]), bool(term.holds()[k])
+        found.append(TermValue(term.name, value, term.test, threshold, term.unit, holds, term.parameter))
     return tuple(found)
 
 
@@ -311,6 +364,18 @@ def _closeness(terms: Sequence[TermValue]) -> tuple[int, float]:
     failing = [term for term in terms if not term.holds]
     gaps = (math.inf if term.value is None else abs(term.value - term.threshold) for term in failing)
     return len(terms) - len(failing), -sum(gaps)
+
+
+def _touching(scan: Scan, cells: F64) -> Iterator[tuple[Intp, Intp]]:
+    """For each of (K, 2, 3) cells the rays of a scan that end in it, and those that pass through it."""
+    for first in range(0, len(cells), kernels.witnesses.MOST):
+        low, high = (np.ascontiguousarray(cells[first : first + kernels.witnesses.MOST, side]) for side in (0, 1))
+        hit, crossed = kernels.witnesses.touched(scan.points, scan.origins, low, high)
+        touching = np.flatnonzero(hit | crossed)
+        hit, crossed = hit[touching], crossed[touching]
+        for k in range(len(low)):
+            bit = np.uint32(1) << np.uint32(k)
+            yield touching[hit & bit > 0], touching[crossed & bit > 0]
 
 
 _Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
@@ -329,16 +394,27 @@ def _geometry(scan: Scan, ends: Intp, passes: Intp, point: F32, normal: F64 | No
     behind = None
     if len(passes):
         origins = scan.origins if len(scan.origins) == 1 else scan.origins[passes]
-        behind = float(np.median(np.linalg.norm(scan.points[passes] - origins, axis=1))) - away
+        lengths = np.sort(np.linalg.norm(scan.points[passes] - origins, axis=1))
+        behind = float(lengths[len(lengths) // 2] + lengths[~(len(lengths) // 2)]) / 2 - away  # the median
     x, y, z = origin.tolist()
     return (x, y, z), away, angle, len(ends), len(passes), behind
 
 
+def _normals(points: F32, asked: F32) -> list[F64 | None]:
+    """The normal of the surface through each asked point, from its scan; None if it lies on no surface."""
+    finite = asked[np.isfinite(asked).all(1)]
+    if len(finite):
+        around = (points >= finite.min(0) - SURFACES[-1]) & (points <= finite.max(0) + SURFACES[-1])
+        points = points[around.all(1)]
+    return [_normal_at(points, point) for point in asked]
+
+
 def _normal_at(points: F32, point: F32) -> F64 | None:
-    """The normal of the surface through a point, from the points of its scan; None if it lies on no surface."""
-    for radius in SURFACES if np.isfinite(point).all() else ():
-        near = points[(np.abs(points - point) <= radius).all(1)].astype(np.float64)
-        if (normal := surface_normal(near)) is not None:
+    if not np.isfinite(point).all():
+        return None
+    away = np.abs(points - point).max(1)
+    for radius in SURFACES:
+        if (normal := surface_normal(points[away <= radius].astype(np.float64))) is not None:
             return normal
     return None
 

@@ -12,18 +12,24 @@ from typing import Any, cast
 
 import numpy as np
 
+from dynaviz.engine.case_evidence import decided_by, evidence_of
+from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
 from dynaviz.explorer.run import ExploredRun
+from dynaviz.explorer.strip import strip, what_if
+from dynaviz.runs.explanation import Why, cause_at
 from dynaviz.runs.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import shot
+from dynaviz.views.witnesses import Rays, rays_of
 
 PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
 CLIP_SIZE = (960, 640)
 LETTERS = "ab"
+CASE_RAYS = 400  # drawn of a case
 
 Query = Mapping[str, str]
 
@@ -60,6 +66,7 @@ class Explored:
             "click": self._click,
             "point": self._point,
             "why": self._why,
+            "evidence": self._evidence,
             "rescored": self._rescored,
         }
         self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct}
@@ -84,7 +91,6 @@ class Explored:
         run = self.runs[letter]
         other = next((each for key, each in self.runs.items() if key != letter), None)
         shared = None if other is None else run.wrong_too(other)
-        seconds = run.result.runtime.mean_s
         return {
             "title": run.title,
             "method": run.result.method,
@@ -93,7 +99,6 @@ class Explored:
             "frames": run.frames,
             "scores": {name: run.result.metrics.get(name) for name in ("SA", "DA", "AA")},
             "truth": run.result.has_truth,
-            "seconds": None if seconds is None else seconds * run.frames,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
             "cases": [cards.plain(run, card, shared) for card in self._cards[letter]],
@@ -112,7 +117,7 @@ class Explored:
         return self._at(_number(query, "frame"), _number(query, "point"))
 
     def _at(self, frame: int, point: int) -> dict[str, Any]:
-        found = {letter: run.point(frame, point) for letter, run in self.runs.items()}
+        found = {letter: run.point(frame, point, self._corrections(run)) for letter, run in self.runs.items()}
         commands = {
             letter: f"dynaviz why {shlex.quote(str(run.path))} --frame {frame} --point {point}"
             for letter, run in self.runs.items()
@@ -120,10 +125,49 @@ class Explored:
         return {"frame": frame, "point": point, "runs": found, "commands": commands}
 
     def _why(self, query: Query) -> dict[str, Any]:
-        """The ledger of a point, or the progress of the replay that computes it."""
+        """The ledger of a point, from the recording or a replay, or the progress of the replay.
+
+        With ``exact``, a stored ledger of a point near it is not enough.
+        """
         letter, frame, point = self._letter(query), _number(query, "frame"), _number(query, "point")
-        self.runs[letter].point(frame, point)  # or the replay would find out after a while
-        return self._ledgers.ask(letter, frame, point)
+        run = self.runs[letter]
+        stored = run.stored(frame, point)
+        if stored is not None and ("exact" not in query or not stored[1]):
+            ledger, metres = stored
+            return {"why": self._shown(letter, self._stored_why(run, ledger)), "metres": metres}
+        if stored is None and "exact" not in query:
+            run.point(frame, point)  # or the replay would find out after a while
+            return {"seconds": run.replay_s}
+        answer = self._ledgers.ask(letter, frame, point)
+        return {"why": self._shown(letter, answer), "metres": 0.0} if isinstance(answer, Why) else answer
+
+    def _stored_why(self, run: ExploredRun, ledger: PointLedger) -> Why:
+        result = run.result
+        return Why(result.method, run.title, result.sequence.name, result.online, ledger, cause_at(result, ledger))
+
+    def _shown(self, letter: str, why: Why) -> dict[str, Any]:
+        """A ledger as the page draws it."""
+        rule = decided_by(why.ledger)
+        return {
+            **why.to_dict(),
+            "decided": None if rule is None else rule.name,
+            "strip": strip([why.ledger]),
+            "what_if": what_if([why.ledger], self.runs[letter].result.parameters),
+        }
+
+    def _evidence(self, query: Query) -> dict[str, Any]:
+        """What the points of a case have in common; empty if the recording stores no evidence on it."""
+        letter, number = self._letter(query), _number(query, "case")
+        self._card(letter, number)
+        run = self.runs[letter]
+        ledgers = run.ledgers(number)
+        if not ledgers:
+            return {}
+        return {
+            "text": evidence_of(ledgers).text,
+            "strip": strip(ledgers),
+            "what_if": what_if(ledgers, run.result.parameters),
+        }
 
     def _corrections(self, run: ExploredRun) -> dict[int, str]:
         """The corrected truth by number of the case."""
@@ -167,21 +211,30 @@ class Explored:
             with self._lock:
                 return focus.layout(MAP if kind == CASE else kind, "map", 0, low, high, None)
         card = self._card(owner, _number(query, "case"))
+        eye = None if "x" not in query else np.array([_decimal(query, axis) for axis in "xyz"])
         low, high = (np.array(card.case.low), np.array(card.case.high)) if kind == MAP else (card.low, card.high)
         title = f"case {card.number}: {card.title}, frame {card.case.worst_frame}"
         with self._lock:
-            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome)
+            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome, eye)
 
     def _marks(self, query: Query) -> bytes:
         """A mark at a point, and the rays of its ledger if that is known."""
         letter = self._letter(query)
         focus = self.runs[letter].focus
+        lit = _number(query, "lit") if "lit" in query else None
+        if "case" in query:
+            ledgers = self.runs[letter].ledgers(_number(query, "case"))
+            return focus.marks(None, rays_of(ledgers, CASE_RAYS), lit)
         if "point" not in query:
-            return focus.marks(None, np.zeros((0, 2, 3), np.float32), [])
+            return focus.marks(None, rays_of([]), None)
         frame, point = _number(query, "frame"), _number(query, "point")
         at = self.runs[letter].point(frame, point)["position"]
-        strips, kinds = self._ledgers.rays(letter, frame, point)
-        return focus.marks(None if at is None else np.array(at), strips, kinds)
+        return focus.marks(None if at is None else np.array(at), self._rays(letter, frame, point), lit)
+
+    def _rays(self, letter: str, frame: int, point: int) -> Rays:
+        """The rays of the ledger of a point, if that is known."""
+        computed, stored = self._ledgers.known(letter, frame, point), self.runs[letter].stored(frame, point)
+        return rays_of([computed.ledger] if computed else [stored[0]] if stored else [])
 
     def _shot(self, query: Query, name: str, size: tuple[int, int]) -> bytes:
         """A picture or a clip of a case that the recording lists."""

@@ -14,6 +14,7 @@ from dynaviz.contracts.scan import Outcome
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
 from dynaviz.scores.sections import FailureCase, RemovedCluster
+from dynaviz.views.cases import middle_of
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
@@ -83,8 +84,7 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)
     xyz = wrong.xyz[worst].astype(np.float64)
-    middle = worst[np.argmin(((xyz - np.median(xyz, axis=0)) ** 2).sum(1))]
-    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[middle]))
+    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[worst[middle_of(xyz)]]))
 
 
 def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:

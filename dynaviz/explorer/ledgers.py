@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-import numpy as np
-
-from dynaviz.arrays import F32, F64
 from dynaviz.errors import UsageError
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.explanation import Why, why
-from dynaviz.views.read.focus import CROSSED, HIT
 
 MOST = 64  # ledgers that are kept
-BEYOND = 40.0  # metres behind a point at which drawn rays end at the latest
 
 Key = tuple[str, int, int]
 
@@ -25,15 +22,24 @@ class Job:
 
     Args:
         closed: set when the explorer closes, which ends the replay.
+        passes: names of the phases in which the replay passes over all scans.
 
     Attributes:
-        phase, done, total: progress.
+        share: of the work that is done, 0 to 1.
     """
 
-    def __init__(self, closed: threading.Event) -> None:
-        self._closed = closed
-        self.phase, self.done, self.total = "waiting", 0, 0
+    def __init__(self, closed: threading.Event, passes: Sequence[str]) -> None:
+        self._closed, self._passes = closed, passes
+        self._begin: float | None = None
+        self.share = 0.0
         self.future: Future[Why] | None = None
+
+    @property
+    def left(self) -> float | None:
+        """Seconds until it is done, if the rest is as fast; None while nothing is done."""
+        if self._begin is None or not self.share:
+            return None
+        return (time.monotonic() - self._begin) * (1 - self.share) / self.share
 
     def progress(self, phase: str, done: int, total: int) -> None:
         """Keep the progress of the replay.
@@ -43,7 +49,9 @@ class Job:
         """
         if self._closed.is_set():
             raise UsageError("the explorer was closed")
-        self.phase, self.done, self.total = phase, done, total
+        self._begin = self._begin or time.monotonic()
+        if phase in self._passes:
+            self.share = (self._passes.index(phase) + done / max(total, 1)) / len(self._passes)
 
 
 class Ledgers:
@@ -58,40 +66,28 @@ class Ledgers:
         self._closed = threading.Event()
         self._worker = ThreadPoolExecutor(1, "ledger")
 
-    def ask(self, letter: str, frame: int, point: int) -> dict[str, Any]:
+    def ask(self, letter: str, frame: int, point: int) -> Why | dict[str, Any]:
         """The ledger of a point, or how far it is; the first question starts the replay.
 
         Returns:
-            ``why`` (as ``Why.to_dict``), or ``error``, or the progress as ``phase``, ``done`` and ``total``.
+            The ledger, or ``error``, or the ``share`` of the replay that is done and the ``seconds`` that are left.
         """
         job = self._job((letter, frame, point))
         future = job.future
         assert future is not None
         if not future.done():
-            return {"phase": job.phase, "done": job.done, "total": job.total}
+            return {"share": job.share, "seconds": job.left}
         if (error := future.exception()) is not None:
             return {"error": str(error)}
-        return {"why": future.result().to_dict()}
+        return future.result()
 
-    def rays(self, letter: str, frame: int, point: int) -> tuple[F32, list[int]]:
-        """The rays of a ledger that is known, from the sensor to the point or beyond, and their classes."""
+    def known(self, letter: str, frame: int, point: int) -> Why | None:
+        """The ledger of a point that was computed; None if none was."""
         job = self._jobs.get((letter, frame, point))
         future = job.future if job else None
         if future is None or not future.done() or future.cancelled() or future.exception() is not None:
-            return np.zeros((0, 2, 3), np.float32), []
-        ledger = future.result().ledger
-        strips: list[list[F64]] = []
-        kinds: list[int] = []
-        for entry in ledger.entries:
-            start, end = np.array(entry.sensor), np.array(ledger.position)
-            if entry.hits:
-                strips.append([start, end])
-                kinds.append(HIT)
-            if entry.crossed:
-                behind = min(entry.behind_m or 0.0, BEYOND)
-                strips.append([start, end + (end - start) * (behind / max(entry.range_m, 1e-6))])
-                kinds.append(CROSSED)
-        return np.array(strips, np.float32).reshape(-1, 2, 3), kinds
+            return None
+        return future.result()
 
     def close(self) -> None:
         """End the replay that is running, and start no other."""
@@ -105,9 +101,9 @@ class Ledgers:
                 for (_, *asked), other in self._jobs.items():
                     if asked != [*key[1:]] and other.future is not None:
                         other.future.cancel()  # if it still waits: the user has clicked elsewhere since
-                job = self._jobs[key] = Job(self._closed)
-                run = self._runs[key[0]].run
-                job.future = self._worker.submit(why, run, key[1], key[2], progress=job.progress)
+                run = self._runs[key[0]]
+                job = self._jobs[key] = Job(self._closed, run.passes)
+                job.future = self._worker.submit(why, run.run, key[1], key[2], progress=job.progress)
                 while len(self._jobs) > MOST:
                     self._jobs.pop(next(iter(self._jobs)))
             return job

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -12,11 +14,13 @@ from dynaviz.arrays import F64, I64, U8, Bool
 from dynaviz.contracts import registry
 from dynaviz.contracts.probe import Voxels
 from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import DataError, UsageError
 from dynaviz.runs.explanation import sentence
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.answers import Answers
 from dynaviz.scores.result import Result
+from dynaviz.scores.sections import case_at
 from dynaviz.views import paths
 from dynaviz.views.cases import WRONG
 from dynaviz.views.read.focus import Focus
@@ -24,6 +28,12 @@ from dynaviz.views.read.reader import DrawnPoints, viewable
 
 NEAR = 0.5  # metres: a click farther from every point of a frame asks about none
 GATHERED = (paths.MAP_WRONG, paths.REMOVED, paths.REMOVED_WRONG)  # of all frames; none is right and kept
+OUTCOMES = {  # of a point by whether it was removed, and whether that is right
+    (True, True): Outcome.DYNAMIC_REMOVED,
+    (True, False): Outcome.FALSE_POSITIVE,
+    (False, True): Outcome.STATIC_KEPT,
+    (False, False): Outcome.FALSE_NEGATIVE,
+}
 TRUTH = {int(Label.STATIC): "static", int(Label.DYNAMIC): "dynamic"}
 
 
@@ -56,11 +66,24 @@ class ExploredRun:
         self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)}
         self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}
         self._reasons = self.recording.reasons
+        self._ledgers: dict[int, tuple[PointLedger, ...]] = {}
         for frame, drawn in self._drawn.items():
             answered = len(self._answers[frame]) if frame in self._answers else 0
             if ((drawn.point < 0) | (drawn.point >= answered)).any():
                 hint = f"Save all other parts with: dynaviz repair {self.path}"
                 raise DataError(self.path, "contains points without an answer", at=f"frame {frame}", hint=hint)
+
+    @property
+    def passes(self) -> tuple[str, ...]:
+        """Phases in which a replay passes over all scans."""
+        one = self.result.online or self.result.sections.source is not None
+        return ("survey", "label") if one else ("survey", "observe", "label")
+
+    @property
+    def replay_s(self) -> float | None:
+        """Seconds that a replay takes, by what it took when the run was recorded; None if unknown."""
+        measured = self.recording.properties.get("replay_s")
+        return None if measured is None else float(measured) * len(self.passes) / (len(self.passes) - 1)
 
     @property
     def title(self) -> str:
@@ -106,8 +129,13 @@ class ExploredRun:
             return int(self.wrong.frame[found]), int(self.wrong.point[found])
         raise UsageError("the recording stores no single point here, because all points here are right")
 
-    def point(self, frame: int, point: int) -> dict[str, Any]:
+    def point(self, frame: int, point: int, corrections: Mapping[int, str] | None = None) -> dict[str, Any]:
         """Truth, answer and reason of a point, in plain types.
+
+        Args:
+            frame: position in the run.
+            point: row in its scan.
+            corrections: of the truth, by number of the case.
 
         Raises:
             UsageError: for a frame or point that does not exist.
@@ -119,19 +147,59 @@ class ExploredRun:
             raise UsageError(f"point {point}: frame {frame} has the points 0 to {len(answers) - 1}")
         reason = self._reasons[answers.reasons[point]]
         truth, removed = TRUTH.get(int(answers.truth[point])), bool(answers.dynamic[point])
+        outcome, position = Outcome(answers.outcome[point]), self._position(frame, point)
+        case = None
+        if position is not None and outcome in (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE):
+            case = case_at(self.result.failures, outcome.name.lower(), frame, position)
+        cause, number = (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
+        corrected = (corrections or {}).get(number)
+        if corrected is not None:
+            right = removed == (corrected == "dynamic")
+            truth, outcome = corrected, OUTCOMES[removed, right]
         return {
             "frame": frame,
             "index": answers.index,
             "point": point,
-            "position": self._position(frame, point),
+            "position": position,
             "truth": truth,
+            "corrected": corrected is not None,
             "removed": removed,
-            "outcome": Outcome(answers.outcome[point]).name.lower(),
+            "outcome": outcome.name.lower(),
             "reason": reason.name,
             "meaning": reason.meaning,
-            "cause": reason.cause,
-            "sentence": sentence(truth, removed, reason),
+            "cause": cause,
+            "sentence": sentence(truth, removed, reason, cause),
         }
+
+    def stored(self, frame: int, point: int) -> tuple[PointLedger, float] | None:
+        """The stored ledger of a point, or of one near it that has the same label for the same reason.
+
+        Returns:
+            The ledger and its distance from the point, metres; None if none is within ``NEAR``.
+        """
+        asked = self.point(frame, point)
+        worst = [case.worst_frame for case in self.result.failures or ()]
+        worst = worst or [cluster.worst_frame for cluster in self.result.clusters]
+        numbers = [number for number, of_case in enumerate(worst, 1) if of_case == frame]
+        candidates = [ledger for number in numbers for ledger in self.ledgers(number)]
+        for ledger in candidates:
+            if ledger.point == point:
+                return ledger, 0.0
+        if asked["position"] is None:
+            return None
+        alike = [
+            (math.dist(ledger.position, asked["position"]), k)
+            for k, ledger in enumerate(candidates)
+            if (ledger.removed, ledger.reason.name) == (asked["removed"], asked["reason"])
+        ]
+        distance, k = min(alike, default=(math.inf, -1))
+        return (candidates[k], distance) if distance <= NEAR else None
+
+    def ledgers(self, case: int) -> tuple[PointLedger, ...]:
+        """The stored ledgers of a case, 1 for the first; none if the recording has none."""
+        if case not in self._ledgers:
+            self._ledgers[case] = self.recording.ledgers(case)
+        return self._ledgers[case]
 
     def wrong_too(self, other: ExploredRun) -> Bool:
         """(N,) for each of the points in ``wrong``, whether another run on the same frames is wrong there, too."""

@@ -43,6 +43,7 @@ SCRIPTS = (
     "share.js",
     "state.js",
     "viewer.js",
+    "whatif.js",
     "why.js",
 )
 FILES = {"index.html": "text/html", "style.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}

@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from dynaviz.contracts.evidence import Explains
 from dynaviz.contracts.method import Reason
-from dynaviz.engine.ledger import GRAZING, Ledger, PointLedger
+from dynaviz.engine.case_evidence import evidence_of, flip
+from dynaviz.engine.ledger import Ledger, PointLedger
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.run import Run, open_run
 from dynaviz.scores.result import Result
+from dynaviz.scores.sections import case_at
 from dynaviz.sources.opening import Source
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ class Why:
         sequence: name of the sequence.
         online: whether labels were decided right after each scan.
         ledger: the scans that touched the point, what each contributed, and the rules that decided.
+        cause: of the failure case that contains the point; None if no listed case does, or the label is right.
         note: what the ledger cannot show; empty if nothing.
     """
 
@@ -38,26 +41,25 @@ class Why:
     sequence: str
     online: bool
     ledger: PointLedger
+    cause: str | None = None
     note: str = ""
 
     @property
     def sentence(self) -> str:
         """Truth, label and reason in a sentence."""
         found = self.ledger
-        return sentence(found.truth, found.removed, found.reason)
+        return sentence(found.truth, found.removed, found.reason, self.cause)
 
     @property
-    def rays(self) -> str:
-        """The rays that touched the cell around the point, in a sentence."""
-        entries = self.ledger.entries
-        hits, crossings = ([e for e in entries if getattr(e, name)] for name in ("hits", "crossed"))
-        text = f"Of {self.ledger.searched:,} scans, {len(hits):,} hit its cell and {len(crossings):,} crossed it"
-        low = sum(e.angle_deg is not None and e.angle_deg < GRAZING for e in crossings)
-        return f"{text}{f', {low:,} of them at less than {GRAZING:g}° to its surface' if low else ''}."
+    def evidence(self) -> str:
+        """The rays that touched the cell around the point, what decided, and what would change the label."""
+        return f"{evidence_of([self.ledger]).text} {flip(self.ledger)}".strip()
 
     def to_dict(self) -> dict[str, Any]:
         """Everything in plain types that JSON knows; numbers that are not finite become None."""
-        plain: dict[str, Any] = _plain({**dataclasses.asdict(self), "sentence": self.sentence, "rays": self.rays})
+        plain: dict[str, Any] = _plain(
+            {**dataclasses.asdict(self), "sentence": self.sentence, "evidence": self.evidence}
+        )
         return plain
 
     def __rich__(self) -> RenderableType:
@@ -65,17 +67,18 @@ class Why:
 
         place = " ".join(f"{x:.2f}" for x in self.ledger.position)
         where = f"point {self.ledger.point} of frame {self.ledger.frame}, at ({place}) m"
-        head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.rays, self.note
+        head = f"{self.title} on {self.sequence}: {where}", self.sentence, self.evidence, self.note
         return ledger_table(self.ledger, [line for line in head if line])
 
 
-def sentence(truth: str | None, removed: bool, reason: Reason) -> str:
+def sentence(truth: str | None, removed: bool, reason: Reason, cause: str | None) -> str:
     """The label of a point in a sentence.
 
     Args:
         truth: ``static``, ``dynamic`` or None.
         removed: the label.
         reason: why it got the label.
+        cause: of the failure case that contains it, if any.
     """
     meaning = reason.meaning.partition(": ")[2] or reason.meaning
     answer = "removed" if removed else "kept"
@@ -83,8 +86,7 @@ def sentence(truth: str | None, removed: bool, reason: Reason) -> str:
         return f"{answer.capitalize()} (no ground truth): {meaning}."
     if removed == (truth == "dynamic"):
         return f"Right: {truth}, and {answer}: {meaning}."
-    cause = f" Likely cause: {reason.cause}." if reason.cause else ""
-    return f"Wrong: {truth}, but {answer}: {meaning}.{cause}"
+    return f"Wrong: {truth}, but {answer}: {meaning}.{f' Cause: {cause}.' if cause else ''}"
 
 
 def why(
@@ -128,7 +130,7 @@ def explain(
 
     Args:
         run, sequence, threads, progress: as for ``why``.
-        points: for each frame, rows in its scan; at most 32 for a frame.
+        points: for each frame, rows in its scan.
 
     Returns:
         By frame, in the order of ``points``.
@@ -145,7 +147,19 @@ def explain(
     elif not isinstance(spec.method, Explains):
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
-    return {frame: tuple(Why(*facts, found, note) for found in ledger.ledgers) for frame, ledger in ledgers.items()}
+    return {
+        frame: tuple(Why(*facts, found, cause_at(opened.result, found), note) for found in ledger.ledgers)
+        for frame, ledger in ledgers.items()
+    }
+
+
+def cause_at(result: Result, ledger: PointLedger) -> str | None:
+    """The cause of the failure case that contains a point; None if no listed case does, or the label is right."""
+    if not ledger.wrong:
+        return None
+    kind = "false_positive" if ledger.removed else "false_negative"
+    case = case_at(result.failures, kind, ledger.frame, ledger.position)
+    return None if case is None else case.cause
 
 
 def _plain(value: Any) -> Any:

@@ -5,11 +5,13 @@ Percentages are None where undefined: without dynamic ground truth there is no D
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import msgspec
 from msgspec import Struct, field
+
+ROUNDED = 0.02  # metres around the box of a case, whose corners are rounded
 
 
 class SequenceInfo(Struct, frozen=True):
@@ -187,6 +189,23 @@ class FailureCase(Struct, frozen=True):
     def metric(self) -> str:
         """The score that it costs: DA for points wrongly kept, SA for points wrongly removed."""
         return "DA" if self.kind == "false_negative" else "SA"
+
+
+def case_at(cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]) -> FailureCase | None:
+    """The costliest case of a kind whose frames and box contain a wrong point; None if no listed case does.
+
+    Args:
+        cases: costliest first.
+        kind: ``false_negative`` or ``false_positive``.
+        frame: position in the run.
+        place: (3,) metres, world frame.
+    """
+    for case in cases:
+        if case.kind == kind and case.first_frame <= frame <= case.last_frame:
+            sides = zip(case.low, place, case.high, strict=True)
+            if all(low - ROUNDED <= at <= high + ROUNDED for low, at, high in sides):
+                return case
+    return None
 
 
 class CaseTotals(Struct, frozen=True):

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.contracts.metric import Figure, FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.scores.result import Result
@@ -35,7 +35,6 @@ class ShownCase:
         low, high: (3,) float64, metres, world frame: its box in that frame.
         lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
         text: Markdown, without evidence.
-        ground: whether most of its points are on the ground.
     """
 
     number: int
@@ -46,7 +45,6 @@ class ShownCase:
     high: F64
     lost: Mapping[str, float]
     text: str
-    ground: bool
 
     @property
     def label(self) -> str:
@@ -63,6 +61,11 @@ def suspicious(result: Result) -> list[RemovedCluster]:
     """The most suspicious clusters of removed points; none if the run had ground truth."""
     removals = result.sections.removals
     return list(removals.clusters[:LISTED]) if removals else []
+
+
+def middle_of(xyz: F32 | F64) -> int:
+    """Row of the point in the middle of (N, 3) points, N >= 1: the explorer explains it when it opens the case."""
+    return int(np.argmin(((xyz - np.median(xyz.astype(np.float64), axis=0)) ** 2).sum(1)))
 
 
 def boxes_of(result: Result, figures: Mapping[str, Figure]) -> FrameBoxes | None:
@@ -85,8 +88,7 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        outcome, ground = Outcome(boxes.outcomes[i]), (case.ground or 0.0) > 0.5
-        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, ground))
+        cases.append(ShownCase(i + 1, title, Outcome(boxes.outcomes[i]), case.worst_frame, *corners, lost, text))
     return cases
 
 

@@ -20,34 +20,13 @@ FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surf
 WIDE = 1.5  # metres
 
 _VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cause.STANDING, Cause.OCCUPIED)
-_OCCUPIED = "The method observed its place more often as occupied than as free."
-_EXPLANATIONS: dict[str, dict[str, str]] = {  # by kind and cause
-    "false_negative": {
-        Cause.STANDING: _OCCUPIED,
-        Cause.OCCUPIED: _OCCUPIED,
-        Cause.NOTHING_BEHIND: "The method needs rays through its place, and found too few.",
-        Cause.SPARSE_RINGS: "The method needs rays through its place, and the sensor's rings are too sparse there.",
-        Cause.NOT_YET_FREE: "The method had not observed its place as free for long enough before it arrived.",
-        Cause.HEIGHT_LIMIT: "It is outside the height limits of the method.",
-        Cause.OUT_OF_RANGE: "It is outside the range or field of view of the method.",
-        Cause.TAKEN_FOR_GROUND: "The method classified it as ground.",
-        Cause.SHARED_CELL: "The method classified it together with static points around it.",
-    },
-    "false_positive": {
-        Cause.GRAZING_RAYS: "Rays at grazing angles made it appear free to the method.",
-        Cause.SPARSE_RINGS: "Few rays hit it, and the method counted those that passed between.",
-        Cause.SHARED_CELL: "The method classified it together with something else in one voxel, bin or cluster.",
-        Cause.HEIGHT_LIMIT: "The method found different heights there in different scans.",
-        Cause.STANDING: "It came into view late, or only intermittently, so the method took it for a mover.",
-    },
-}
 
 
-def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> list[Cause | None]:
-    """The cause of each case: the most frequent cause among the method's reasons, refined by shape and motion.
+def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> list[tuple[Cause | None, int]]:
+    """The cause of each case, and the code of the reason that decided it.
 
-    A method knows only whether rays passed. The shape and the motion of the case show which of the paper's failures
-    it is.
+    The most frequent cause among the method's reasons, refined by shape and motion: a method knows only whether rays
+    passed, and these show which of the paper's failures it is. The reason is the most frequent one with that cause.
 
     Args:
         kind: ``false_negative`` or ``false_positive``.
@@ -58,10 +37,11 @@ def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> 
     of_code = np.array([*(known.index(reason.cause) for reason in reasons), 0])
     by_cause = np.stack([total["reasons"][:, of_code == i].sum(1) for i in range(len(known))], 1)
     refine = _refine_removed if kind == "false_positive" else _refine_kept
-    return [
-        refine(case, cause) if cause in _VISIBILITY else cause
-        for case, cause in zip(total, (known[i] for i in by_cause.argmax(1)), strict=True)
-    ]
+    found = []
+    for case, most in zip(total, by_cause.argmax(1).tolist(), strict=True):
+        cause, code = known[most], int(np.where(of_code == most, case["reasons"], -1).argmax())
+        found.append((refine(case, cause) if cause in _VISIBILITY else cause, code))
+    return found
 
 
 def _refine_removed(case: np.void, cause: Cause) -> Cause:
@@ -123,11 +103,12 @@ def extent(case: Mapping[str, Any]) -> str:
     return " x ".join(f"{high - low:.1f}" for low, high in zip(case["low"], case["high"], strict=True)) + " m"
 
 
-def sentence(case: Mapping[str, Any], patches: bool = False) -> str:
-    """Describe a failure case in two short sentences: what the object did, and what the method did.
+def sentence(case: Mapping[str, Any], meaning: str, patches: bool = False) -> str:
+    """Describe a failure case in two short sentences: what the object did, and why the method decided as it did.
 
     Args:
         case: its plain values.
+        meaning: of the reason that decided it, in the method's words (``Reason.meaning``).
         patches: whether it consists of several patches of ground.
     """
     name = " ".join(str(part) for part in (case["what"], case.get("instance")) if part is not None)
@@ -137,5 +118,5 @@ def sentence(case: Mapping[str, Any], patches: bool = False) -> str:
     else:
         name += " in patches within" if patches else ","
         fact = f"Removed: {name} {extent(case)}, {when_and_where(case)}."
-    own = f"The method gives the reason {next(iter(case['reasons']))}."
-    return f"{fact} {_EXPLANATIONS[case['kind']].get(case['cause'], own)}"
+    why = meaning.partition(": ")[2] or meaning
+    return f"{fact} {why[:1].upper()}{why[1:]}."

@@ -128,7 +128,7 @@ class Failures:
 
     def _count(self, kind: str, over: NDArray[np.void]) -> None:
         """Add cases that are over to the counts of their causes."""
-        for cause, points in zip(causes_of(kind, over, self._reasons), over["points"].tolist(), strict=True):
+        for (cause, _), points in zip(causes_of(kind, over, self._reasons), over["points"].tolist(), strict=True):
             count = self._causes[kind][str(cause or "unknown")]
             count["cases"] += 1
             count["points"] += points
@@ -138,8 +138,9 @@ class Failures:
     ) -> Iterator[tuple[dict[str, Any], NDArray[np.void]]]:
         """Each case as plain JSON values, with its rows; given the share of the largest patch of those in patches."""
         names = [*(reason.name for reason in self._reasons), "unknown code"]
+        meanings = [*(reason.meaning for reason in self._reasons), "the method gives no known reason"]
         total = summed(rows)
-        for case, cause in zip(total, causes_of(kind, total, self._reasons), strict=True):
+        for case, (cause, code) in zip(total, causes_of(kind, total, self._reasons), strict=True):
             group, own = int(case["group"]), rows[rows["case"] == case["case"]]
             number = (group >> 32) - 1  # of its class
             behaviour = self._places.behaviour(case) if kind == "false_positive" else self._objects.behaviour(own)
@@ -155,4 +156,4 @@ class Failures:
                 "behaviour": None if behaviour is None else str(behaviour),
             }
             patches = largest.get(int(case["case"]), 1.0) < ONE_PATCH
-            yield {**plain, "sentence": sentence(plain, patches)}, own
+            yield {**plain, "sentence": sentence(plain, meanings[code], patches)}, own

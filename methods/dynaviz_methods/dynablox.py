@@ -257,8 +257,9 @@ class Dynablox:
             members, size_of_members = self._clusters(asked.scan, voxels, free)
             size[members] = size_of_members
         points = "points of its cluster", size[asked.rows]
-        limits = Term(*points, ">=", self.params.min_cluster), Term(*points, "<=", self.params.max_cluster)
-        return Rule("dynamic cluster", limits)
+        lowest = Term(*points, ">=", self.params.min_cluster, parameter="min_cluster")
+        highest = Term(*points, "<=", self.params.max_cluster, parameter="max_cluster")
+        return Rule("dynamic cluster", (lowest, highest))
 
     def _show(self, reasons: U8, voxels: I64, new: Bits, lost: Bits) -> None:
         wants, emit = self._probe.wants, self._probe.emit

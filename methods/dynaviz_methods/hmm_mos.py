@@ -236,9 +236,10 @@ class HmmMos:
         p = self.params
         decided = (
             Term("scans so far", np.full(len(voxels), self._map.number), ">", p.window + 1),
-            Term("threshold of the scan", np.full(len(voxels), threshold), ">", p.min_score),
+            Term("threshold of the scan", np.full(len(voxels), threshold), ">", p.min_score, parameter="min_score"),
         )
         score = _values_at(sums, occupied, voxels)
+        enough = Term("summed score", score, ">", p.min_score, parameter="min_score")
         was = _values_at(_among(last, occupied), occupied, voxels)
         above = (sums > threshold) | (_among(last, occupied) & (sums > p.min_score))
         near = np.isin(around(self._map, voxels), occupied[above]).sum(1)
@@ -246,7 +247,7 @@ class HmmMos:
             Rule("above", (*decided, Term("summed score", score, ">", threshold))),
             Rule(
                 "carried",
-                (*decided, Term("dynamic one scan ago", was, ">=", 1), Term("summed score", score, ">", p.min_score)),
+                (*decided, Term("dynamic one scan ago", was, ">=", 1), enough),
             ),
             Rule("beside", (*decided, Term("dynamic voxels around it", known(near, voxels), ">=", 1))),
         )

@@ -28,7 +28,7 @@ def marked(blocks: I32, bits: NDArray[Any], voxels: I64) -> Bool:
     order = np.argsort(blocks)
     rows = order[np.minimum(np.searchsorted(blocks, voxels >> 9, sorter=order), len(blocks) - 1)]
     of_block = np.where(blocks[rows] == voxels >> 9, rows << 9 | voxels & 511, -1)
-    return read(bits, of_block)
+    return read(np.ascontiguousarray(bits), of_block)
 
 
 def around(grid: BlockGrid, voxels: I64, margin: int = 1) -> I64:

@@ -27,12 +27,12 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import U8, Bool
 from dynaviz.blocks.blocks import VOXELS, BlockGrid, Marks, read, voxels_of
-from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Step, Term, voxels_around
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, Plane, State, Voxels
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.ground import ground_plane
-from dynaviz_methods.lookups import known
+from dynaviz_methods.lookups import known, marked
 from dynaviz_methods.noise import outliers
 
 
@@ -165,6 +165,7 @@ class OctoMap:
         ground = self._find_ground(scan, ~noise)
         marks = self._grid.mark(scan, casts=self._casts(noise, ground), hits=~ground)
         kernels.log_odds.update(self._log_odds, self._ever, marks.blocks, marks.bits, *self._logits)
+        self._marks = marks
         if any(self._probe.wants(state.name) for state in STATES[:3]):
             self._show(marks)
 
@@ -196,7 +197,15 @@ class OctoMap:
         voxels = self._grid.locate(asked.points)
         log_odds = known(self._log_odds.ravel()[voxels], voxels)
         rule = Rule("free", (Term("log-odds", log_odds, "<", 0.0), *self._exceptions(asked)))
-        total = Quantity("log-odds", log_odds, total=True, threshold=0.0)
+        steps = tuple(
+            Step(name, parameter, marked(self._marks.blocks, bits, voxels))
+            for name, parameter, bits in (
+                ("crossed", "prob_miss", self._marks.bits[:, :8]),
+                ("hit", "prob_hit", self._marks.bits[:, 8:]),
+            )
+        )
+        limits = "clamp_min", "clamp_max"
+        total = Quantity("log-odds", log_odds, total=True, threshold=0.0, steps=steps, limits=limits)
         return Evidence(voxels_around(asked.points, self.params.resolution), (total,), (rule,))
 
     def _exceptions(self, asked: Asked) -> tuple[Term, ...]:

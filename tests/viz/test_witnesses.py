@@ -1,16 +1,15 @@
-"""The rays that touch a place, against a brute-force reference, and what they are counted as."""
+"""The rays that touch boxes, against a brute-force reference, and those that are drawn."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.worlds import pose
 
 from dynaviz import kernels
-from dynaviz.arrays import F64
-from dynaviz.contracts.scan import Scan
-from dynaviz.testing import InMemory
-from dynaviz.views.witnesses import CROSSED, GRAZED, HIT, STRIPS, Place, find
+from dynaviz.colours import CROSSED, GRAZED, HIT
+from dynaviz.contracts.method import Reason
+from dynaviz.engine.ledger import LedgerEntry, PointLedger
+from dynaviz.views.witnesses import rays_of
 
 STEPS = np.linspace(0, 1, 4001)
 
@@ -45,48 +44,29 @@ def test_rays_without_an_end_touch_nothing() -> None:
     assert not crossed.any()
 
 
-def walls(x: float, sensor: F64) -> Scan:
-    """Rays from a sensor to a grid on a wall at a distance."""
-    y, z = np.meshgrid(np.linspace(-0.5, 0.5, 11), np.linspace(0.5, 1.5, 11))
-    return Scan(0, np.stack([np.full(y.size, x), y.ravel(), z.ravel()], 1).astype(np.float32), sensor)
+def entry(frame: int, hits: int, crossed: int, angle: float | None = None) -> LedgerEntry:
+    """A scan seen from the origin, with the point 10 m away."""
+    behind = 5.0 if crossed else None
+    return LedgerEntry(frame, frame, (0.0, 0.0, 0.0), 10.0, angle, hits, crossed, behind, {}, {}, (), None)
 
 
-def test_hits_are_evidence_for_static_and_crossings_for_dynamic() -> None:
-    sequence = InMemory(
-        [walls(5.0, pose(0.0)), walls(9.0, pose(0.0)), walls(3.0, pose(0.0)), walls(999.0, pose(900.0))]
-    )
-    positions = np.array([scan.position for scan in sequence.scans])
-    found, none = find(
-        sequence, positions, [Place.of(sequence[0].points), Place.of(np.array([[0, 40, 0]], np.float32))]
-    )
-    assert found.rays == {HIT: 121, CROSSED: 121, GRAZED: 0}
-    assert found.scans == {HIT: 1, CROSSED: 1, GRAZED: 0}
-    assert found.searched == 3  # the last scan is too far away
-    assert 0 < len(found.strips) <= STRIPS
-    assert {int(k): int(f) for f, k in zip(found.frames, found.kinds, strict=True)} == {HIT: 0, CROSSED: 1}
-    np.testing.assert_array_equal(found.strips[:, 0], np.broadcast_to(np.float32([0, 0, 1]), (len(found.strips), 3)))
-    assert none.rays == dict.fromkeys((HIT, CROSSED, GRAZED), 0)
-    assert "evidence for static" in found.text()
-    assert "121 rays of 1 scan hit" in found.text()
-    assert "No ray of 3 scans" in none.text()
+def ledger(*entries: LedgerEntry) -> PointLedger:
+    reason = Reason("kept", "kept: no")
+    return PointLedger(0, 0, 0, (10.0, 0.0, 0.0), "static", False, reason, None, (), (), entries, 9)
 
 
-def test_rays_along_the_ground_graze_it() -> None:
-    x, y = np.meshgrid(np.linspace(9.5, 10.5, 9), np.linspace(-0.5, 0.5, 9))
-    ground = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1).astype(np.float32)
-    beyond = np.array([[14.0, 0.0, -0.2], [10.0, 0.0, -1.0]], np.float32)
-    flat, steep = Scan(0, beyond[:1], pose(0.0, z=0.5)), Scan(1, beyond[1:], pose(10.0, z=2.0))
-    sequence = InMemory([flat, steep])
-    (found,) = find(sequence, np.array([scan.position for scan in sequence.scans]), [Place.of(ground)])
-    assert found.rays == {HIT: 0, CROSSED: 1, GRAZED: 1}
-    assert found.kinds.tolist() == [GRAZED, CROSSED]
-    assert "50 % of them at less than 10°" in found.text()
+def test_hits_end_at_the_point_and_crossings_beyond_it() -> None:
+    found = rays_of([ledger(entry(0, 3, 0), entry(1, 0, 2, 45.0), entry(2, 0, 1, 9.0), entry(3, 1, 1))])
+    assert found.frames.tolist() == [0, 1, 2, 3, 3]
+    assert found.kinds.tolist() == [HIT, CROSSED, GRAZED, HIT, CROSSED]
+    np.testing.assert_array_equal(found.strips[:, 0], np.zeros((5, 3)))
+    assert found.strips[:, 1, 0].tolist() == [10.0, 15.0, 15.0, 10.0, 15.0]
 
 
 def test_drawn_rays_are_spread_over_scans() -> None:
-    sequence = InMemory([walls(5.0 if frame % 2 else 9.0, pose(0.0)) for frame in range(30)])
-    positions = np.zeros((30, 3))
-    (found,) = find(sequence, positions, [Place.of(sequence[1].points)])
-    assert len(found.strips) == STRIPS
-    assert (found.kinds == HIT).sum() == STRIPS // 2
+    many = [ledger(*(entry(frame, frame % 2, 1 - frame % 2) for frame in range(30))) for _ in range(8)]
+    found = rays_of(many, 40)
+    assert len(found.strips) == 40
+    assert (found.kinds == HIT).sum() == 20
     assert len(np.unique(found.frames)) == 30
+    assert len(rays_of([ledger()]).strips) == 0

@@ -25,7 +25,7 @@ export function allCards(runs) {
   return list.map(card => ({ ...card, by: card.by === 'both' ? 'both' : card.of })).filter(card => !(card.of === 'b' && card.by === 'both'))
 }
 
-const ORDER = { cost: (a, b) => (b.cost ?? 0) - (a.cost ?? 0) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
+const ORDER = { cost: (a, b) => (b.cost ?? b.suspicion) - (a.cost ?? a.suspicion) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
 
 /** The cards that pass the filters of a state, in its order. */
 export function chosen(cards, state) {
@@ -61,7 +61,7 @@ const chip = card => card.cost === null ? `suspicion ${card.suspicion.toFixed(2)
 const span = card => card.first === card.last ? `frame ${card.first}` : `frames ${card.first}–${card.last}`
 
 /** A card: what, what it costs, why, where and when. */
-export function cardElement(card, frames, compared, open) {
+export function cardElement(card, frames, compared, open, corrected) {
   const bins = card.spark.length, worst = Math.floor(card.worst * bins / Math.max(frames, 1))
   return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
     make('img', { src: `api/thumbnail?run=${card.of}&case=${card.number}`, width: 112, height: 72, alt: '', loading: 'lazy' }),
@@ -69,6 +69,7 @@ export function cardElement(card, frames, compared, open) {
       make('p', { class: 'head' }, `${card.number} ${card.title}`),
       make('p', { class: 'cause' }, make('span', { class: 'cost' }, chip(card)), ` ${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),
       make('p', { class: 'where', title: `${whole(card.points)} points` }, `${card.range.toFixed(0)} m away, ${span(card)}`),
+      corrected && make('p', { class: 'by' }, `corrected: ${corrected}`),
       compared && make('p', { class: 'by' }, BY[card.by]),
       sparkline(card.spark, worst)))
 }

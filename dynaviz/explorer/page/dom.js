@@ -2,7 +2,7 @@
 
 /** An element: `make('a', {href: '#', class: 'b'}, 'text', child)`. Functions become listeners; false and null are left out. */
 export function make(name, attributes = {}, ...children) {
-  const svg = ['svg', 'g', 'path', 'rect', 'line', 'circle', 'text', 'title', 'polyline'].includes(name)
+  const svg = ['svg', 'g', 'path', 'rect', 'line', 'circle', 'text', 'title', 'polyline', 'defs', 'pattern'].includes(name)
   const element = svg ? document.createElementNS('http://www.w3.org/2000/svg', name) : document.createElement(name)
   for (const [key, value] of Object.entries(attributes)) {
     if (value === false || value === null || value === undefined) continue
@@ -13,13 +13,19 @@ export function make(name, attributes = {}, ...children) {
   return element
 }
 
-/** Ask the server; errors carry its message. */
+let asking = 0
+/** Ask the server; errors carry its message. While an answer is awaited, the page is marked as busy. */
 export async function ask(name, query = {}, method = 'GET') {
-  const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`, { method })
-  const plain = answer.headers.get('content-type')?.startsWith('application/json')
-  const content = plain ? await answer.json() : await answer.arrayBuffer()
-  if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
-  return content
+  document.body.toggleAttribute('data-busy', ++asking > 0)
+  try {
+    const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`, { method })
+    const plain = answer.headers.get('content-type')?.startsWith('application/json')
+    const content = plain ? await answer.json() : await answer.arrayBuffer()
+    if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
+    return content
+  } finally {
+    document.body.toggleAttribute('data-busy', --asking > 0)
+  }
 }
 
 /** Have the server write something. */

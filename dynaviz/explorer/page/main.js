@@ -1,6 +1,6 @@
 // The explorer: cards, viewers and the panel of the chosen point, held together by the state in the address.
 import { allCards, cardElement, chosen, filters } from './cards.js'
-import { ask, make, say } from './dom.js'
+import { ask, make, say, send } from './dom.js'
 import { correction, rescored } from './correct.js'
 import { listen } from './keys.js'
 import { button, buttons, copy } from './share.js'
@@ -9,6 +9,7 @@ import { Viewer } from './viewer.js'
 import { PointPanel, showCase } from './why.js'
 
 const by = id => document.getElementById(id)
+const WRONG = ['false_positive', 'false_negative', 'unlabelled_removed']
 const viewers = {}
 let runs, cards, panel, list = []
 
@@ -21,7 +22,7 @@ async function start() {
     change(Object.fromEntries(new FormData(by('filters'))))
     showList()
   })
-  panel = new PointPanel(by('point'), runs, letter => mark(letter))
+  panel = new PointPanel(by('point'), runs, letter => mark(letter), letter => scansOf(letter, pointShown))
   showList()
   for (const letter of Object.keys(runs)) rescored(letter, runs[letter], headings)
   const first = find(state.of, state.case) ?? list[0]
@@ -52,7 +53,7 @@ function showList() {
   list = chosen(cards, current())
   const unit = cards.some(card => card.cost !== null) ? 'cases' : 'clusters of removed points'
   by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
-  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, Boolean(runs.b), open)))
+  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, Boolean(runs.b), open, runs[card.of].corrections[card.number])))
   highlight()
 }
 
@@ -66,7 +67,51 @@ function highlight() {
 function showCard() {
   const card = selected()
   highlight()
-  showCase(by('case'), card, runs.a, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: showCard, scored: headings }))
+  showCase(by('case'), card, runs[card?.of ?? 'a'], card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
+    letter => scansOf(letter, () => ({ case: card.number })))
+}
+
+/** After a correction, the card and the point state the corrected truth. */
+function corrected() {
+  showList()
+  showCard()
+  if (panel.shown) explain(ask('point', { frame: panel.shown.frame, point: panel.shown.point }), false)
+}
+
+const pointShown = () => panel.shown && { frame: panel.shown.frame, point: panel.shown.point }
+
+/** What the strips of scans of a run do: light up the rays of a scan, go to it, and start a run with other parameters. */
+const scansOf = (letter, what) => ({
+  hover: frame => light(letter, { ...what(), ...(frame !== null && { lit: frame }) }),
+  pick: ({ frame, sensor: [x, y, z] }) => {
+    change({ frame, layout: 'case' })
+    for (const viewer of Object.values(viewers)) viewer.seek(frame)
+    layOut({ x, y, z })
+  },
+  start: settings => startRun(letter, settings),
+})
+
+let lighting = Promise.resolve(), next = null
+/** Draw the rays of a point or a case, those of one frame bright; of several requests that wait, the last one counts. */
+function light(letter, query) {
+  next = { letter, query }
+  lighting = lighting.then(async () => {
+    if (!next) return
+    const { letter, query } = next
+    next = null
+    viewers[letter]?.show(await ask('marks', { run: letter, ...query }))
+  }).catch(error => say(error.message))
+}
+
+/** Repeat a run with other parameters, then open the comparison. */
+async function startRun(letter, settings) {
+  const query = { run: letter, settings: JSON.stringify(Object.fromEntries(settings)) }
+  for (let answer = await send('run', query); ; answer = await ask('run', query)) {
+    if (answer.error) return say(answer.error)
+    if (answer.url) return location.assign(answer.url)
+    say(`Running ${settings.map(([name, value]) => `${name}=${value}`).join(', ')}: ${answer.phase} ${answer.total ? `${answer.done} of ${answer.total}` : ''}`)
+    await new Promise(resolve => setTimeout(resolve, 700))
+  }
 }
 
 /** Go to a case: its worst frame, an eye that frames it, and a wrong point in the middle of it. */
@@ -88,23 +133,20 @@ function layout(kind) {
   layOut()
 }
 
-/** The layout of a viewer for the state. */
-function layoutOf(letter) {
+/** The layout of a viewer for the state; eye: where a case is seen from, if not from its usual place. */
+function layoutOf(letter, eye) {
   const { of, case: number, layout: kind } = current()
-  return ask('layout', { run: letter, owner: of, layout: kind, ...(number && { case: number }) })
+  return ask('layout', { run: letter, owner: of, layout: kind, ...eye, ...(number && { case: number }) })
 }
 
-async function layOut() {
+async function layOut(eye) {
   const { case: number, layout: kind } = current()
-  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await layoutOf(letter)))).catch(error => say(error.message))
+  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await layoutOf(letter, eye)))).catch(error => say(error.message))
   document.body.dataset.layout = `${kind}-${number}`
 }
 
 /** The mark and the rays of the explained point. */
-async function mark(letter) {
-  const found = panel.shown
-  if (viewers[letter]) viewers[letter].show(await ask('marks', { run: letter, ...(found && { frame: found.frame, point: found.point }) }))
-}
+const mark = letter => light(letter, pointShown())
 
 function openViewer(letter, frame) {
   const place = make('div', { class: 'viewer' })
@@ -139,12 +181,18 @@ async function clicked(letter, { entity_path, instance_id, position: [x, y, z] }
 async function explain(answer, asked) {
   try {
     const found = await answer
+    if (asked && panel.open && Object.values(found.runs).every(({ outcome }) => !WRONG.includes(outcome))) {
+      panel.mention(found, () => explain(found, false))
+      return
+    }
     if (asked) change({ at: found.frame, point: found.point })
-    panel.show(found, asked)
+    const ready = panel.show(found, asked)
     by('point').append(make('p', { class: 'buttons' }, Object.entries(found.commands).map(([letter, command]) => button(runs.b ? `Command ${letter.toUpperCase()}` : 'Command', () => copy(command)))))
-    await Promise.all(Object.keys(viewers).map(mark))
+    Object.keys(viewers).forEach(mark)
+    await ready
   } catch (error) {
-    panel.hint(error.message)
+    if (panel.open) say(error.message)
+    else panel.hint(error.message)
   }
 }
 

@@ -1,5 +1,5 @@
 // Small plots, as inline SVG.
-import { make } from './dom.js'
+import { make, whole } from './dom.js'
 
 /** Wrong points over the frames of the run. */
 export function sparkline(counts, worst, width = 150, height = 18) {
@@ -11,34 +11,85 @@ export function sparkline(counts, worst, width = 150, height = 18) {
   return make('svg', { class: 'spark', viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: 'none', role: 'img', 'aria-label': 'wrong points over the frames' }, bars.filter(Boolean))
 }
 
-const W = 340, H = 110, L = 44, R = 8, T = 8, B = 18
-
-/** A quantity after each scan, with its threshold. */
-export function runningTotal(name, unit, frames, values, threshold) {
-  const known = frames.map((frame, k) => [frame, values[k]]).filter(([, value]) => value !== null && value !== undefined)
-  if (known.length < 2) return null
-  const [first, last] = [known[0][0], known.at(-1)[0]]
-  const heights = [...known.map(([, value]) => value), ...(threshold === null ? [] : [threshold])]
-  let [low, high] = [Math.min(...heights), Math.max(...heights)]
-  const pad = 0.08 * (high - low || 1)
-  low -= pad
-  high += pad
-  const x = frame => L + (W - L - R) * (frame - first) / Math.max(last - first, 1)
-  const y = value => T + (H - T - B) * (high - value) / (high - low)
-  const steps = known.map(([frame, value], k) => (k ? `H${x(frame).toFixed(1)}V` : `M${x(frame).toFixed(1)} `) + y(value).toFixed(1)).join('')
-  const label = (px, py, text, anchor, kind) => make('text', { x: px, y: py, 'text-anchor': anchor, class: kind }, text)
-  const ticks = [Math.max(...known.map(([, value]) => value)), Math.min(...known.map(([, value]) => value))]
-  return make('figure', {},
-    make('figcaption', {}, `${name}${unit ? ` [${unit}]` : ''} after each scan`),
-    make('svg', { class: 'total', viewBox: `0 0 ${W} ${H}`, role: 'img', 'aria-label': `${name} after each scan` },
-      make('line', { x1: L, x2: W - R, y1: H - B, y2: H - B, class: 'axis' }),
-      threshold !== null && make('line', { x1: L, x2: W - R, y1: y(threshold), y2: y(threshold), class: 'threshold' }),
-      threshold !== null && label(W - R, y(threshold) - 3, `threshold ${short(threshold)}`, 'end', 'threshold'),
-      make('path', { d: steps, class: 'curve' }),
-      known.length <= 60 && known.map(([frame, value]) => make('circle', { cx: x(frame), cy: y(value), r: 1.8 })),
-      [...new Set(ticks)].map(value => label(L - 4, y(value) + 3, short(value), 'end')),
-      label(L, H - 5, `frame ${first}`, 'start'), label(W - R, H - 5, String(last), 'end')))
-}
-
 /** A number with at most three decimals. */
 export const short = value => value === null || value === undefined ? '' : String(Number(value.toFixed(Math.abs(value) < 1 ? 3 : 2)))
+const signed = value => `${value < 0 ? '−' : '+'}${short(Math.abs(value))}`
+
+const W = 340, L = 42, R = 6, TOP = 8, LINE = 74, BARS = 54, B = 16
+const H = TOP + LINE + BARS + B
+
+/**
+ * The scans that touched points: above the quantity after each scan with its threshold, below what each added.
+ * @param data as the server's strip; frames: of the run; on: hover(frame or null), pick(scan)
+ */
+export function scanStrip({ quantity, scans, points }, frames, on) {
+  const step = (W - L - R) / Math.max(frames, 1), x = frame => L + step * frame
+  const total = Boolean(quantity?.total), parts = [], text = (at, y, words, anchor, kind) => make('text', { x: at, y, 'text-anchor': anchor, class: kind }, words)
+  const sum = scale(scans.map(scan => scan.value), [quantity?.threshold], TOP, TOP + LINE - 10)
+  if (sum) {
+    for (const value of sum.ends) parts.push(text(L - 4, sum.y(value) + 3, short(value), 'end'))
+    if (quantity.threshold !== null) parts.push(
+      make('line', { x1: L, x2: W - R, y1: sum.y(quantity.threshold), y2: sum.y(quantity.threshold), class: 'threshold' }),
+      text(W - R, sum.y(quantity.threshold) + (sum.y(quantity.threshold) < TOP + 12 ? 10 : -3), `removal beyond ${short(quantity.threshold)}`, 'end', 'threshold'))
+    const known = scans.filter(scan => scan.value !== null)
+    if (total) parts.push(make('path', { class: 'curve', d: known.map(({ frame, value }, k) => (k ? `H${x(frame).toFixed(1)}V` : `M${x(frame).toFixed(1)} `) + sum.y(value).toFixed(1)).join('') + `H${W - R}` }))
+    else parts.push(known.map(({ frame, value, hit, crossed }) => make('circle', { cx: x(frame + 0.5), cy: sum.y(value), r: 2, class: kind(hit, crossed) })))
+  }
+  const base = TOP + LINE, middle = base + BARS / 2, most = Math.max(...scans.map(scan => Math.abs(scan.change ?? 0)), 1e-9)
+  parts.push(make('line', { x1: L, x2: W - R, y1: middle, y2: middle, class: 'axis' }))
+  for (const scan of scans) {
+    const { hit, crossed, change, without_effect: idle } = scan
+    const reach = total ? idle ? 0.28 : Math.abs(change) / most : Math.max(hit, crossed)
+    if (!reach || !(hit || crossed || change)) continue
+    const height = Math.max(2, reach * (BARS / 2 - 2)), down = total && !idle ? change < 0 : crossed > hit
+    parts.push(make('rect', { x: x(scan.frame), width: Math.max(step - 0.6, 0.8), y: down ? middle : middle - height, height, class: `${kind(hit, crossed)}${idle ? ' idle' : ''}`, 'data-frame': scan.frame }))
+  }
+  if (total && scans.some(scan => scan.change)) parts.push(text(L - 4, middle - BARS / 2 + 10, signed(most), 'end'), text(L - 4, middle + BARS / 2 - 2, signed(-most), 'end'))
+  parts.push(text(L, H - 4, 'frame 0', 'start'), text(W - R, H - 4, String(frames - 1), 'end'))
+  const caption = make('figcaption', { 'aria-live': 'off' }), mark = make('rect', { class: 'hover', y: TOP, height: H - TOP - B, width: Math.max(step, 1), visibility: 'hidden' })
+  const title = `${quantity ? quantity.name + (quantity.unit ? ` [${quantity.unit}]` : '') : 'rays'}${points > 1 ? `, median of ${whole(points)} points` : ''}`
+  const say = words => caption.replaceChildren(...(words ? [words] : [title, ' ', key('hit', 'hit'), key('crossed', 'crossed'), scans.some(scan => scan.without_effect) && key('idle', 'without effect')].filter(Boolean)))
+  say()
+  const by = new Map(scans.map(scan => [scan.frame, scan]))
+  const near = event => {
+    const box = svg.getBoundingClientRect(), frame = Math.floor(((event.clientX - box.left) / box.width * W - L) / step)
+    return by.get(frame) ?? [...by.values()].reduce((best, scan) => Math.abs(scan.frame - frame) < Math.abs((best?.frame ?? Infinity) - frame) ? scan : best, undefined)
+  }
+  let shown = null
+  const show = scan => {
+    if (scan === shown) return
+    shown = scan
+    mark.setAttribute('visibility', scan ? 'visible' : 'hidden')
+    if (scan) mark.setAttribute('x', x(scan.frame))
+    say(scan && words(scan, quantity, points))
+    on.hover(scan?.frame ?? null)
+  }
+  const svg = make('svg', { class: 'strip', viewBox: `0 0 ${W} ${H}`, role: 'img', 'aria-label': `${title}, scan by scan`, tabindex: 0,
+    mousemove: event => show(near(event)), mouseleave: () => show(null), click: event => { const scan = near(event); if (scan) on.pick(scan) } }, hatches(), mark, parts.flat())
+  return make('figure', {}, svg, caption)
+}
+
+const kind = (hit, crossed) => crossed > hit ? 'crossed' : hit ? 'hit' : crossed ? 'crossed' : 'none'
+const key = (name, words) => make('span', { class: `key ${name}` }, words)
+
+function words(scan, quantity, points) {
+  const touched = ['hit', 'crossed'].filter(name => scan[name]).map(name => points > 1 ? `${name} ${Math.round(100 * scan[name])} % of them` : name)
+  const did = scan.without_effect ? ', without effect: clamped' : scan.change ? `, ${signed(scan.change)}` : ''
+  const value = scan.value === null ? '' : `, ${quantity.name} ${quantity.legend[scan.value] ?? short(scan.value)}`
+  return `Frame ${scan.frame}: ${touched.join(', ') || 'no ray'}${did}${value}`
+}
+
+/** Positions of values between two heights; null without values. */
+function scale(values, more, top, bottom) {
+  const known = values.filter(value => value !== null && value !== undefined)
+  if (!known.length) return null
+  const all = [...known, ...more.filter(value => value !== null && value !== undefined)]
+  let [low, high] = [Math.min(...all), Math.max(...all)]
+  if (low === high) [low, high] = [low - 1, high + 1]
+  return { ends: [...new Set([Math.max(...known), Math.min(...known)])], y: value => top + (bottom - top) * (high - value) / (high - low) }
+}
+
+function hatches() {
+  return make('defs', {}, ['hit', 'crossed'].map(name => make('pattern', { id: `hatch-${name}`, width: 3, height: 3, patternUnits: 'userSpaceOnUse', patternTransform: 'rotate(45)' },
+    make('rect', { width: 1.3, height: 3, class: name }))))
+}

@@ -1,35 +1,44 @@
 // The panel on the right: the case in words, and why a point got its label.
 import { ask, make, whole, words } from './dom.js'
-import { runningTotal, short } from './plot.js'
+import { scanStrip, short } from './plot.js'
+import { sliders } from './whatif.js'
 
 const POLL = 400 // ms
 const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
 const TITLES = { a: 'A', b: 'B' }
 
-/** The chosen case. */
-export function showCase(element, card, run, buttons, correction) {
+/** The chosen case; its evidence follows when it was read. on: hover, pick, start, as for PointPanel. */
+export function showCase(element, card, run, buttons, correction, on) {
   if (!card) {
     element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : 'No cluster of removed points.'))
     return
   }
   const total = Object.values(card.reasons).reduce((sum, count) => sum + count, 0)
   const reasons = Object.entries(card.reasons).slice(0, 3).map(([name, count]) => `${words(name)} ${Math.round(100 * count / total)} %`).join(', ')
-  const facts = { Cause: card.cost === null ? null : card.cause, Behaviour: card.behaviour, Reasons: reasons, 'Worst frame': String(card.worst) }
+  const facts = { Cause: card.cost === null ? null : card.cause, Reasons: reasons, 'Worst frame': String(card.worst) }
+  const evidence = make('div', { class: 'ledger' })
   element.replaceChildren(
     make('h2', { class: card.kind }, `${card.number} ${card.title}`),
     make('p', { class: 'sentence' }, card.sentence),
     make('dl', {}, Object.entries(facts).filter(([, value]) => value).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, value)])),
+    evidence,
     make('p', { class: 'buttons' }, buttons),
     ...(correction ? [correction] : []))
+  ask('evidence', { run: card.of, case: card.number }).then(found => {
+    if (!found.strip) return
+    evidence.append(make('p', { class: 'evidence' }, found.text), scanStrip(found.strip, run.frames, on(card.of)),
+      ...(found.what_if ? [sliders(found.what_if, card, settings => on(card.of).start(settings))] : []))
+  }, error => evidence.append(make('p', { class: 'error' }, error.message)))
 }
 
 /** Explains one point at a time. */
 export class PointPanel {
-  /** @param element where; runs: facts by letter; drawn: called with a letter when its ledger is known. */
-  constructor(element, runs, drawn) {
+  /** @param element where; runs: facts by letter; drawn: called with a letter when its ledger is known; on: by letter, hover(frame), pick(scan), start(settings). */
+  constructor(element, runs, drawn, on) {
     this.element = element
     this.runs = runs
     this.drawn = drawn
+    this.on = on
     this.shown = null
     this.hint()
   }
@@ -39,11 +48,23 @@ export class PointPanel {
     this.element.replaceChildren(make('h2', {}, 'Point'), make('p', { class: 'hint' }, text))
   }
 
-  /** Show the truth, the answer and the reason of a point; then its ledger, at once if it was clicked and takes little time. */
+  /** Whether a ledger is shown. */
+  get open() { return Boolean(this.element.querySelector('.ledger figure')) }
+
+  /** Mention a point that is right, and leave the ledger of another one open. */
+  mention(found, explain) {
+    this.element.querySelector('.mention')?.remove()
+    const { sentence } = Object.values(found.runs)[0]
+    this.element.prepend(make('p', { class: 'mention' }, `Point ${whole(found.point)} of frame ${found.frame}: ${sentence} `,
+      make('button', { type: 'button', click: explain }, 'Why')))
+  }
+
+  /** Show the truth, the answer and the reason of a point; then its ledger, at once if it is stored, or if it was clicked and takes little time. */
   show(found, clicked) {
     this.shown = found
     const parts = Object.entries(found.runs).map(([letter, point]) => this.#part(letter, point, found, clicked))
-    this.element.replaceChildren(make('h2', {}, `Point ${whole(found.point)} of frame ${found.frame}`), ...parts)
+    this.element.replaceChildren(make('h2', {}, `Point ${whole(found.point)} of frame ${found.frame}`), ...parts.map(([part]) => part))
+    return Promise.all(parts.map(([, ready]) => ready))
   }
 
   #part(letter, point, found, clicked) {
@@ -53,53 +74,74 @@ export class PointPanel {
       make('h3', {}, this.runs.b ? `${TITLES[letter]}: ${run.title}` : run.title),
       make('p', { class: 'sentence' }, point.sentence),
       make('dl', {},
-        make('dt', {}, 'Truth'), make('dd', { class: 'truth' }, point.truth ?? 'unknown'),
+        make('dt', {}, 'Truth'), make('dd', { class: 'truth' }, (point.truth ?? 'unknown') + (point.corrected ? ', corrected' : '')),
         make('dt', {}, 'Answer'), make('dd', { class: `given${wrong ? ' wrong' : ''}` }, (point.removed ? 'removed' : 'kept') + (wrong ? ', wrong' : '')),
         make('dt', {}, 'Reason'), make('dd', { class: 'reason', 'data-reason': point.reason }, words(point.reason))),
       ledger)
-    const start = () => this.#ledger(ledger, letter, found)
-    if (clicked && (run.seconds ?? PATIENCE) < PATIENCE) start()
-    else ledger.append(make('button', { type: 'button', class: 'start', click: start }, 'Show the scans that decided it'),
-      make('p', { class: 'hint' }, `Repeats the run${run.seconds ? `, about ${Math.max(1, Math.round(run.seconds))} s` : ''}.`))
-    return part
+    return [part, this.#stored(ledger, letter, found, clicked)]
   }
 
-  async #ledger(element, letter, found) {
+  /** The stored ledger, or the offer to repeat the run. */
+  async #stored(element, letter, found, clicked) {
+    try {
+      const answer = await ask('why', { run: letter, frame: found.frame, point: found.point })
+      if (this.shown !== found) return
+      if (answer.why) this.#fill(element, letter, found, answer)
+      else if (clicked && (answer.seconds ?? PATIENCE) < PATIENCE) this.#replay(element, letter, found)
+      else element.replaceChildren(this.#offer(element, letter, found, 'Show the scans that decided it', answer.seconds))
+    } catch (error) {
+      element.replaceChildren(make('p', { class: 'error' }, error.message))
+    }
+  }
+
+  #offer(element, letter, found, label, seconds) {
+    return make('p', { class: 'hint' }, make('button', { type: 'button', class: 'start', click: () => this.#replay(element, letter, found) }, label),
+      ` Repeats the run${seconds ? `, about ${Math.max(1, Math.round(seconds))} s` : ''}.`)
+  }
+
+  #fill(element, letter, found, { why, metres }) {
+    element.replaceChildren(...this.#ledgerParts(letter, why))
+    if (metres) element.prepend(make('p', { class: 'hint' }, `Evidence on a point ${metres.toFixed(2)} m away, with the same label for the same reason. `,
+      make('button', { type: 'button', class: 'start', click: () => this.#replay(element, letter, found) }, 'Repeat the run for this one')))
+    this.drawn(letter)
+  }
+
+  async #replay(element, letter, found) {
     const bar = make('progress', { max: 1 }), text = make('p', { class: 'hint' }, 'Repeating the run …')
     element.replaceChildren(bar, text)
     try {
       for (;;) {
-        const answer = await ask('why', { run: letter, frame: found.frame, point: found.point })
+        const answer = await ask('why', { run: letter, frame: found.frame, point: found.point, exact: 1 })
         if (this.shown !== found) return
         if (answer.error) throw new Error(answer.error)
-        if (answer.why) {
-          element.replaceChildren(...ledgerParts(answer.why))
-          this.drawn(letter)
-          return
-        }
-        if (answer.total) bar.value = answer.done / answer.total
-        text.textContent = `Repeating the run: ${answer.phase}${answer.total ? `, ${answer.done} of ${answer.total}` : ''}`
+        if (answer.why) return this.#fill(element, letter, found, answer)
+        if (answer.share) bar.value = answer.share
+        text.textContent = `Repeating the run${answer.seconds ? `: about ${Math.ceil(answer.seconds)} s left` : ' …'}`
         await new Promise(resolve => setTimeout(resolve, POLL))
       }
     } catch (error) {
       element.replaceChildren(make('p', { class: 'error' }, error.message))
     }
   }
+
+  /** What decided, the strip of scans, what would flip it; the other rules and all scans are folded. */
+  #ledgerParts(letter, { ledger, evidence, note, strip, what_if: whatIf, decided }) {
+    const on = this.on(letter), first = ledger.rules.find(rule => rule.name === decided), rest = ledger.rules.filter(rule => rule !== first)
+    return [
+      make('p', { class: 'evidence' }, evidence), note && make('p', { class: 'hint' }, note),
+      first && make('ul', { class: 'rules' }, ruleElement(first)),
+      strip.scans.length > 0 && scanStrip(strip, this.runs[letter].frames, on),
+      whatIf && sliders(whatIf, null, on.start),
+      rest.length > 0 && make('details', {}, make('summary', {}, `${rest.length} other rule${rest.length > 1 ? 's' : ''}`), make('ul', { class: 'rules' }, rest.map(ruleElement))),
+      make('details', {}, make('summary', {}, `All ${ledger.entries.length} scans`), scanTable(ledger)),
+    ].filter(Boolean)
+  }
 }
 
-/** Rules, the running total, and the scans. */
-function ledgerParts({ ledger, rays, note }) {
-  const frames = ledger.entries.map(entry => entry.frame)
-  const plots = ledger.quantities.filter(quantity => quantity.total || quantity.threshold !== null)
-    .map(({ name, unit, threshold }) => runningTotal(name, unit, frames, ledger.entries.map(entry => entry.values[name]), threshold))
-  return [
-    make('p', {}, rays), note && make('p', { class: 'hint' }, note),
-    ledger.rules.length > 0 && make('ul', { class: 'rules' }, ledger.rules.map(rule => make('li', { class: rule.holds ? 'holds' : '' },
-      make('b', {}, `${rule.name}: ${rule.holds ? 'yes, so it is removed' : 'no'}`),
-      ` ${rule.terms.map(term => `${term.name} ${short(term.value) || '–'}${term.holds ? ' ' : ' not '}${term.test} ${short(term.threshold)}${term.unit ? ` ${term.unit}` : ''}`).join(' and ')}${rule.frame === null ? '' : ` (frame ${rule.frame})`}`))),
-    ...plots.slice(0, 3),
-    scanTable(ledger),
-  ].filter(Boolean)
+function ruleElement(rule) {
+  const terms = rule.terms.map(term => `${term.name} ${short(term.value) || '–'}${term.holds ? ' ' : ' not '}${term.test} ${short(term.threshold)}${term.unit ? ` ${term.unit}` : ''}`)
+  return make('li', { class: rule.holds ? 'holds' : '' }, make('b', {}, `${rule.name}: ${rule.holds ? 'yes, so it is removed' : 'no'}`),
+    ` ${terms.join(' and ')}${rule.frame === null ? '' : ` (frame ${rule.frame})`}`)
 }
 
 function scanTable(ledger) {

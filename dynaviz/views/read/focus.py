@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,13 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64
+from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Outcome
-from dynaviz.views import drawn, paths, witnesses
+from dynaviz.views import drawn, paths
 from dynaviz.views.layout import CLEAR, blueprint, follow, solid
 from dynaviz.views.read.reader import RunRecording
-from dynaviz.views.record.case_timeline import RAY_COLOURS
 from dynaviz.views.record.scene import EDGES, WIRES
+from dynaviz.views.witnesses import Rays
 
 BOX, POINT, RAYS = "world/explore/box", "world/explore/point", "world/explore/rays"
 LOADING = "explore/loading"
@@ -27,8 +27,7 @@ ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
 ABOVE: F64 = np.array([-0.2, -0.15, 0.97])
 CASE, FRAME, MAP = "case", "frame", "map"
 LAYOUTS = (CASE, FRAME, MAP)
-
-HIT, CROSSED = witnesses.HIT, witnesses.CROSSED
+DIMMED = 4  # the colours of other rays are divided by this
 
 
 class Focus:
@@ -58,7 +57,9 @@ class Focus:
         stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
         return _content(stream, sink)
 
-    def layout(self, kind: str, title: str, frame: int, low: F64, high: F64, colour: Outcome | None) -> bytes:
+    def layout(
+        self, kind: str, title: str, frame: int, low: F64, high: F64, colour: Outcome | None, eye: F64 | None = None
+    ) -> bytes:
         """A layout, with the box of a case.
 
         Args:
@@ -68,6 +69,7 @@ class Focus:
             frame: position in the run.
             low, high: (3,) metres, world frame: the box.
             colour: outcome whose colour the box has; None for no box.
+            eye: (3,) metres, world frame: from where a case is seen; None for obliquely from above.
 
         Returns:
             The content of an ``.rrd`` file.
@@ -76,17 +78,17 @@ class Focus:
         if colour is not None:
             look: dict[str, Any] = {"colors": [colours.BRIGHT[colour]], "radii": EDGES, "fill_mode": WIRES}
             stream.log(BOX, rr.Boxes3D(mins=[low], sizes=[high - low], **look), static=True)
-        body = self._body(kind, title, frame, low, high)
+        body = self._body(kind, title, frame, low, high, eye)
         stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
         return _content(stream, sink)
 
-    def marks(self, point: F64 | None, strips: F32, kinds: Sequence[int]) -> bytes:
+    def marks(self, point: F64 | None, rays: Rays, lit: int | None) -> bytes:
         """A mark at a point, and its rays; they replace the earlier ones.
 
         Args:
             point: (3,) metres, world frame; None for no mark.
-            strips: (K, 2, 3) metres, world frame.
-            kinds: (K,) ``HIT`` or ``CROSSED``.
+            rays: to draw.
+            lit: frame whose rays stand out; None if none do.
 
         Returns:
             The content of an ``.rrd`` file.
@@ -94,8 +96,14 @@ class Focus:
         stream, sink = self._open()
         at = np.zeros((0, 3)) if point is None else point[None]
         stream.log(POINT, rr.Points3D(at, colors=[255, 255, 255], radii=rr.Radius.ui_points(5.0)), static=True)
-        shades = [RAY_COLOURS[kind] for kind in kinds]
-        stream.log(RAYS, rr.LineStrips3D(strips, colors=shades or None, radii=rr.Radius.ui_points(0.8)), static=True)
+        shades = np.array([colours.RAYS[kind] for kind in rays.kinds.tolist()], np.uint8).reshape(-1, 3)
+        widths = np.full(len(shades), -0.8)  # negative: in points of the screen
+        if lit is not None:
+            here = rays.frames == lit
+            shades[~here] //= DIMMED
+            widths[here] = -2.5
+        look: dict[str, Any] = {"colors": shades, "radii": widths} if len(shades) else {}
+        stream.log(RAYS, rr.LineStrips3D(rays.strips, **look), static=True)
         return _content(stream, sink)
 
     def _open(self) -> tuple[rr.RecordingStream, rr.BinaryStream]:
@@ -106,14 +114,14 @@ class Focus:
         stream.set_log_tick_enabled(False)
         return stream, rr.binary_stream(stream)
 
-    def _body(self, kind: str, title: str, frame: int, low: F64, high: F64) -> Any:
+    def _body(self, kind: str, title: str, frame: int, low: F64, high: F64, eye: F64 | None) -> Any:
         common = [paths.SENSOR, paths.TRAJECTORY, *MARKS]
         clouds = [f"{paths.MAP}/**", f"{paths.REMOVED}/**"]
         if kind == MAP:
             return solid("map", [*clouds, *common], _eye(low, high, ABOVE, 45.0))
         if kind == FRAME:
             return solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], follow())
-        near = _eye(low, high, ASIDE, CLOSEST)
+        near = _eye(low, high, ASIDE, CLOSEST, eye)
         case = solid(title, [paths.SCAN, paths.MAP, *common], near)
         whole = solid("whole run", [*clouds, *common], _eye(low, high, ABOVE, 30.0))
         below: list[Any] = [whole]
@@ -150,12 +158,12 @@ def _states(recording: RunRecording) -> list[str]:
     return [path for path in recording.entities() if path.startswith(start)]
 
 
-def _eye(low: F64, high: F64, direction: F64, closest: float) -> rrb.EyeControls3D:
+def _eye(low: F64, high: F64, direction: F64, closest: float, place: F64 | None = None) -> rrb.EyeControls3D:
+    """An eye on a box, at a place, or in a direction from it at the distance that frames it."""
     middle = (low + high) / 2
     distance = max(closest, 1.3 * float(np.linalg.norm(high - low)))
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=middle + distance * direction, look_target=middle, eye_up=[0.0, 0.0, 1.0]
-    )
+    position = middle + distance * direction if place is None else place
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=middle, eye_up=[0.0, 0.0, 1.0])
 
 
 def _content(stream: rr.RecordingStream, sink: rr.BinaryStream) -> bytes:

@@ -21,10 +21,11 @@ from rerun.chunk import RrdReader
 from dynaviz.arrays import F32, F64, I64, U8
 from dynaviz.contracts.method import Cause, Reason
 from dynaviz.contracts.scan import Outcome
+from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.scores.comparison.answers import ARCHETYPE, Answers
 from dynaviz.scores.result import Result
-from dynaviz.views import classes, paths
+from dynaviz.views import classes, paths, stored_ledgers
 from dynaviz.views.read import chunks
 from dynaviz.views.record.sink import of_part, part_of
 
@@ -245,6 +246,21 @@ class RunRecording(AnyRecording):
             "size": f"{self.path.stat().st_size / 1e6:.1f} MB",
             "command": p.get("command", ""),
         }
+
+    def ledgers(self, case: int) -> tuple[PointLedger, ...]:
+        """The stored ledgers of a listed case, 1 for the first; none if the recording has none.
+
+        Raises:
+            DataError: for damaged content.
+        """
+        with self.decoding():
+            packed = self._packed.get(case)
+            return () if packed is None else stored_ledgers.unpack(packed)
+
+    @functools.cached_property
+    def _packed(self) -> dict[int, U8]:
+        name = f"{stored_ledgers.ARCHETYPE}:{stored_ledgers.COMPONENT}"
+        return {case: components[name] for case, components in self.rows(paths.CASE_LEDGERS, paths.CASE)}
 
     def answers(self) -> Iterator[Answers]:
         """Label, ground truth and reason of every point, frame by frame in the order of the run.

@@ -6,8 +6,7 @@ it, and a text. On the timeline of frames, the box and the text are those of the
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -17,9 +16,10 @@ from dynaviz.arrays import F32, F64, I64
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
-from dynaviz.contracts.scan import Sequence as Scans
-from dynaviz.views import classes, drawn, paths, witnesses
-from dynaviz.views.cases import POINTS, ShownCase
+from dynaviz.engine.case_evidence import evidence_of
+from dynaviz.engine.ledger import PointLedger
+from dynaviz.views import classes, drawn, paths, stored_ledgers, witnesses
+from dynaviz.views.cases import POINTS, ShownCase, middle_of
 from dynaviz.views.record.scene import NAME_STYLE, WIRES
 from dynaviz.views.record.sink import RecordingFile
 
@@ -31,17 +31,16 @@ BACK = 11.0  # metres: the same for the frame around the line from the sensor to
 PICTURES = 8  # cases with range images and polar grids, which cannot be cut to a part
 LIFT = 0.22  # of this radius: height of the label above the box, so that it hides nothing
 EDGES = rr.Radius.ui_points(1.2)
-UP = np.array([0.0, 0.0, 1.0])
+POINTS_ASKED = 64  # of a case: those whose evidence is stored
+APART = 0.1  # metres: two of them are not in one cube of this edge
 THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
 TURN = np.linspace(0.0, 2 * np.pi, 49)
 CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
-RAY_COLOURS: dict[int, colours.Colour] = {
-    witnesses.HIT: (60, 205, 140),
-    witnesses.CROSSED: (180, 80, 255),
-    witnesses.GRAZED: (120, 40, 140),
-}
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
+
+
+Replay = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]  # as ``engine.ledger.replay``
 
 
 class CaseTimeline:
@@ -82,34 +81,36 @@ class CaseTimeline:
                 self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
-    def draw(self, scans: Scans, sensor: F64, boxes: FrameBoxes) -> str | None:
-        """Draw the cases, on both timelines.
+    def draw(self, replay: Replay, sensor: F64, boxes: FrameBoxes) -> str | None:
+        """Draw the cases, on both timelines, and store the evidence on their points.
 
         Args:
-            scans: the frames of the run.
+            replay: repeats the run.
             sensor: (frames, 3) metres, world frame: its positions.
             boxes: of the cases, by frame.
 
         Returns:
             The state that shows most about the first case; None if no state was drawn there.
-
-        Raises:
-            DataError: for a scan that cannot be read.
         """
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
         contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
-        places = [place_of(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
         self._styles()
-        deciding = []
-        for case, place, evidence in zip(self._cases, places, witnesses.find(scans, sensor, places), strict=True):
+        asked = [points_of(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
+        ledgers = replay([(case.frame, points) for case, points in zip(self._cases, asked, strict=True)])
+        room, deciding = stored_ledgers.MOST_BYTES, []
+        for case, found in zip(self._cases, ledgers, strict=True):
             self._sink.at_case(case.number)
             here = {path: row for (path, frame), row in rows.items() if frame == case.frame}
-            deciding.append(self._deciding(here, place))
+            deciding.append(self._deciding(here, case))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
-            self._rays(evidence)
-            self._text(f"{case.text}\n- **Evidence**: {evidence.text()}\n{see(self._info, deciding[-1])}\n{HOW}")
+            self._rays(witnesses.rays_of(found, witnesses.STRIPS))
+            evidence = f"- **Evidence**: {evidence_of(found).text}\n" if found else ""
+            self._text(f"{case.text}\n{evidence}{see(self._info, deciding[-1])}\n{HOW}")
+            packed = stored_ledgers.pack(found)
+            if (room := room - len(packed)) >= 0:
+                self._sink.log(paths.CASE_LEDGERS, stored_ledgers.component(packed))
             self._sink.chunks(
                 drawn.at_case(path, case.number, near(path, row, (case.low + case.high) / 2))
                 for path, row in here.items()
@@ -118,10 +119,10 @@ class CaseTimeline:
         self._by_frame(sensor, boxes)
         return deciding[0]
 
-    def _deciding(self, here: dict[str, drawn.Row], place: witnesses.Place) -> str | None:
-        """The name of the state with the largest share of its points or voxels at a place."""
+    def _deciding(self, here: dict[str, drawn.Row], case: ShownCase) -> str | None:
+        """The name of the state with the largest share of its points or voxels in a case."""
         names = {paths.state(self._info.name, state): state.name for state in self._info.emits}
-        path = drawn.deciding(here, list(names), place.low, place.high)
+        path = drawn.deciding(here, list(names), case.low, case.high)
         return None if path is None else names[path]
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
@@ -145,12 +146,12 @@ class CaseTimeline:
         log(paths.CASE_NAME, NAME_STYLE, static=True)
         log(paths.CASE_AROUND, lines(colors=[90, 90, 100], radii=THIN), static=True)
         log(paths.CASE_AIM, lines(colors=[70, 70, 80], radii=THIN), static=True)
-        legend = [(kind, name, RAY_COLOURS[kind]) for kind, name in witnesses.NAMES.items()]
+        legend = [(kind, name, colours.RAYS[kind]) for kind, name in witnesses.NAMES.items()]
         log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=RAYS, show_labels=False), static=True)
 
-    def _rays(self, evidence: witnesses.Witnesses) -> None:
-        kinds = evidence.kinds.astype(np.uint16)
-        self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=evidence.strips, class_ids=kinds))
+    def _rays(self, rays: witnesses.Rays) -> None:
+        kinds = rays.kinds.astype(np.uint16)
+        self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds))
 
     def _text(self, text: str) -> None:
         self._sink.log(paths.CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
@@ -222,21 +223,21 @@ def _aims(sensor: F64, middle: F64) -> F32:
     return lines
 
 
-def place_of(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
-    """Where to look for evidence; ground is level where its points, an arc, lie on no surface."""
-    place = _middle(case, scan)
-    return dataclasses.replace(place, normal=UP) if case.ground and place.normal is None else place
-
-
-def _middle(case: ShownCase, scan: drawn.Row | None) -> witnesses.Place:
-    """The middle of the case's points in its worst frame."""
-    if scan is not None and (xyz := drawn.positions(scan)) is not None:
-        inside = (xyz >= case.low - 0.01) & (xyz <= case.high + 0.01)
-        mine = inside.all(1) & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome)
-        if mine.any():
-            return witnesses.Place.of(xyz[mine].astype(np.float32))
-    corners: F32 = np.array([case.low, case.high], np.float32)
-    return witnesses.Place.of(corners.mean(0, keepdims=True))
+def points_of(case: ShownCase, scan: drawn.Row | None) -> list[int]:
+    """Rows in the scan of a case's worst frame: its middle point, and others that are spread over it."""
+    if scan is None or (xyz := drawn.positions(scan)) is None or not len(xyz):
+        return []
+    inside = ((xyz >= case.low - 0.01) & (xyz <= case.high + 0.01)).all(1)
+    mine = np.flatnonzero(inside & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome))
+    if not len(mine):
+        return []
+    middle = mine[middle_of(xyz[mine])]
+    _, first = np.unique(np.floor(xyz[mine] / APART), axis=0, return_index=True)
+    mine = mine[np.sort(first)]
+    mine = np.union1d(mine[witnesses.evenly(len(mine), POINTS_ASKED - 1)], middle)
+    rows = drawn.values(scan, "dynaviz.Scan:point")[mine] if "dynaviz.Scan:point" in scan else mine
+    chosen: list[int] = rows.astype(int).tolist()
+    return chosen
 
 
 def near(path: str, row: drawn.Row, middle: F64) -> drawn.Row:

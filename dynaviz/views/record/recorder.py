@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,8 +19,9 @@ from dynaviz.arrays import F32, F64
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.engine.ledger import PointLedger, replay
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.errors import UsageError
+from dynaviz.errors import PluginError, UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.scores.comparison import answers
 from dynaviz.scores.result import RecordMode, Result, environment
@@ -106,7 +108,7 @@ class Recorder(Listener):
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Open the file and write the properties of the run."""
         info = run.labeller.info
-        self._info, self._run, self._extent, drawn = info, run, summary.extent, self.mode != "scores"
+        self._info, self._run, self._summary, drawn = info, run, summary, self.mode != "scores"
         self._positions: list[F64] = []
         self._quota = Quota(self._budget, summary.points, summary.frames, run.method is not None and not run.online)
         self._states = {state.name: state for state in info.emits} if drawn else {}
@@ -198,7 +200,7 @@ class Recorder(Listener):
         self._document(paths.FAILURE_LIST, failure_list(result))
         if not found.truth:
             self._document(paths.REMOVED_TEXT, removed(self._info, result, self._outcomes))
-        self._open.layout(layout(self._info, self._extent, self._scene is not None, found))
+        self._open.layout(layout(self._info, self._summary.extent, self._scene is not None, found))
         self._say("done: " + ", ".join(f"{k} {v:.2f} %" for k, v in result.metrics.items() if v is not None))
         self._open.properties(complete=True, result_json=json.dumps(result.to_dict()))
         self._open.finish()
@@ -216,8 +218,19 @@ class Recorder(Listener):
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
-        state = timeline.draw(self._run.sequence, np.array(self._positions), boxes)
+        state = timeline.draw(self._replay, np.array(self._positions), boxes)
         return Findings(truth, True, state, curves)
+
+    def _replay(self, asked: Sequence[tuple[int, Sequence[int]]]) -> list[tuple[PointLedger, ...]]:
+        """The ledgers of points; none if the method's evidence is faulty, which must not cost the recording."""
+        begin = time.perf_counter()
+        try:
+            found = replay(self._run, self._summary, asked)
+            self._open.properties(replay_s=round(time.perf_counter() - begin, 3))
+            return found
+        except PluginError as error:
+            self._say(f"no evidence: {error}")
+            return [()] * len(asked)
 
     @property
     def _open(self) -> sink.RecordingFile:

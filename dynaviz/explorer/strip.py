@@ -1,0 +1,125 @@
+"""The ledgers of one or several points as the page draws them: frame by frame, and what the parameters would change."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from statistics import median
+from typing import Any
+
+from dynaviz.engine.case_evidence import decided_by
+from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
+
+
+def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:
+    """What each scan contributed, in plain types; values are medians over the points.
+
+    Args:
+        ledgers: at least one.
+
+    Returns:
+        ``quantity`` that is shown, or None, and ``scans``, each with its ``frame``, the ``hit`` and ``crossed`` shares
+        of the points, the ``change`` and the ``value`` of the quantity, the share ``removed`` so far, whether it
+        touched the points ``without_effect``, and where the ``sensor`` stood.
+    """
+    shown = _quantity(ledgers)
+    by_frame: defaultdict[int, dict[int, LedgerEntry]] = defaultdict(dict)
+    for k, ledger in enumerate(ledgers):
+        for entry in ledger.entries:
+            by_frame[entry.frame][k] = entry
+    name = "" if shown is None else shown.name
+    last: dict[int, float] = {}
+    removed: dict[int, bool] = {}
+    scans = []
+    for frame, entries in sorted(by_frame.items()):
+        here = {k: value for k, entry in entries.items() if (value := entry.values.get(name)) is not None}
+        last |= here
+        removed |= {k: entry.removed for k, entry in entries.items() if entry.removed is not None}
+        touched = [entry for entry in entries.values() if entry.hits or entry.crossed]
+        changes = [entry.changes.get(name, 0.0) for entry in touched or entries.values()]
+        total = shown is not None and shown.total
+        known = last if total else here
+        one = next(iter(entries.values()))
+        scans.append(
+            {
+                "frame": frame,
+                "hit": sum(entry.hits > 0 for entry in entries.values()) / len(ledgers),
+                "crossed": sum(entry.crossed > 0 for entry in entries.values()) / len(ledgers),
+                "change": median(changes) if total else None,
+                "value": median(known.values()) if known else None,
+                "removed": sum(removed.values()) / len(ledgers) if removed else None,
+                "without_effect": total and bool(touched) and not any(changes),
+                "sensor": list(one.sensor),
+            }
+        )
+    quantity = None
+    if shown is not None:
+        quantity = {
+            "name": shown.name,
+            "unit": shown.unit,
+            "total": shown.total,
+            "threshold": shown.threshold,
+            "legend": shown.legend,
+        }
+    return {"quantity": quantity, "scans": scans, "points": len(ledgers)}
+
+
+def _quantity(ledgers: Sequence[PointLedger]) -> QuantityInfo | None:
+    """The quantity that decided, or else the first with a threshold."""
+    quantities = ledgers[0].quantities
+    rule = decided_by(ledgers[0])
+    terms = {term.name for term in rule.terms} if rule else set()
+    order = (
+        [q for q in quantities if q.name in terms],
+        [q for q in quantities if q.threshold is not None and not q.legend],
+        quantities,
+    )
+    return next((found[0] for found in order if found), None)
+
+
+def what_if(ledgers: Sequence[PointLedger], parameters: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What the page needs to judge the points again with other parameters; None if no parameter enters directly.
+
+    Args:
+        ledgers: at least one.
+        parameters: of the run.
+    """
+    sums = [q for q in ledgers[0].quantities if q.steps]
+    summed = {q.name for q in sums}
+    names = [parameter for q in sums for _, parameter in q.steps] + [limit for q in sums for limit in q.limits]
+    rules = [rule for ledger in ledgers for rule in ledger.rules if _replayed(rule)]
+    names += [term.parameter for rule in rules for term in rule.terms if term.parameter]
+    names = [name for name in dict.fromkeys(names) if isinstance(parameters.get(name), int | float)]
+    if not names:
+        return None
+    probabilities = {name for q in sums for name in (*(parameter for _, parameter in q.steps), *q.limits)}
+    return {
+        "parameters": [
+            {"name": name, "value": parameters[name], "probability": name in probabilities} for name in names
+        ],
+        "sums": [{"name": q.name, "steps": q.steps, "limits": q.limits} for q in sums],
+        "points": [
+            {
+                "steps": [entry.steps for entry in ledger.entries if entry.steps] if summed else [],
+                "rules": [_rule(rule) for rule in ledger.rules],
+            }
+            for ledger in ledgers
+        ],
+    }
+
+
+def _replayed(rule: RuleValue) -> bool:
+    """Whether the last numbers decide a rule, so that it can be judged again."""
+    return rule.frame is None
+
+
+def _rule(rule: RuleValue) -> dict[str, Any]:
+    terms = [
+        {"name": t.name, "value": t.value, "test": t.test, "threshold": _finite(t.threshold), "parameter": t.parameter}
+        for t in rule.terms
+    ]
+    return {"holds": rule.holds, "terms": terms if _replayed(rule) else []}
+
+
+def _finite(value: float) -> float | None:
+    return None if value != value else value

@@ -1,0 +1,34 @@
+"""Ledgers as they are stored in a recording."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import rerun as rr
+
+from dynaviz.arrays import U8
+from dynaviz.engine.ledger import PointLedger
+
+ARCHETYPE = "dynaviz.Ledgers"
+COMPONENT = "packed"
+MOST_BYTES = 5_000_000  # of all ledgers in a recording; those of the last cases are left out
+
+_decoder = msgspec.msgpack.Decoder(tuple[PointLedger, ...])
+
+
+def pack(ledgers: Sequence[PointLedger]) -> bytes:
+    """The ledgers as compressed MessagePack."""
+    return zlib.compress(msgspec.msgpack.encode(ledgers), 6)
+
+
+def unpack(packed: U8) -> tuple[PointLedger, ...]:
+    """The inverse of ``pack``; raises ``zlib.error`` or ``msgspec.DecodeError`` for damaged content."""
+    return _decoder.decode(zlib.decompress(packed.tobytes()))
+
+
+def component(packed: bytes) -> rr.DynamicArchetype:
+    """Packed ledgers, to log."""
+    return rr.DynamicArchetype(ARCHETYPE, components={COMPONENT: np.frombuffer(packed, np.uint8)})
