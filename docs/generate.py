@@ -247,9 +247,15 @@ def failures(kind: Any) -> str:
         for kind_, word, score in sides
         for cause, counted in run["causes"].get(kind_, {}).items()
     ]
+    meanings = {reason.name: reason.meaning for reason in kind.info.reasons}
+
+    def meaning(case: dict[str, Any]) -> str:
+        """Of the most frequent reason that the method still gives."""
+        return next(meanings[name] for name in case["reasons"] if name in meanings)
+
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
     cases = "\n".join(
-        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {sentence(case)}"
+        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {sentence(case, meaning(case))}"
         for position, case in enumerate(run["cases"], 1)
     )
     return (

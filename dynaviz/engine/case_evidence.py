@@ -97,8 +97,7 @@ def flip(ledger: PointLedger) -> str:
         return ""
     gap = abs(value - term.threshold)
     unit = f" {term.unit}" if term.unit else ""
-    done = "Removed" if ledger.removed else "Kept"
-    text = f"{done} by {_number(gap)}{unit} of {term.name}"
+    text = f"The threshold is {_number(gap)}{unit} away"
     scans = _scans_to_flip(ledger, term, gap)
     if scans is None:
         return f"{text}."

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, Bool, Intp
+from dynaviz.arrays import Bool
 from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Verdict, voxels_around
 from dynaviz.contracts.method import Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.ray_geometry import geometry, normals, touching
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.summary import SequenceSummary
-from dynaviz.spatial.surface import surface_normal
 
 EDGE = 0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
-SURFACES = (0.4, 0.8, 1.6)  # metres: points of the same scan this close to a point are tried as its surface
 GRAZING = 10.0  # degrees: a ray that meets the surface at a smaller angle only grazes it
 
 
@@ -182,7 +181,7 @@ class Ledger(Listener):
         self._asked, self._truth = Asked(scan.without_truth(), self._rows, first), scan.labels
         self._run, self._explains = run, labeller if isinstance(labeller, Explains) else None
         self._cells = voxels_around(self._asked.points, EDGE)
-        self._normals = _normals(scan.points, self._asked.points)
+        self._normals = normals(scan.points, self._asked.points)
         self._books = [_Book() for _ in self._rows]
         self._verdict, self._searched, self._over = Verdict(), 0, False
         self._quantities: tuple[Quantity, ...] = ()
@@ -228,19 +227,19 @@ class Ledger(Listener):
             self._over = self._verdict.final
             held = {rule.name: rule.holds() for rule in evidence.rules}
             removed = self._verdict.dynamic() if evidence.rules else None
-        for k, (book, rays) in enumerate(zip(self._books, _touching(scan, self._cells), strict=True)):
+        for k, (book, rays) in enumerate(zip(self._books, touching(scan, self._cells), strict=True)):
             changes = book.update(values, k)
             if evidence is not None:
                 book.compare(evidence, k, frame)
             read = any(not q.total and not np.isnan(q.values[k]) for q in values)
             read = read or any(step.applies[k] for q in values for step in q.steps)
             if len(rays[0]) or len(rays[1]) or changes or read or frame == self._frame:
-                geometry = _geometry(scan, *rays, self._asked.points[k], self._normals[k])
+                seen = geometry(scan, *rays, self._asked.points[k], self._normals[k])
                 numbers = {q.name: _plain(q.values[k]) for q in values}
                 holds = tuple(name for name, of in held.items() if of[k])
                 so_far = None if removed is None else bool(removed[k])
                 steps = tuple(step.name for q in values for step in q.steps if step.applies[k])
-                book.entries.append(LedgerEntry(frame, scan.index, *geometry, numbers, changes, holds, so_far, steps))
+                book.entries.append(LedgerEntry(frame, scan.index, *seen, numbers, changes, holds, so_far, steps))
 
     def _evidence(self) -> Evidence | None:
         """What the method states on the points; for so few, starting threads would take most of the time."""
@@ -364,59 +363,6 @@ def _closeness(terms: Sequence[TermValue]) -> tuple[int, float]:
     failing = [term for term in terms if not term.holds]
     gaps = (math.inf if term.value is None else abs(term.value - term.threshold) for term in failing)
     return len(terms) - len(failing), -sum(gaps)
-
-
-def _touching(scan: Scan, cells: F64) -> Iterator[tuple[Intp, Intp]]:
-    """For each of (K, 2, 3) cells the rays of a scan that end in it, and those that pass through it."""
-    for first in range(0, len(cells), kernels.witnesses.MOST):
-        low, high = (np.ascontiguousarray(cells[first : first + kernels.witnesses.MOST, side]) for side in (0, 1))
-        hit, crossed = kernels.witnesses.touched(scan.points, scan.origins, low, high)
-        touching = np.flatnonzero(hit | crossed)
-        hit, crossed = hit[touching], crossed[touching]
-        for k in range(len(low)):
-            bit = np.uint32(1) << np.uint32(k)
-            yield touching[hit & bit > 0], touching[crossed & bit > 0]
-
-
-_Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
-
-
-def _geometry(scan: Scan, ends: Intp, passes: Intp, point: F32, normal: F64 | None) -> _Geometry:
-    """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
-    touching = np.append(ends, passes)
-    one = len(scan.origins) == 1 or not len(touching)
-    origin = scan.origins[0] if one else scan.origins[touching[0]]
-    ray = point - origin
-    away = float(np.linalg.norm(ray))
-    angle = None
-    if normal is not None and away > 0:
-        angle = float(np.degrees(np.arcsin(min(abs(ray @ normal) / away, 1.0))))
-    behind = None
-    if len(passes):
-        origins = scan.origins if len(scan.origins) == 1 else scan.origins[passes]
-        lengths = np.sort(np.linalg.norm(scan.points[passes] - origins, axis=1))
-        behind = float(lengths[len(lengths) // 2] + lengths[~(len(lengths) // 2)]) / 2 - away  # the median
-    x, y, z = origin.tolist()
-    return (x, y, z), away, angle, len(ends), len(passes), behind
-
-
-def _normals(points: F32, asked: F32) -> list[F64 | None]:
-    """The normal of the surface through each asked point, from its scan; None if it lies on no surface."""
-    finite = asked[np.isfinite(asked).all(1)]
-    if len(finite):
-        around = (points >= finite.min(0) - SURFACES[-1]) & (points <= finite.max(0) + SURFACES[-1])
-        points = points[around.all(1)]
-    return [_normal_at(points, point) for point in asked]
-
-
-def _normal_at(points: F32, point: F32) -> F64 | None:
-    if not np.isfinite(point).all():
-        return None
-    away = np.abs(points - point).max(1)
-    for radius in SURFACES:
-        if (normal := surface_normal(points[away <= radius].astype(np.float64))) is not None:
-            return normal
-    return None
 
 
 def _plain(value: Any) -> float | None:

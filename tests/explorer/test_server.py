@@ -167,18 +167,40 @@ def test_a_click_on_the_map_finds_the_wrong_point_in_its_frame(explorer: Explore
     assert get(f"{explorer.url}api/click?run=a&entity=world/map&frame=0&x=900&y=0&z=0")[0] == 400
 
 
-def test_the_ledger_is_that_of_why(explorer: Explorer, runs: dict[str, Path]) -> None:
-    card = ask(explorer, "runs")["a"]["cases"][0]
+@pytest.fixture
+def mailed(runs: dict[str, Path], tmp_path: Path) -> Iterator[Explorer]:
+    """The recording alone, far from its sequence."""
+    (tmp_path / "run.rrd").write_bytes((runs["fine"] / "run.rrd").read_bytes())
+    with dv.explore(tmp_path / "run.rrd") as server:
+        yield server
+
+
+def test_the_evidence_on_a_case_needs_no_sequence(mailed: Explorer, runs: dict[str, Path]) -> None:
+    card = ask(mailed, "runs")["a"]["cases"][0]
     query = {"run": "a", "frame": card["worst"], "point": card["point"]}
-    without = get(f"{explorer.url}api/marks?{urlencode(query)}")[1]
+    answer = ask(mailed, "why", **query)
+    assert answer["metres"] == 0
+    expected = json.loads(json.dumps(dv.why(runs["fine"], card["worst"], card["point"]).to_dict()))
+    assert {name: answer["why"][name] for name in expected} == expected
+    assert answer["why"]["ledger"]["entries"]
+    rays, none = (len(get(f"{mailed.url}api/marks?{urlencode(asked)}")[1]) for asked in (query, {"run": "a"}))
+    assert rays > none
+    evidence = ask(mailed, "evidence", run="a", case=1)
+    assert evidence["strip"]["points"] > 1
+    assert [p["name"] for p in evidence["what_if"]["parameters"]] == ["prob_miss", "prob_hit", "clamp_min", "clamp_max"]
+
+
+def test_other_points_are_explained_by_a_replay(explorer: Explorer, runs: dict[str, Path]) -> None:
+    query = {"run": "a", "frame": 0, "point": 3}
+    if "why" not in ask(explorer, "why", **query):
+        assert ask(explorer, "why", **query)["seconds"] > 0
     end = time.monotonic() + 60
-    while "why" not in (answer := ask(explorer, "why", **query)):
+    while "why" not in (answer := ask(explorer, "why", **query, exact=1)):
         assert "error" not in answer, answer
         assert time.monotonic() < end
         time.sleep(0.05)
-    assert answer["why"] == json.loads(json.dumps(dv.why(runs["fine"], card["worst"], card["point"]).to_dict()))
-    assert answer["why"]["ledger"]["entries"]
-    assert len(get(f"{explorer.url}api/marks?{urlencode(query)}")[1]) > len(without)  # with its rays
+    expected = json.loads(json.dumps(dv.why(runs["fine"], 0, 3).to_dict()))
+    assert {name: answer["why"][name] for name in expected} == expected
 
 
 @pytest.mark.parametrize(
