@@ -255,7 +255,8 @@ def failures(kind: Any) -> str:
 
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
     cases = "\n".join(
-        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: {sentence(case, meaning(case))}"
+        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: "
+        f"{sentence(case, meaning(case))}"
         for position, case in enumerate(run["cases"], 1)
     )
     return (
