@@ -2,9 +2,54 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
+from collections.abc import Iterator
 
 _MAX_LENGTH = 2000  # characters
+_commands = False  # whether the reader typed a command; in all threads
+
+# Options of the command line that are arguments of the Python functions as well, with or without a value.
+_WITH_VALUE = (
+    "frames|stride|sensor|poses|points-in|extrinsic|region|voxel-size|tiles|workers|scheduler|keep-dynamic|preset|config"
+    "|seed|threads|record|record-budget|key|radius"
+)
+_SWITCHES = "deskew|refine-poses|mark|drop-unposed|online"
+_VALUES = r"small-gicp|kiss-icp|sensor|world|autoware|none|errors|(?=[^\s()]*[A-Z\d/.:#|])[^\s()]*[^\s().,:;']"
+_OPTION = re.compile(
+    rf"--(?:(?P<off>no-)?(?P<switch>{_SWITCHES})"
+    r"|set (?P<parameter>\w+)=(?P<setting>[\w.-]*\w)"
+    rf"|(?P<name>{_WITH_VALUE})(?: (?P<value>{_VALUES}))?)(?![\w-])"
+)
+
+
+@contextlib.contextmanager
+def on_command_line() -> Iterator[None]:
+    """Within it, texts name options as the command line has them; otherwise as arguments of Python functions."""
+    global _commands
+    before, _commands = _commands, True
+    try:
+        yield
+    finally:
+        _commands = before
+
+
+def addressed(text: str) -> str:
+    """A text for the user who reads it: in Python, ``--points-in world`` becomes ``points_in="world"``."""
+    return text if _commands else _OPTION.sub(_argument, text)
+
+
+def _argument(option: re.Match[str]) -> str:
+    if option["switch"]:
+        return f"{option['switch'].replace('-', '_')}={not option['off']}"
+    if option["parameter"]:
+        return f'settings={{"{option["parameter"]}": {option["setting"]}}}'
+    name, value = option["name"].replace("-", "_"), option["value"]
+    if value is None:
+        return name
+    plain = re.fullmatch(r"[A-Z_|]+|\d+(\.\d+)?", value)  # a placeholder or a number
+    return f"{name}={value}" if plain else f'{name}="{value}"'
 
 
 class DynavizError(Exception):
@@ -17,6 +62,9 @@ class DynavizError(Exception):
         if len(message) > _MAX_LENGTH:
             message = f"{message[: _MAX_LENGTH // 2]} ... {message[-_MAX_LENGTH // 2 :]}"
         super().__init__("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in message))
+
+    def __str__(self) -> str:
+        return addressed(super().__str__())
 
 
 class UsageError(DynavizError):

@@ -14,6 +14,7 @@ from dynaviz.cleaning.doubt import NOISY, Doubt
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.engine.cleaned_map import WrittenMap
+from dynaviz.errors import addressed
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Removals, RemovedCluster
@@ -113,7 +114,7 @@ class Cleaned:
 
     def markdown(self) -> str:
         """The summary as a page."""
-        return "\n".join(self._lines())
+        return addressed("\n".join(self._lines()))
 
     def _lines(self) -> Iterator[str]:
         run, found = self.result, self.removals

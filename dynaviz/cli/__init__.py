@@ -45,7 +45,7 @@ from dynaviz.cli import (
     why,
 )
 from dynaviz.cli.console import set_quiet
-from dynaviz.errors import DataError, DynavizError, UsageError, interrupted
+from dynaviz.errors import DataError, DynavizError, UsageError, interrupted, on_command_line
 
 try:
     from typer import TyperException as CommandLineError
@@ -112,6 +112,11 @@ def main() -> None:
     Exit codes: 0 done, 1 a check failed, 2 wrong usage or unusable input, 130 interrupted, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
+    with on_command_line():
+        _run_command()
+
+
+def _run_command() -> None:
     try:
         with _one_line_warnings():
             app(standalone_mode=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
+from dynaviz.errors import addressed
 from dynaviz.sources.origin import PoseNoise
 
 if TYPE_CHECKING:
@@ -141,14 +142,14 @@ class Diagnosis:
                 (f"{finding.confidence.name.lower()}  ", styles[finding.confidence]), (finding.name, "bold")
             )
             yield Text.assemble(f"{number:>2}  ", head, (f"  {finding.where}", "dim"))
-            lines = [(finding.problem, ""), (f"Fix: {finding.fix}", "green")]
+            lines = [(finding.problem, ""), (f"Fix: {addressed(finding.fix)}", "green")]
             if finding.file is not None:
                 lines.insert(1, (finding.file, "dim"))
             for line, style in lines:
                 yield Padding(Text(line, style), (0, 0, 0, 4), expand=False)
         count = len(self.findings)
         found = f"{count} finding{'s' * (count > 1)}" if count else "no problems found"
-        yield Text(f"{self.sequence}: {found}. {self._coverage}")
+        yield Text(addressed(f"{self.sequence}: {found}. {self._coverage}"))
         if self.pose_noise:
             yield Text(f"Pose noise: {self.pose_noise}, from the planes that neighbouring frames see.")
 

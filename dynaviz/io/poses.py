@@ -204,7 +204,8 @@ def _matrices(path: Path, rows: Rows, columns: range | list[int]) -> F64:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3] = _floats(path, rows, columns).reshape(-1, 3, 4)
     if (invalid := _first_invalid_rotation(poses)) is not None:
-        raise DataError(path, "the matrix is not a rotation", at=f"line {rows[invalid][0]}", hint=_FORMATS)
+        problem = geometry.rotation_problem(poses[invalid, :3, :3]) or "the matrix is not a rotation"
+        raise DataError(path, problem, at=f"line {rows[invalid][0]}", hint=_FORMATS)
     return poses
 
 

@@ -85,7 +85,7 @@ def _array(path: Path, key: str | None) -> Any:
     if array is None:
         problem = f"contains the arrays {', '.join(names[:20])}" if names else "contains no array"
         problem += "" if key is None else f", and none named {key}"
-        raise DataError(path, problem, hint="Name the array with the labels: --key NAME, or key= in Python")
+        raise DataError(path, problem, hint="Name the array with the labels: --key NAME")
     return _checked(path, array)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from dynaviz.arrays import F32, F64, single
 from dynaviz.blocks.window import Window
 from dynaviz.contracts.attributes import far_origin
+from dynaviz.contracts.given import given_points, given_pose
 from dynaviz.contracts.method import Context, Labels, Live, Method, MethodInfo, Relabels
 from dynaviz.contracts.probe import SILENT, Probe
 from dynaviz.contracts.scan import Scan
@@ -22,8 +23,6 @@ from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
 from dynaviz.online.static_map import StaticMap
 from dynaviz.spatial import geometry
-
-_HINT = "Give points (N, 3 or more) in metres and the sensor's pose (4, 4)"
 
 
 @dataclass(frozen=True)
@@ -101,13 +100,9 @@ class LiveSession:
             the reach are kept.
 
         Raises:
-            UsageError: for arrays of other shapes, or a pose that is not finite.
+            UsageError: for arrays of other shapes, or a pose that is not finite or not rigid.
         """
-        xyz, T = np.asarray(points), np.array(pose, np.float64)
-        if xyz.ndim != 2 or xyz.shape[1] < 3 or xyz.dtype.kind not in "fiu" or T.shape != (4, 4):
-            raise UsageError(f"scan {self._count}: points {xyz.shape} of {xyz.dtype}, pose {T.shape}. {_HINT}")
-        if not np.isfinite(T).all():
-            raise UsageError(f"scan {self._count}: the pose has NaN or infinite numbers. Leave such scans out")
+        xyz, T = given_points(points, self._count), given_pose(pose, self._count)
         if points_in not in ("sensor", "world"):
             raise UsageError(f"points_in = {points_in}: give sensor or world")
         if self._origin is None:

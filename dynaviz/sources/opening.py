@@ -17,7 +17,8 @@ from dynaviz.errors import NoPoses, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.drives import Drives
-from dynaviz.sources.datasets.in_memory import ArraySequence, without_poses
+from dynaviz.sources.datasets.in_memory import ArraySequence, with_given_poses, without_poses
+from dynaviz.sources.datasets.pose_matching import NO_POSES
 from dynaviz.sources.odometry.estimate import EstimatedPoses
 from dynaviz.sources.odometry.estimated import DEFAULT, estimate_poses, is_odometry, with_estimated
 from dynaviz.sources.odometry.refine import RefinedSequence, refine, refined_before
@@ -68,6 +69,10 @@ def open_source(
     if isinstance(source, Sequence):
         return _reselected(source, options, folder, progress)
     places = _places(source)
+    if options.poses is not None and not isinstance(options.poses, str):
+        if places:
+            raise UsageError("poses: an array fits scans given as arrays. Give a file, or scans with their poses")
+        source, options = with_given_poses(source, options.poses), dataclasses.replace(options, poses=None)  # type: ignore[arg-type,unreachable]
     odometry = options.poses if options.poses is not None and is_odometry(options.poses) else None
     own = dataclasses.replace(options, poses=None) if odometry else options
     whole: Sequence | None = None
@@ -84,7 +89,7 @@ def open_source(
     if odometry is not None:
         if len(places) > 1:
             raise UsageError(f"--poses {odometry}: several drives need poses in one world frame. Clean them one by one")
-        text = places[0] if places else _read(source, places, own)
+        text = places[0] if places else _read(source, places, dataclasses.replace(own, poses=NO_POSES))
         estimated = estimate_poses(text, odometry, folder, options, progress)
         whole = with_estimated(text, estimated.file, options)
         opened = _selected(whole, dataclasses.replace(options, frames=None))

@@ -14,7 +14,7 @@ from dynaviz.arrays import F64, Intp
 from dynaviz.contracts.attributes import attributes_of
 from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.errors import UsageError
+from dynaviz.errors import UsageError, addressed
 from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
@@ -180,7 +180,7 @@ def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, 
     if all(value is None for value in facts.values()):
         return sequence
     text = f"the sensor is unknown; estimated from the scans: {sentence(found)}"
-    warnings.warn(f"{text}. Give the true values with --sensor NAME or FILE.toml", stacklevel=3)
+    warnings.warn(addressed(f"{text}. Give the true values with --sensor NAME or FILE.toml"), stacklevel=3)
     return select_frames(sequence, sensor=estimated)
 
 

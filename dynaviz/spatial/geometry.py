@@ -98,6 +98,20 @@ def matrix(quaternion: ArrayLike) -> F64:
     )
 
 
+def rotation_problem(R: ArrayLike) -> str | None:
+    """Why (3, 3) is not a rotation, in words; None if it is one, within 2 %."""
+    R = np.asarray(R, np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        gram = compose(R, R.T)
+        if bool(np.abs(gram - np.eye(3)).max() <= 0.02):
+            return "the matrix mirrors (its determinant is -1)" if np.linalg.det(R) < 0 else None
+        scales = np.sqrt(np.diag(gram))
+        uniform = np.ptp(scales) < 0.02 * scales.max()
+        if uniform and np.abs(gram - gram[0, 0] * np.eye(3)).max() <= 0.02 * gram[0, 0]:
+            return f"the rotation is scaled by {scales.mean():.3g}"
+    return "the matrix is not a rotation"
+
+
 def quaternion(R: ArrayLike) -> F64:
     """(4,) float64 unit quaternion (qw, qx, qy, qz), qw >= 0, of a rotation matrix (3, 3).
 

@@ -69,7 +69,7 @@ def test_an_absent_scheduler_is_an_error(rooms: list[Path], tmp_path: Path, monk
     monkeypatch.setattr("dynaviz.tasks.cluster.CONNECT_TIMEOUT", 1)
     with pytest.raises(UsageError, match="no Dask scheduler answers"):
         bench({"methods": ["octomap"], "sequences": [str(rooms[0])]}, tmp_path, scheduler="tcp://127.0.0.1:9")
-    with pytest.raises(UsageError, match="Leave out --scheduler"):
+    with pytest.raises(UsageError, match="Leave out scheduler"):
         bench({"sequences": [str(rooms[0])], "timing": True}, tmp_path, scheduler="tcp://127.0.0.1:9")
     with pytest.raises(UsageError, match="the cluster sets the number of workers"):
         bench({"sequences": [str(rooms[0])], "workers": 1}, tmp_path, scheduler="tcp://127.0.0.1:9")

@@ -21,9 +21,9 @@ from helpers.argoverse2_files import (
 )
 from scipy.spatial.transform import Rotation
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.argoverse2 import CLASS_NAMES, Argoverse2Sequence
 from dynaviz.errors import DataError
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.argoverse2 import CLASS_NAMES, Argoverse2Sequence
 
 
 @pytest.fixture

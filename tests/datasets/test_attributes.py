@@ -10,11 +10,11 @@ from helpers.bags import START, BagWriter, at
 from helpers.scan_folders import write_kitti_poses
 
 import dynaviz as dv
-from dynaviz.attributes import attributes_of, far_origin, origin_of
+from dynaviz.contracts.attributes import attributes_of, far_origin, origin_of
+from dynaviz.contracts.scan import select_frames
 from dynaviz.errors import UsageError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.io.velodyne import detect_columns
-from dynaviz.scan import select_frames
 
 FRAMES, POINTS = 4, 400
 UTM = np.array([512_000.25, 5_403_000.5, 380.0])
@@ -114,5 +114,5 @@ def test_an_extrinsic_turns_poses_of_a_vehicle_into_those_of_its_lidar(tmp_path:
         np.testing.assert_allclose(scan.T_world_sensor[:3, 3], [2.5, 0.5, 2.0], atol=1e-12)
         x, y, z = LOCAL[2].T
         np.testing.assert_allclose(scan.points, np.column_stack([2.5 - y, 0.5 + x, 2 + z]), atol=1e-4)
-    with pytest.raises(UsageError, match="--extrinsic 1,2,3: has 3 numbers"):
+    with pytest.raises(UsageError, match=r"extrinsic=.1,2,3.: has 3 numbers"):
         dv.open(folder, extrinsic="1,2,3")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from helpers.worlds import room
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.benchmark import BenchmarkSequence
+from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import read_pcd, write_pcd
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensors import load_sensor
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.benchmark import BenchmarkSequence
 from dynaviz.spatial import geometry
 
 

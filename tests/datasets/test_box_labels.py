@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dynaviz.datasets.box_labels import (
+from dynaviz.sources.datasets.box_labels import (
     BORDER,
     GROUND,
     MARGIN,

@@ -15,12 +15,12 @@ from hypothesis import settings as tried
 from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
-from dynaviz.datasets.convert import convert
-from dynaviz.engine.summary import summarize
+from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError, UsageError
-from dynaviz.scan import Scan, Sequence
-from dynaviz.sensors import Sensor, load_sensor
-from dynaviz.simulate import simulate
+from dynaviz.sources.datasets.convert import convert
+from dynaviz.sources.summary import summarize
+from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 
 

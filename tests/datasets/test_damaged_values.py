@@ -17,12 +17,12 @@ from helpers.kitti_files import write_raw_drive
 from helpers.nuscenes_files import write_nuscenes
 from helpers.scan_folders import WRITERS, XYZ
 
-from dynaviz.datasets import open_sequence
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import read_boxes
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import read_poses
 from dynaviz.io.tracklets import read_tracklets
+from dynaviz.sources.datasets import open_sequence
 
 Command = Callable[..., tuple[int, str, str]]
 

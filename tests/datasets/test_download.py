@@ -17,11 +17,11 @@ import pytest
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz.datasets import fetch
-from dynaviz.datasets.convert import convert
-from dynaviz.datasets.download import SEQUENCES, download
-from dynaviz.engine.summary import summarize
 from dynaviz.errors import DataError, UsageError
+from dynaviz.sources.datasets import fetch
+from dynaviz.sources.datasets.convert import convert
+from dynaviz.sources.datasets.download import SEQUENCES, download
+from dynaviz.sources.summary import summarize
 
 PATH = "/records/10886629/files"
 
@@ -338,7 +338,7 @@ def test_an_interrupted_download_is_kept(server: Server, tmp_path: Path, monkeyp
 
 
 def test_the_sensors_of_the_sequences_exist() -> None:
-    from dynaviz.sensors import sensor_names
+    from dynaviz.contracts.sensors import sensor_names
 
     assert {remote.sensor for remote in SEQUENCES.values()} - {None} <= set(sensor_names())
 

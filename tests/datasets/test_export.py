@@ -9,9 +9,9 @@ import pytest
 from helpers.worlds import room
 
 import dynaviz as dv
-from dynaviz.datasets.convert import convert
-from dynaviz.datasets.export import export_labels
 from dynaviz.errors import DataError
+from dynaviz.runs.export import export_labels
+from dynaviz.sources.datasets.convert import convert
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from helpers.kitti_files import write_semantickitti, write_tracking
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.kitti_tracking import KittiTrackingSequence
-from dynaviz.datasets.semantickitti import SemanticKittiSequence
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import read_pcd
-from dynaviz.scan import Sequence
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.kitti_tracking import KittiTrackingSequence
+from dynaviz.sources.datasets.semantickitti import SemanticKittiSequence
 
 FRAMES = 10  # of the real data
 

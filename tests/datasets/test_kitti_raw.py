@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from helpers.kitti_files import write_odometry, write_oxts, write_raw_drive
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.kitti_odometry import KittiOdometrySequence
-from dynaviz.datasets.kitti_raw import KittiRawSequence
-from dynaviz.datasets.semantickitti import SemanticKittiSequence
 from dynaviz.errors import DataError
 from dynaviz.io.oxts import read_oxts
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.kitti_odometry import KittiOdometrySequence
+from dynaviz.sources.datasets.kitti_raw import KittiRawSequence
+from dynaviz.sources.datasets.semantickitti import SemanticKittiSequence
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 from helpers.bags import POSES, XYZ, BagWriter, N, at, columns
 
 import dynaviz as dv
-from dynaviz.datasets.lidars import Lidars
 from dynaviz.errors import UsageError
+from dynaviz.sources.datasets.lidars import Lidars
 
 MOUNTS = {"front": at(1.0, 0.0, 0.5), "rear": at(-2.0, 0.3, 0.5, np.pi)}
 WRITTEN = "{a}=1,0,0.5,0,0,0;{b}=-2,0.3,0.5,0,0,180"
@@ -59,7 +59,7 @@ def test_two_folders(tmp_path: Path) -> None:
 
 
 def test_mistakes(bag: Path) -> None:
-    with pytest.raises(UsageError, match=r"--extrinsic /front=1: must name each lidar once\. Give /front=X,Y,Z,ROLL"):
+    with pytest.raises(UsageError, match=r"extrinsic=./front=1.: must name each lidar once\. Give /front=X,Y,Z,ROLL"):
         dv.open(f"{bag}#/front,/rear", extrinsic="/front=1")
     with pytest.raises(UsageError, match=r"poses are estimated for one lidar\. Estimate them for .*#/front, then"):
         dv.open(f"{bag}#/front,/rear", poses="small-gicp")

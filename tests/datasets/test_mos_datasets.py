@@ -9,10 +9,10 @@ import pytest
 from helpers.bags import START, BagWriter, at, columns
 from helpers.mos_files import write_doals, write_helimos
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.doals import DoalsSequence
-from dynaviz.datasets.helimos import SENSORS, HelimosSequence
 from dynaviz.errors import DataError
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.doals import DoalsSequence
+from dynaviz.sources.datasets.helimos import SENSORS, HelimosSequence
 
 
 @pytest.mark.parametrize("lidar", SENSORS)

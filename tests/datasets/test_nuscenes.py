@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from helpers.nuscenes_files import START, SWEEPS, ego_points, lidar_sweep, write_nuscenes, write_scene
 
-from dynaviz.datasets import open_sequence
-from dynaviz.datasets.nuscenes import NuScenesSequence
 from dynaviz.errors import DataError
+from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.nuscenes import NuScenesSequence
 
 
 @pytest.fixture

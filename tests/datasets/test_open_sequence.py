@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaviz import registry
-from dynaviz.datasets import open_sequence
+from dynaviz.contracts import registry
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.io.pcd import write_pcd
+from dynaviz.sources.datasets import open_sequence
 
 
 def drive(folder: Path) -> Path:

@@ -14,9 +14,9 @@ from helpers.bags import KINDS, POSES, START, XYZ, BagWriter, N, at, columns, dr
 
 import dynaviz as dv
 from dynaviz import api
-from dynaviz.datasets.rosbag import RosBagSequence
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, UsageError
-from dynaviz.scan import Sequence
+from dynaviz.sources.datasets.rosbag import RosBagSequence
 
 MOUNT = at(0.5, 0.0, 1.2, np.pi / 2)  # T_base_lidar
 
@@ -170,7 +170,7 @@ def test_the_mount_of_the_lidar_is_applied(tmp_path: Path, odometry: bool, tf: b
 
 def test_several_world_frames_are_reported(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", world=True)
-    with pytest.raises(DataError, match=r"several sources of poses: odom, map\. Choose one: --poses odom"):
+    with pytest.raises(DataError, match=r"several sources of poses: odom, map\. Choose one: poses=.odom"):
         dv.open(path)
     assert_equal(dv.open(path, poses="odom"), np.array([T @ MOUNT for T in POSES]))
     assert_equal(dv.open(path, poses="/odom"), np.array([T @ MOUNT for T in POSES]))
@@ -178,7 +178,7 @@ def test_several_world_frames_are_reported(tmp_path: Path) -> None:
         dv.open(path, poses="map"), np.array([at(100, k, 0, 0.1 * k) @ T @ MOUNT for k, T in enumerate(POSES)])
     )
     with pytest.raises(
-        UsageError, match=r"--poses mop: not a file, and not .* Available: /odom, tower, base_link, odom, map"
+        UsageError, match=r"poses=.mop.: not a file, and not .* Available: /odom, tower, base_link, odom, map"
     ):
         dv.open(path, poses="mop")
 
@@ -197,14 +197,14 @@ def test_frames_are_connected_through_their_common_parent(tmp_path: Path) -> Non
 def test_a_missing_transform_is_reported_with_a_hint(tmp_path: Path) -> None:
     path = robot(tmp_path / "drive", static=False, tf=False)
     with pytest.raises(
-        DataError, match=r"/odom has poses of base_link, but there is no TF from lidar to it.*add --poses /odom"
+        DataError, match=r"/odom has poses of base_link, but there is no TF from lidar to it.*add poses=./odom."
     ):
         dv.open(path)
     with pytest.warns(
         UserWarning, match="no TF from lidar to base_link; using the poses of /odom as those of the lidar"
     ):
         assert_equal(dv.open(path, poses="/odom"))
-    with pytest.raises(DataError, match=r"has no poses: .* no TF from lidar to a world frame.*--poses FILE"):
+    with pytest.raises(DataError, match=r"has no poses: .* no TF from lidar to a world frame.*poses=FILE"):
         dv.open(robot(tmp_path / "other", static=False, odometry=False))
 
 
@@ -320,7 +320,7 @@ def test_clouds_in_the_world_frame(tmp_path: Path) -> None:
             bag.cloud(k / 10, columns(placed(XYZ[k], POSES[k])), frame="odom")
             bag.odometry(k / 10, POSES[k], child="body")
     with pytest.raises(
-        DataError, match=r"clouds are already in the world frame odom of /odom.*Add --points-in world --poses /odom"
+        DataError, match=r"clouds are already in the world frame odom of /odom.*Add points_in=.world. poses=./odom."
     ):
         dv.open(bag.path)
     assert_equal(dv.open(bag.path, points_in="world", poses="/odom"))
@@ -385,8 +385,8 @@ def real_tracking(shared: Path, tmp_path: Path) -> Path:
 
 
 def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(real_tracking: Path, tmp_path: Path) -> None:
-    from dynaviz.datasets.kitti_tracking import KittiTrackingSequence
     from dynaviz.io.velodyne import read_velodyne
+    from dynaviz.sources.datasets.kitti_tracking import KittiTrackingSequence
 
     folder = dv.open(real_tracking)
     assert isinstance(folder, KittiTrackingSequence)

@@ -14,11 +14,11 @@ from helpers.scan_folders import POSES, STAMPS, WRITERS, XYZ, N, write_kitti_pos
 import dynaviz as dv
 from dynaviz import api
 from dynaviz.cli import main
-from dynaviz.datasets.benchmark import BenchmarkSequence
-from dynaviz.datasets.scan_folder import ScanFolderSequence
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import write_pcd
-from dynaviz.scan import Sequence
+from dynaviz.sources.datasets.benchmark import BenchmarkSequence
+from dynaviz.sources.datasets.scan_folder import ScanFolderSequence
 
 WORLD = np.array([xyz @ T[:3, :3].T + T[:3, 3] for xyz, T in zip(XYZ, POSES, strict=True)])
 
@@ -53,7 +53,7 @@ def test_poses_are_found_next_to_the_scans_or_their_folder(tmp_path: Path, inner
 def test_points_in_the_world_frame(tmp_path: Path) -> None:
     write_kitti_poses(write_scans(tmp_path, clouds=WORLD) / "poses.txt")
     assert_equal(dv.open(tmp_path, points_in="world"))
-    with pytest.raises(UsageError, match="--points-in camera: give sensor or world"):
+    with pytest.raises(UsageError, match=r"points_in=.camera.: give sensor or world"):
         dv.open(tmp_path, points_in="camera")
 
 
@@ -145,7 +145,7 @@ def test_a_wrong_number_of_poses_is_reported(tmp_path: Path) -> None:
 
 def test_missing_poses_are_reported_with_the_flag(tmp_path: Path) -> None:
     for suffix in (".bin", ".ply"):
-        with pytest.raises(DataError, match=r"has no poses\. Estimate them with --poses small-gicp, or give"):
+        with pytest.raises(DataError, match=r"has no poses\. Estimate them with poses=.small-gicp., or give"):
             dv.open(write_scans(tmp_path / suffix, suffix))
     with pytest.raises(DataError, match=r"nowhere\.txt: cannot be read"):
         dv.open(tmp_path / ".bin", poses=tmp_path / "nowhere.txt")
@@ -160,7 +160,7 @@ def test_viewpoints_are_poses(tmp_path: Path) -> None:
     assert sequence.facts["poses"] == "VIEWPOINT of each PCD"  # type: ignore[attr-defined]
     assert isinstance(dv.open(tmp_path), BenchmarkSequence)  # whose points are in the world frame
     write_scans(tmp_path, ".pcd", [f"{k:03d}" for k in range(N)])
-    with pytest.raises(DataError, match=r"VIEWPOINT is the identity in every scan.*--poses"):
+    with pytest.raises(DataError, match=r"VIEWPOINT is the identity in every scan.*poses"):
         dv.open(f"files:{tmp_path}")
 
 
@@ -174,7 +174,7 @@ def test_a_pose_file_rules_out_the_benchmark_layout(tmp_path: Path) -> None:
 def test_formats_with_their_own_poses_refuse_a_pose_file(tmp_path: Path) -> None:
     write_pcd(tmp_path / "pcd/000000.pcd", dict(zip("xyz", XYZ[0].T, strict=True)), POSES[0])
     file = write_kitti_poses(tmp_path / "other.txt", POSES[:1])
-    with pytest.raises(UsageError, match="--poses: not supported by BenchmarkSequence"):
+    with pytest.raises(UsageError, match="poses: not supported by BenchmarkSequence"):
         dv.open(f"benchmark:{tmp_path}", poses=file)
     assert_equal(dv.open(tmp_path, poses=file), WORLD[:1], POSES[:1])  # the option rules out the detected format
 

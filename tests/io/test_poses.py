@@ -115,7 +115,7 @@ GOOD = "1 0 0 0 0 1 0 0 0 0 1 0\n"
         (GOOD + GOOD.replace("1 0 0 0 0", "1 0 x 0 0"), "line 2: not a valid pose"),
         (GOOD + GOOD.replace("1 0 0 0 0", "1 0 nan 0 0"), "line 2: not a valid pose.*not finite"),
         (GOOD + "0 " * 12, "line 2: the matrix is not a rotation"),
-        (GOOD + "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 2: the matrix is not a rotation"),  # a reflection
+        (GOOD + "1 0 0 0 0 1 0 0 0 0 -1 0\n", "line 2: the matrix mirrors"),  # a reflection
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 0\n", "line 2: not a valid pose.*quaternion"),
         ("1 0 0 0 0 0 0 1\nnoon 0 0 0 0 0 0 1\n", "line 2: not a valid time"),
         ("time,x,y,z\n1,0,0,0\n", "line 1: the header has no pose columns: time,x,y,z"),
@@ -139,5 +139,5 @@ def test_usual_names_are_found(tmp_path: Path) -> None:
     (tmp_path / "drive.tum").write_text("")
     assert find_poses(tmp_path) == tmp_path / "drive.tum"
     (tmp_path / "poses.txt").write_text("")
-    with pytest.raises(DataError, match=r"several pose files: drive\.tum, poses\.txt.*--poses"):
+    with pytest.raises(DataError, match=r"several pose files: drive\.tum, poses\.txt.*poses=FILE"):
         find_poses(tmp_path)

@@ -46,7 +46,7 @@ def test_an_array_is_found_by_name(tmp_path: Path) -> None:
     path = written(tmp_path / "a.npz", CLASSES, confidence=np.linspace(0, 1, 5))
     np.testing.assert_array_equal(read_moving(path, 5, "labels"), MOVING)
     for key, expected in ((None, "arrays labels, confidence"), ("motion", "confidence, and none named motion")):
-        with pytest.raises(DataError, match=rf"a\.npz: contains the {'' if key is None else '.*'}{expected}.*--key"):
+        with pytest.raises(DataError, match=rf"a\.npz: contains the {'' if key is None else '.*'}{expected}.*key=NAME"):
             read_moving(path, 5, key)
 
 

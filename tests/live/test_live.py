@@ -204,9 +204,9 @@ def test_all_other_methods_run_live() -> None:
 @pytest.mark.parametrize(
     ("points", "pose", "message"),
     [
-        (np.zeros((3, 2)), np.eye(4), "Give points"),
-        (np.zeros((3, 3)), np.eye(3), "Give points"),
-        (np.zeros((3, 3)), np.full((4, 4), np.nan), "the pose has NaN"),
+        (np.zeros((3, 2)), np.eye(4), r"points: \(3, 2\)"),
+        (np.zeros((3, 3)), np.eye(3), r"pose: \(3, 3\)"),
+        (np.zeros((3, 3)), np.full((4, 4), np.nan), "pose: has NaN"),
     ],
 )
 def test_wrong_arrays_are_refused(points: object, pose: object, message: str) -> None:

@@ -34,12 +34,12 @@ def test_a_library_is_missing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, s
     with pytest.raises(MissingDependency, match=f"^ray casting{message}"):
         simulate("square_mid360", tmp_path / "scene", frames=2)
     assert not (tmp_path / "scene").exists()
-    with pytest.raises(MissingDependency, match=f"^--refine-poses{message}"):
+    with pytest.raises(MissingDependency, match=f"^refine_poses=True{message}"):
         refine(room(3, 300))
     assert api.run("octomap", room(3, 300)).sequence.frames == 3
 
 
 def test_open3d_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match=r"^--refine-poses needs open3d\. Install it with: pip install open3d$"):
+    with pytest.raises(MissingDependency, match=r"^refine_poses=True needs open3d\. Install it with: pip install"):
         refine(room(3, 300))

@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dynaviz.arrays import F64, single
 from dynaviz.contracts.attributes import Attributes
+from dynaviz.contracts.given import SCANS, given_points, given_pose, given_poses
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.errors import UsageError
+from dynaviz.errors import NoPoses, UsageError
 from dynaviz.sources.datasets.extrinsic import parse_extrinsic
-from dynaviz.sources.datasets.pose_matching import MatchedPoses, match_poses, parse_points_in
+from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
 from dynaviz.spatial import geometry
 
-_HINT = "Give a list of (points, pose) or (points, pose, stamp): (N, 3 or more) metres in the sensor frame, (4, 4), ns"
+
+_NO_POSES = "Estimate them with --poses small-gicp, or give one for each scan: (points, pose), or poses=(frames, 4, 4)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,34 +55,35 @@ class ArraySequence:
         extrinsic: str | None = None,
         deskew: bool | None = None,
     ) -> ArraySequence:
-        """A sequence of ``(points, pose)`` or ``(points, pose, stamp in nanoseconds)``.
+        """A sequence of ``(points, pose)``, ``(points, pose, stamp in nanoseconds)``, or points alone.
 
         Args:
             scans: the scans.
-            points_in, poses, extrinsic, deskew: as for ``dynaviz.open``; a file of poses replaces those of the scans.
+            points_in, poses, extrinsic, deskew: as for ``dynaviz.open``; a file of poses replaces those of the scans,
+                and ``none`` leaves each scan in its own frame.
 
         Raises:
             UsageError: for anything else, or arrays of other shapes; names the scan.
+            NoPoses: if a scan has no pose, and ``poses`` is None.
         """
         if deskew:
             raise UsageError("deskew: arrays have no times of points. Leave it out, or open a bag")
-        clouds, own, stamps = list[NDArray[Any]](), list[F64](), list[int | None]()
+        clouds, own, stamps = list[NDArray[Any]](), list[F64 | None](), list[int | None]()
         for number, scan in enumerate(scans):
-            if not isinstance(scan, list | tuple) or len(scan) not in (2, 3):
-                raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {_HINT}")
-            points, pose = np.asarray(scan[0]), np.asarray(scan[1], np.float64)
-            if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu" or pose.shape != (4, 4):
-                found = f"points {points.shape} of {points.dtype} and a pose {pose.shape}"
-                raise UsageError(f"scan {number}: {found}. {_HINT}")
-            clouds.append(points)
-            own.append(pose)
-            stamps.append(int(scan[2]) if len(scan) == 3 and scan[2] is not None else None)
+            points, pose, stamp = _parts(scan, number)
+            clouds.append(given_points(points, number))
+            own.append(np.eye(4) if poses == NO_POSES else None if pose is None else given_pose(pose, number))
+            stamps.append(None if stamp is None else int(stamp))
         if not clouds:
-            raise UsageError(f"there are no scans. {_HINT}")
+            raise UsageError(f"there are no scans. {SCANS}")
+        given = [T for T in own if T is not None]
+        if poses in (None, NO_POSES) and len(given) < len(own):
+            problem = f"scan {own.index(None)} has no pose" if given else "have no poses"
+            raise NoPoses("arrays", problem, hint=_NO_POSES)
         numbers = np.arange(len(clouds))
         times = None if None in stamps else np.array(stamps, np.int64)
-        if poses is None:
-            matched = MatchedPoses(numbers, np.array(own), times, "of the arrays")
+        if poses in (None, NO_POSES):
+            matched = MatchedPoses(numbers, np.array(given), times, "of the arrays")
         else:
             matched = match_poses(Path(poses), Path("the arrays"), times, numbers)
         mount = parse_extrinsic(extrinsic)
@@ -88,6 +91,17 @@ class ArraySequence:
         kept = matched.positions.tolist()
         chosen = tuple(clouds[k] for k in kept), matched.poses, tuple(stamps[k] for k in kept)
         return cls(*chosen, parse_points_in(points_in), origin=matched.origin)
+=======
+                raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {SCANS}")
+            clouds.append(given_points(scan[0], number))
+            poses.append(given_pose(scan[1], number))
+            stamps.append(int(scan[2]) if len(scan) == 3 and scan[2] is not None else None)
+        if not clouds:
+            raise UsageError(f"there are no scans. {SCANS}")
+        origin, T = far_origin(poses[0][:3, 3]), np.array(poses)
+        T[:, :3, 3] -= origin
+        return cls(tuple(clouds), T, tuple(stamps), points_in or "sensor", origin=origin)
+>>>>>>> b6dd804 (Check arrays in one place, and name options as arguments in Python)
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -109,3 +123,22 @@ def without_poses(sequence: Sequence) -> bool:
     """Whether several scans have the identity as pose, as programs write that know no poses."""
     some = {0, len(sequence) // 2, len(sequence) - 1}
     return len(some) > 1 and all(np.array_equal(sequence[k].T_world_sensor, np.eye(4)) for k in some)
+
+
+def with_given_poses(scans: Iterable[Any], poses: ArrayLike) -> list[tuple[Any, F64, Any]]:
+    """Scans as ``ArraySequence.of`` takes them, with a pose for each, (frames, 4, 4), in place of their own.
+
+    Raises:
+        UsageError: for another number of poses, or poses that are not rigid.
+    """
+    parts = [_parts(scan, number) for number, scan in enumerate(scans)]
+    return [(points, T, stamp) for (points, _, stamp), T in zip(parts, given_poses(poses, len(parts)), strict=True)]
+
+
+def _parts(scan: Any, number: int) -> tuple[Any, Any, Any]:
+    """Points, pose and stamp of a scan; None for those that are not given."""
+    if isinstance(scan, np.ndarray):
+        return scan, None, None
+    if not isinstance(scan, list | tuple) or len(scan) not in (2, 3):
+        raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {SCANS}")
+    return scan[0], scan[1], scan[2] if len(scan) == 3 else None
