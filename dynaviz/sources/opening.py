@@ -72,7 +72,7 @@ def open_source(
     if options.poses is not None and not isinstance(options.poses, str):
         if places:
             raise UsageError("poses: an array fits scans given as arrays. Give a file, or scans with their poses")
-        source, options = with_given_poses(source, options.poses), dataclasses.replace(options, poses=None)  # type: ignore[arg-type,unreachable]
+        source, options = with_given_poses(source, options.poses), dataclasses.replace(options, poses=None)
     odometry = options.poses if options.poses is not None and is_odometry(options.poses) else None
     own = dataclasses.replace(options, poses=None) if odometry else options
     whole: Sequence | None = None

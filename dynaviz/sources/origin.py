@@ -68,6 +68,35 @@ class PoseFinding(Struct, frozen=True):
     option: str = ""
 
     def __str__(self) -> str:
-from dynaviz.contracts.sensors import Sensor
-from dynaviz.errors import addressed
-from dynaviz.sources.options import SequenceOptions
+        return addressed(f"{self.name}: {self.problem}. {self.fix}")
+
+
+class Origin(Struct, frozen=True, omit_defaults=True):
+    """Where the sequence of a run came from: enough to open the same frames with the same poses again.
+
+    Attributes:
+        sources: paths or URIs as they were given, such as ``drive.bag#/front`` or ``simulate:demo?seed=3``; several
+            for drives in one world frame; none for arrays in memory.
+        absolute: the same with absolute paths.
+        format: the class that read it.
+        options: how it was opened.
+        odometry: name and version of the odometry that estimated the poses; empty for given poses.
+        poses_file: file with these poses, relative to the folder of the run if it is in there.
+        refined: whether poses were refined; they are in ``poses_refined.csv`` in the folder of the run.
+        positions: start, stop and step of the frames that were selected after opening; None for all.
+        name: of the sequence in tables.
+        sensor: the facts of the sensor that the run used.
+        estimated: names of those that were estimated from the scans.
+    """
+
+    sources: tuple[str, ...] = ()
+    absolute: tuple[str, ...] = ()
+    format: str = ""
+    options: SequenceOptions = SequenceOptions()
+    odometry: str = ""
+    poses_file: str = ""
+    refined: bool = False
+    positions: tuple[int, int, int] | None = None
+    name: str = ""
+    sensor: Sensor | None = None
+    estimated: tuple[str, ...] = ()

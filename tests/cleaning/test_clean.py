@@ -16,7 +16,7 @@ import dynaviz as dv
 from dynaviz.arrays import F64
 from dynaviz.contracts import registry
 from dynaviz.engine.external import read_external
-from dynaviz.errors import UsageError
+from dynaviz.errors import NoPoses, UsageError
 from dynaviz.io.fields import coordinates, read_fields
 from dynaviz.io.maps import TiledMap
 from dynaviz.io.pcd import write_pcd
@@ -292,3 +292,29 @@ def test_a_run_far_from_zero_writes_far_maps_that_can_be_scored(tmp_path: Path) 
     assert (xyz.min(0) > FAR - 50).all()
     external = read_external(tmp_path / "run/static_map.pcd", dv.open(scans))
     assert np.abs(external.points).max() < 50
+
+
+def in_sensor_frames() -> list[np.ndarray]:
+    return [geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points) for scan in SCANS]
+
+
+def test_arrays_without_poses_are_registered(tmp_path: Path, odometry: type[TrueOdometry]) -> None:
+    given = clean(list(zip(in_sensor_frames(), (s.T_world_sensor for s in SCANS), strict=True)), tmp_path / "given.pcd")
+    estimated = clean(in_sensor_frames(), tmp_path / "map.pcd")
+    assert estimated.poses.distance == pytest.approx(0.2 * (FRAMES - 1))
+    assert estimated.removals.removed == pytest.approx(given.removals.removed, rel=0.1)
+    assert odometry.calls == FRAMES
+    with pytest.raises(NoPoses, match=r"arrays: have no poses\. Estimate them with poses=.small-gicp."):
+        dv.open(in_sensor_frames())
+
+
+def test_poses_may_be_an_array(tmp_path: Path) -> None:
+    poses = np.array([scan.T_world_sensor for scan in SCANS])
+    paired = clean(list(zip(in_sensor_frames(), poses, strict=True)), tmp_path / "a.pcd")
+    apart = clean(in_sensor_frames(), tmp_path / "b.pcd", poses=poses)
+    assert apart.result.labels_sha256 == paired.result.labels_sha256
+    with pytest.raises(UsageError, match=r"poses: 3 for 4 scans\. Give one for each scan"):
+        dv.open(in_sensor_frames(), poses=poses[:3])
+    poses[2, 0, 3] = np.nan
+    with pytest.raises(UsageError, match="scan 2, pose: has NaN"):
+        dv.open(in_sensor_frames(), poses=poses)

@@ -12,7 +12,7 @@ from helpers.bags import at
 
 import dynaviz as dv
 from dynaviz.errors import DataError, UsageError, addressed, on_command_line
-from dynaviz.live import live
+from dynaviz.online import live
 from dynaviz.testing.world import SENSOR
 
 POINTS = np.random.default_rng(0).uniform(-9, 9, (400, 3))

@@ -20,7 +20,6 @@ from dynaviz.sources.datasets.extrinsic import parse_extrinsic
 from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
 from dynaviz.spatial import geometry
 
-
 _NO_POSES = "Estimate them with --poses small-gicp, or give one for each scan: (points, pose), or poses=(frames, 4, 4)"
 
 
@@ -78,7 +77,9 @@ class ArraySequence:
             raise UsageError(f"there are no scans. {SCANS}")
         given = [T for T in own if T is not None]
         if poses in (None, NO_POSES) and len(given) < len(own):
-            problem = f"scan {own.index(None)} has no pose" if given else "have no poses"
+            problem = (
+                f"scan {next(k for k, T in enumerate(own) if T is None)} has no pose" if given else "have no poses"
+            )
             raise NoPoses("arrays", problem, hint=_NO_POSES)
         numbers = np.arange(len(clouds))
         times = None if None in stamps else np.array(stamps, np.int64)
@@ -91,17 +92,6 @@ class ArraySequence:
         kept = matched.positions.tolist()
         chosen = tuple(clouds[k] for k in kept), matched.poses, tuple(stamps[k] for k in kept)
         return cls(*chosen, parse_points_in(points_in), origin=matched.origin)
-=======
-                raise UsageError(f"scan {number}: {type(scan).__name__} is not (points, pose). {SCANS}")
-            clouds.append(given_points(scan[0], number))
-            poses.append(given_pose(scan[1], number))
-            stamps.append(int(scan[2]) if len(scan) == 3 and scan[2] is not None else None)
-        if not clouds:
-            raise UsageError(f"there are no scans. {SCANS}")
-        origin, T = far_origin(poses[0][:3, 3]), np.array(poses)
-        T[:, :3, 3] -= origin
-        return cls(tuple(clouds), T, tuple(stamps), points_in or "sensor", origin=origin)
->>>>>>> b6dd804 (Check arrays in one place, and name options as arguments in Python)
 
     def __len__(self) -> int:
         return len(self.clouds)
