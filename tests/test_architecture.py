@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -67,6 +68,28 @@ def test_no_package_imports_itself_in_a_circle() -> None:
         if name != "dynaviz":
             graph.setdefault(room(name), set()).update(room(other) for other in without_packages(found) - {"dynaviz"})
     TopologicalSorter({name: found - {name} for name, found in graph.items()}).prepare()
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/extending.md"])
+def test_imports_go_down_in_the_drawing_of_the_house(page: str) -> None:
+    drawing = (ROOT / page).read_text().partition("```text\n")[2].partition("```")[0]
+    rows = [re.split(r"   +", line)[0].split("  ") for line in drawing.splitlines()]
+    floor = {name.strip().rstrip("/"): -row for row, names in enumerate(rows) for name in names}
+    rooms = {
+        path.stem for path in (ROOT / "dynaviz").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    entrances = {"__init__", "__main__", "precompile", "colours"}  # they start programs, or are used everywhere
+    assert rooms - entrances <= floor.keys()
+    for name, found in modules().items():
+        above = floor.get(name.split(".")[1] if "." in name else "")
+        if name.startswith("dynaviz.") and above is not None:
+            for other in without_packages(found) - {"dynaviz"}:
+                below = floor.get(other.split(".")[1], above) if other.startswith("dynaviz.") else above
+                assert below <= above, f"{name} imports {other}"
+
+
+def test_the_top_has_few_loose_modules() -> None:
+    assert len(list((ROOT / "dynaviz").glob("*.py"))) <= 12
 
 
 def within(name: str, *modules: str) -> bool:
