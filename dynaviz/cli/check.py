@@ -41,6 +41,7 @@ def check(
     write_baseline: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write these results to a baseline file if all checks pass.")
     ] = None,
+    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the checks as JUnit XML.")] = None,
 ) -> None:
     """Check results against limits or a baseline.
 
@@ -50,7 +51,7 @@ def check(
     dynaviz check recordings/street/octomap/result.json --min AA=90 --min SA=95
     dynaviz check new/result.json --baseline old/result.json --tolerance 0.5
     dynaviz check bench --write-baseline baseline.json
-    dynaviz check bench --baseline baseline.json
+    dynaviz check bench --baseline baseline.json --junit checks.xml
     """
     from dynaviz.errors import UsageError
     from dynaviz.scores import regression as core
@@ -65,6 +66,11 @@ def check(
     if checked.values:
         show(*_remarks(checked, failed=True), table(checked), *_remarks(checked, failed=False))
         show(_summary(checked, len(cells), baseline))
+    if junit is not None:
+        from dynaviz.io.atomic import write_atomic
+        from dynaviz.scores.junit import junit_xml
+
+        write_atomic(junit, junit_xml(checked))
     if checked.failed:
         raise typer.Exit(1)
     if write_baseline is not None:

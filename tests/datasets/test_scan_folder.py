@@ -14,7 +14,7 @@ from helpers.scan_folders import POSES, STAMPS, WRITERS, XYZ, N, write_kitti_pos
 import dynaviz as dv
 from dynaviz import api
 from dynaviz.cli import main
-from dynaviz.contracts.scan import Sequence
+from dynaviz.contracts.scan import Sequence, base_of
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.pcd import write_pcd
 from dynaviz.sources.datasets.benchmark import BenchmarkSequence
@@ -34,10 +34,10 @@ def assert_equal(sequence: Sequence, world: np.ndarray = WORLD, poses: np.ndarra
 def test_every_format_of_scans(tmp_path: Path, suffix: str) -> None:
     write_kitti_poses(write_scans(tmp_path, suffix) / "poses.txt")
     sequence = dv.open(tmp_path)
-    assert isinstance(sequence, ScanFolderSequence)
+    assert isinstance(base_of(sequence), ScanFolderSequence)
     assert_equal(sequence)
     assert [sequence[k].index for k in range(N)] == list(range(N))
-    assert sequence.facts == {"poses": "poses.txt (KITTI), by order", "points in": "sensor frame"}
+    assert base_of(sequence).facts == {"poses": "poses.txt (KITTI), by order", "points in": "sensor frame"}
 
 
 @pytest.mark.parametrize("inner", ["", "clouds"])
@@ -68,7 +68,7 @@ def test_by_stamp_with_interpolation(tmp_path: Path, names: list[str]) -> None:
     fine = np.array([at(k / 2 - 0.25, 0, 0, 0.1 * (k / 2 - 0.25)) for k in range(2 * N)])
     write_tum_poses(tmp_path / "drive.tum", between, fine)
     sequence = dv.open(tmp_path)
-    assert sequence.facts["poses"] == "drive.tum (TUM), by stamp"  # type: ignore[attr-defined]
+    assert base_of(sequence).facts["poses"] == "drive.tum (TUM), by stamp"  # type: ignore[attr-defined]
     for k in range(N):
         assert sequence[k].stamp_ns == STAMPS[k]
         assert sequence[k].index == k
@@ -117,7 +117,7 @@ def test_tum_and_numbered_scans_are_matched_by_order(tmp_path: Path) -> None:
     write_tum_poses(write_scans(tmp_path) / "poses.tum", STAMPS, POSES)
     sequence = dv.open(tmp_path)
     assert_equal(sequence)
-    assert sequence.facts["poses"].endswith("by order")  # type: ignore[attr-defined]
+    assert base_of(sequence).facts["poses"].endswith("by order")  # type: ignore[attr-defined]
     assert [sequence[k].stamp_ns for k in range(N)] == STAMPS
 
 
@@ -157,8 +157,8 @@ def test_viewpoints_are_poses(tmp_path: Path) -> None:
         write_pcd(tmp_path / f"{k:03d}.pcd", fields, POSES[k])
     sequence = dv.open(f"files:{tmp_path}")
     assert_equal(sequence)
-    assert sequence.facts["poses"] == "VIEWPOINT of each PCD"  # type: ignore[attr-defined]
-    assert isinstance(dv.open(tmp_path), BenchmarkSequence)  # whose points are in the world frame
+    assert base_of(sequence).facts["poses"] == "VIEWPOINT of each PCD"  # type: ignore[attr-defined]
+    assert isinstance(base_of(dv.open(tmp_path)), BenchmarkSequence)  # whose points are in the world frame
     write_scans(tmp_path, ".pcd", [f"{k:03d}" for k in range(N)])
     with pytest.raises(DataError, match=r"VIEWPOINT is the identity in every scan.*poses"):
         dv.open(f"files:{tmp_path}")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import msgspec
 import pytest
@@ -213,8 +214,14 @@ def test_the_command(bench: Path, tmp_path: Path, run_command: Command) -> None:
     code, out, _ = run_command("check", bench, "--baseline", baseline, "--min", "SA=80", "--min", "AA=80")
     assert (code, "all 12 checks passed" in out) == (0, True), out
     result((70, 30)).save(bench / "street/octomap/result.json")
-    code, out, _ = run_command("check", bench, "--baseline", baseline)
+    code, out, _ = run_command("check", bench, "--baseline", baseline, "--junit", tmp_path / "checks.xml")
     assert code == 1
+    suites = {suite.get("name"): suite for suite in ElementTree.parse(tmp_path / "checks.xml").getroot()}
+    assert set(suites) == {"octomap on street", "erasor on street"}
+    cases = {case.get("name"): case.find("failure") for case in suites["octomap on street"]}
+    assert cases["SA"].get("message").startswith("SA 70.00 %; at least 80.00 % is required")
+    assert suites["octomap on street"].get("failures") == str(sum(found is not None for found in cases.values()))
+    assert suites["erasor on street"].get("failures") == "0"
     first = next(line for line in out.splitlines() if "FAIL" in line)
     assert all(word in first for word in ("octomap on street", "SA", "70.00", "80.00", "-10.00", "FP 30 (+10)"))
     assert max(map(len, out.splitlines())) <= 80
