@@ -19,7 +19,7 @@ import numpy as np
 import dynaviz
 from dynaviz.arrays import F64, Bool
 from dynaviz.contracts.scan import Sequence
-from dynaviz.synthetic.implants.lidar import LidarModel, _by_mount
+from dynaviz.synthetic.implants.lidar_model import LidarModel, _by_mount
 from dynaviz.synthetic.implants.pattern import Rings
 
 SCANS = 6

@@ -39,11 +39,11 @@ from dynaviz import api
 from dynaviz.contracts import params, registry
 from dynaviz.contracts.scan import Label, Scan, Sequence
 from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.synthetic.implants.lidar import LidarModel
-from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
+from dynaviz.synthetic.implants.implant_scene import CLASSES
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence, planned
+from dynaviz.synthetic.implants.lidar_model import LidarModel
 from dynaviz.synthetic.implants.panel import default_panel, votes
-from dynaviz.synthetic.implants.scene import CLASSES
-from dynaviz.synthetic.implants.sequence import ImplantedSequence, planned
 from dynaviz.synthetic.implants.survey import Survey
 from dynaviz.synthetic.simulate import simulate
 

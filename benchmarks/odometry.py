@@ -32,7 +32,7 @@ from dynaviz.sources.options import SequenceOptions
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.simulate.lidar import sweep_rays
 from dynaviz.synthetic.simulate.presets import PRESETS, Preset
-from dynaviz.synthetic.simulate.recording import Recorder, build
+from dynaviz.synthetic.simulate.recording import SceneRecorder, build
 from dynaviz.synthetic.simulate.sweep import ray_shares, sensor_pose
 
 SWEEP = 0.1  # seconds
@@ -120,7 +120,7 @@ class BagOfClouds:
 
 def write_drive(path: Path, preset: Preset, frames: int, seed: int = 0) -> list[U8]:
     """Write a drive; the labels of each cloud. Stamps are those of the first point of a sweep."""
-    recorder = Recorder(build(preset, frames, seed), preset, frames, seed)
+    recorder = SceneRecorder(build(preset, frames, seed), preset, frames, seed)
     scene, sensor, labels = recorder.scene, recorder.sensor, list[U8]()
     with BagOfClouds(path) as bag:
         for k in range(frames):

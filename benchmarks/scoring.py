@@ -28,13 +28,13 @@ from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan, stream
 from dynaviz.io.points import read_points
 from dynaviz.spatial.nearest import Nearest, nearest_distance
-from dynaviz_eval.breakdown import Breakdown
+from dynaviz_eval.breakdown import BreakdownMetric
 from dynaviz_eval.confusion import Confusion
 from dynaviz_eval.error_distance import ErrorDistance
-from dynaviz_eval.reasons import Reasons
+from dynaviz_eval.reasons import ReasonsMetric
 
 INFO = MethodInfo("m", "M", "none", tuple(Reason(f"reason_{k}", "") for k in range(6)))
-METRICS = (Confusion, ErrorDistance, Breakdown, Reasons)
+METRICS = (Confusion, ErrorDistance, BreakdownMetric, ReasonsMetric)
 
 
 def street(position: float, rng: np.random.Generator, n: int) -> F32:

@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -86,6 +87,25 @@ def test_imports_go_down_in_the_drawing_of_the_house(page: str) -> None:
             for other in without_packages(found) - {"dynaviz"}:
                 below = floor.get(other.split(".")[1], above) if other.startswith("dynaviz.") else above
                 assert below <= above, f"{name} imports {other}"
+
+
+def test_a_name_has_one_meaning() -> None:
+    """No public class name is used twice, and no file name twice in one room."""
+    classes = Counter(
+        node.name
+        for package in PACKAGES
+        for path in files(package)
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in classes.items() if count > 1] == []
+    names = Counter(
+        (package, path.relative_to(PACKAGES[package]).parts[0], path.name)
+        for package in PACKAGES
+        for path in files(package)
+        if not path.name.startswith("__")
+    )
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_the_top_has_few_loose_modules() -> None:

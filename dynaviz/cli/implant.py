@@ -57,10 +57,10 @@ def implant(
     dynaviz run dufomap "implant:path/to/sequence?cars=6&seed=3"
     """
     from dynaviz import api
-    from dynaviz.synthetic.implants.options import ImplantOptions
+    from dynaviz.synthetic.implants.implant_options import ImplantOptions
+    from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
     from dynaviz.synthetic.implants.panel import default_panel
-    from dynaviz.synthetic.implants.sequence import ImplantedSequence
-    from dynaviz.synthetic.implants.write import SCENE_FILE, write
+    from dynaviz.synthetic.implants.write_implants import SCENE_FILE, write
 
     opened = api.open(sequence, **options)
     methods: tuple[str, ...] = () if opened.has_labels else default_panel()

@@ -77,7 +77,7 @@ INTERPRETATIONS = _interpretations()
 AS_GIVEN = Interpretation("", "", "", lambda T: np.eye(4), lambda T: T)
 
 
-class Comparison:
+class Interpretations:
     """Measures of interpretations on pairs of scans. Interpretations that share figures compute them once.
 
     Args:
@@ -160,17 +160,17 @@ def better_interpretation(views: Pairs, others: Callable[[], Pairs]) -> Iterator
         views: pairs of scans among which the interpretation is chosen.
         others: reads further pairs, on which it is verified.
     """
-    found = Comparison(views)
+    found = Interpretations(views)
     finding = _by_overlap(found) or _by_hidden_points(found) or _by_motion(found)
     if finding is None:
         return
     chosen, result = finding
-    again = Comparison(others())
+    again = Interpretations(others())
     if not again.views or any(holds(again, chosen) for holds in (_gains, _hides_less_everywhere, _accompanies)):
         yield result
 
 
-def _by_overlap(found: Comparison) -> tuple[Interpretation, Finding] | None:
+def _by_overlap(found: Interpretations) -> tuple[Interpretation, Finding] | None:
     given = found.overlap(AS_GIVEN)
     tried = []
     for each in INTERPRETATIONS:
@@ -192,13 +192,13 @@ def _by_overlap(found: Comparison) -> tuple[Interpretation, Finding] | None:
     return best, Finding(best.name, confidence, f"{best.problem}: {shares}", best.fix)
 
 
-def _gains(found: Comparison, each: Interpretation) -> bool:
+def _gains(found: Interpretations, each: Interpretation) -> bool:
     """Whether an interpretation increases the overlap in most pairs."""
     gain = found.overlap(each) - found.overlap(AS_GIVEN)
     return bool(gain.mean() > GAIN and (gain > 0.02).mean() >= MOST)
 
 
-def _by_hidden_points(found: Comparison) -> tuple[Interpretation, Finding] | None:
+def _by_hidden_points(found: Interpretations) -> tuple[Interpretation, Finding] | None:
     overlap, at_once = found.overlap(AS_GIVEN).mean(), found.hidden_at_once(AS_GIVEN)
     # Hidden points seen from the frame's own position are computed first, because most interpretations hide more.
     tried = sorted(
@@ -213,7 +213,7 @@ def _by_hidden_points(found: Comparison) -> tuple[Interpretation, Finding] | Non
     return None
 
 
-def _by_motion(found: Comparison) -> tuple[Interpretation, Finding] | None:
+def _by_motion(found: Interpretations) -> tuple[Interpretation, Finding] | None:
     """Poses that do not move with their clouds, although those of an interpretation do, at one height above ground."""
     for each in INTERPRETATIONS[-len(FAULTS) :]:
         if _moves_sensor(found, each) and _accompanies(found, each):
@@ -224,19 +224,19 @@ def _by_motion(found: Comparison) -> tuple[Interpretation, Finding] | None:
     return None
 
 
-def _accompanies(found: Comparison, each: Interpretation) -> bool:
+def _accompanies(found: Interpretations, each: Interpretation) -> bool:
     """Whether the sensor stays with its cloud and above the ground, as it does not with the given poses."""
     lag = _lag(found, AS_GIVEN)
     return bool(lag > LAG and _lag(found, each) < 0.4 * lag and _level(found, each) and not _level(found, AS_GIVEN))
 
 
-def _lag(found: Comparison, each: Interpretation) -> float:
+def _lag(found: Interpretations, each: Interpretation) -> float:
     """Standard deviation of the way from the sensor to the middle of its cloud, metres."""
     ways = [np.median(b.sample, axis=0) - each.pose(b.T)[:3, 3] for _, b in found.views]
     return float(np.linalg.norm(np.std(ways, axis=0)))
 
 
-def _outside(found: Comparison, each: Interpretation) -> float:
+def _outside(found: Interpretations, each: Interpretation) -> float:
     """Share of the scans whose sensor is farther from the middle of its cloud than nine of ten points."""
     outside = []
     for _, b in found.views:
@@ -246,19 +246,19 @@ def _outside(found: Comparison, each: Interpretation) -> float:
     return float(np.mean(outside))
 
 
-def _level(found: Comparison, each: Interpretation) -> bool:
+def _level(found: Interpretations, each: Interpretation) -> bool:
     """Whether the sensor is at one height above the ground in most scans."""
     layers = [ground_layer(b, np.array([0.0, 0.0, 1.0]), each.pose(b.T)[:3, 3]) for _, b in found.views]
     heights = np.array([height for height, share in layers if share >= FLAT and height < HIGHEST])
     return len(heights) >= MOST * len(layers) and float(np.std(heights)) < SAME_HEIGHT
 
 
-def _moves_sensor(found: Comparison, each: Interpretation) -> bool:
+def _moves_sensor(found: Interpretations, each: Interpretation) -> bool:
     """Whether an interpretation places the sensor elsewhere in its cloud, in most pairs."""
     return bool((found.moves(each) > OTHER_PLACE).mean() >= MOST)
 
 
-def _hides_less_everywhere(found: Comparison, each: Interpretation) -> bool:
+def _hides_less_everywhere(found: Interpretations, each: Interpretation) -> bool:
     """Whether fewer points are behind surfaces, of their own scan and of the other one, where the sensor moves."""
     if not _moves_sensor(found, each) or _lag(found, each) > _lag(found, AS_GIVEN) + LAG:
         return False

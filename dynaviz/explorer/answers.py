@@ -23,7 +23,7 @@ from dynaviz.runs.explanation import Why, cause_at
 from dynaviz.runs.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
 from dynaviz.views.read.shot import shot
-from dynaviz.views.witnesses import Rays, rays_of
+from dynaviz.views.witnesses import TouchingRays, rays_of
 
 PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
@@ -231,7 +231,7 @@ class Explored:
         at = self.runs[letter].point(frame, point)["position"]
         return focus.marks(None if at is None else np.array(at), self._rays(letter, frame, point), lit)
 
-    def _rays(self, letter: str, frame: int, point: int) -> Rays:
+    def _rays(self, letter: str, frame: int, point: int) -> TouchingRays:
         """The rays of the ledger of a point, if that is known."""
         computed, stored = self._ledgers.known(letter, frame, point), self.runs[letter].stored(frame, point)
         return rays_of([computed.ledger] if computed else [stored[0]] if stored else [])

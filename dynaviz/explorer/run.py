@@ -18,7 +18,7 @@ from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import DataError, UsageError
 from dynaviz.runs.explanation import sentence
 from dynaviz.runs.run import open_run
-from dynaviz.scores.comparison.answers import Answers
+from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import case_at
 from dynaviz.views import paths
@@ -64,7 +64,7 @@ class ExploredRun:
         self.result: Result = self.run.result
         self.frames = self.recording.frames
         self._drawn: dict[int, DrawnPoints] = {drawn.frame: drawn for drawn in self.recording.drawn() if len(drawn.xyz)}
-        self._answers: dict[int, Answers] = {answers.frame: answers for answers in self.recording.answers()}
+        self._answers: dict[int, FrameAnswers] = {answers.frame: answers for answers in self.recording.answers()}
         self._reasons = self.recording.reasons
         self._ledgers: dict[int, tuple[PointLedger, ...]] = {}
         for frame, drawn in self._drawn.items():

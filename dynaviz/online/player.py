@@ -18,7 +18,7 @@ PERIOD = 0.1  # seconds between scans without stamps, unless the sensor's rate i
 QUANTILES = (50, 95, 99)
 
 
-class Clock(Protocol):
+class PlayClock(Protocol):
     """Real or simulated time."""
 
     def now(self) -> float:
@@ -123,7 +123,7 @@ def play(
     scans: Iterable[Scan],
     report: PlayReport,
     shown: Callable[[Played], None] = lambda played: None,
-    clock: Clock | None = None,
+    clock: PlayClock | None = None,
     period: float = PERIOD,
 ) -> PlayReport:
     """Play scans; their stamps decide when each one comes.

@@ -21,7 +21,7 @@ SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to t
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Overview:
+class StudyOverview:
     """The thinned map of a whole run, with its wrong points.
 
     Attributes:
@@ -57,7 +57,7 @@ class Study:
         """A path relative to the report, with forward slashes."""
         return Path(os.path.relpath(path, self.home)).as_posix()
 
-    def overview(self, run: StudyRun) -> Overview | None:
+    def overview(self, run: StudyRun) -> StudyOverview | None:
         """The map of a run from its recording; None if it has no recording, or one without points.
 
         Raises:
@@ -73,7 +73,7 @@ class Study:
         drawn = [part for part in parts if "Points3D:positions" in part]
         if not drawn:
             return None
-        return Overview(
+        return StudyOverview(
             np.concatenate([part["Points3D:positions"] for part in drawn]),
             np.concatenate([classes.outcomes(part["Points3D:class_ids"]) for part in drawn]),
         )

@@ -35,7 +35,7 @@ LAYER = 0.1  # metres; thickness of layers in which the ground is looked for
 
 
 @dataclass(frozen=True)
-class Rays:
+class ScanRays:
     """The rays of some scans in the sensor frame.
 
     Attributes:
@@ -52,7 +52,7 @@ class Rays:
     lidars: Intp
 
     @classmethod
-    def of(cls, scan: Scan, path: Trajectory | None = None) -> Rays:
+    def of(cls, scan: Scan, path: Trajectory | None = None) -> ScanRays:
         """The rays of the finite points of a scan, in their order.
 
         Args:
@@ -104,7 +104,7 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
     positions = np.unique(np.linspace(skipped, len(sequence) - 1 - skipped, SAMPLES).astype(int)).tolist()
     scans = [sequence[k] for k in positions]
     paths = [_path(sequence, k, scan) for k, scan in zip(positions, scans, strict=True)]
-    rays = [Rays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
+    rays = [ScanRays.of(scan, path) for scan, path in zip(scans, paths, strict=True)]
     if not (rays := [each for each in rays if len(each.ranges) > 100]):
         return Sensor()
     rows = _rows(sequence, positions, rays)
@@ -184,7 +184,7 @@ def with_needed_facts(begin: Callable[[Scan, Sensor], Any], sequence: Sequence, 
     return select_frames(sequence, sensor=estimated)
 
 
-def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | None:
+def _rows(sequence: Sequence, positions: list[int], rays: list[ScanRays]) -> int | None:
     """Number of rows; None for a sensor without rows, or if they do not show."""
     attributes = [attributes_of(sequence, k) for k in positions]
     name = next((name for name in RINGS if all(name in each for each in attributes)), None)
@@ -200,7 +200,7 @@ def _rows(sequence: Sequence, positions: list[int], rays: list[Rays]) -> int | N
     return _peaks(np.concatenate([each.elevations for each in rays])) or _agreed(rays)
 
 
-def _agreed(rays: list[Rays]) -> int | None:
+def _agreed(rays: list[ScanRays]) -> int | None:
     """Number of peaks in the elevations of a lidar, if it is the same in most scans; of the lidar that has the most."""
     counts = []
     for each in rays:
@@ -210,7 +210,7 @@ def _agreed(rays: list[Rays]) -> int | None:
     return rows if rows and np.mean(np.array(counts) == rows) > 0.5 else None
 
 
-def _wraps(rays: Rays) -> int | None:
+def _wraps(rays: ScanRays) -> int | None:
     """Number of turns of the azimuth in the order of the points, for files that store one row after the other."""
     step = (np.diff(rays.azimuths) + 180) % 360 - 180
     if not len(step) or np.percentile(np.abs(step), 99) > 30 or np.median(np.abs(step)) > 2:
@@ -250,7 +250,7 @@ def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _height(rays: Rays) -> float | None:
+def _height(rays: ScanRays) -> float | None:
     """Distance of the sensor from the plane of the ground; None if there is none."""
     x, y, z = rays.ends.T
     around, lowest = np.hypot(x, y), np.radians(max(-float(np.percentile(rays.elevations, 0.5)), 1.0))

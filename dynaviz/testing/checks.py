@@ -50,14 +50,14 @@ def check_method(method: type[Method], params: Any = None) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class RunLabels:
+class AnsweredScans:
     """The labels of a run, scan by scan: arrays (N,) bool and (N,) uint8."""
 
     dynamic: list[Bool]
     reasons: list[U8]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, RunLabels) and all(
+        return isinstance(other, AnsweredScans) and all(
             len(mine) == len(theirs) and all(map(np.array_equal, mine, theirs))
             for mine, theirs in ((self.dynamic, other.dynamic), (self.reasons, other.reasons))
         )
@@ -65,7 +65,7 @@ class RunLabels:
 
 def ask(
     method: type[Method], params: Any, scans: Sequence[Scan], probe: Probe = SILENT, extent: Extent | None = None
-) -> RunLabels:
+) -> AnsweredScans:
     """Run a new instance of a method: observe all scans, then label all."""
     running = method(params)
     _begin(running, scans, probe, extent)
@@ -83,9 +83,9 @@ def _observe(running: Method, scans: Sequence[Scan]) -> None:
         running.observe(scan)
 
 
-def _answers(running: Method, scans: Sequence[Scan]) -> RunLabels:
+def _answers(running: Method, scans: Sequence[Scan]) -> AnsweredScans:
     labels = [running.label(scan) for scan in scans]
-    return RunLabels(
+    return AnsweredScans(
         [np.asarray(each.dynamic).copy() for each in labels], [np.asarray(each.reasons).copy() for each in labels]
     )
 
@@ -109,7 +109,7 @@ class _Run:
     is empty for a method without evidence.
     """
 
-    labels: RunLabels
+    labels: AnsweredScans
     probe: MemoryProbe
     verdicts: list[tuple[I64, Bool | None]]
 
@@ -131,7 +131,7 @@ def _remembered(method: type[Method], params: Any, watched: bool) -> _Run:
     for k, scan in enumerate(scans):
         labels.append(_answers(running, [scan]))
         _question(running, asked[k : k + 1], verdicts[k : k + 1])
-    answers = RunLabels([a.dynamic[0] for a in labels], [a.reasons[0] for a in labels])
+    answers = AnsweredScans([a.dynamic[0] for a in labels], [a.reasons[0] for a in labels])
     decided = [(points.rows, verdict.dynamic()) for points, verdict in zip(asked, verdicts, strict=False)]
     return _Run(answers, probe, decided)
 
@@ -152,7 +152,7 @@ def _run(method: type[Method], params: Any, watched: bool) -> _Run:
     return _remembered(method, params, watched)
 
 
-def _expected(method: type[Method], params: Any) -> RunLabels:
+def _expected(method: type[Method], params: Any) -> AnsweredScans:
     """Labels of a plain run, which other runs must repeat."""
     return _run(method, params, watched=False).labels
 
@@ -161,7 +161,7 @@ def _replaced(scan: Scan, points: Any) -> Scan:
     return dataclasses.replace(scan, points=points)
 
 
-def _check_shapes(method: type[Method], answers: RunLabels, scans: Sequence[Scan]) -> None:
+def _check_shapes(method: type[Method], answers: AnsweredScans, scans: Sequence[Scan]) -> None:
     for scan, dynamic, reasons in zip(scans, answers.dynamic, answers.reasons, strict=True):
         assert dynamic.dtype == np.bool_, f"label() returned dynamic as {dynamic.dtype}, not bool"
         assert reasons.dtype == np.uint8, f"label() returned reasons as {reasons.dtype}, not uint8"
@@ -283,7 +283,7 @@ def answers_in_any_order(method: type[Method], params: Any) -> None:
     _begin(running, scans)
     _observe(running, scans)
     first, backwards = _answers(running, scans), _answers(running, scans[::-1])
-    assert first == RunLabels(backwards.dynamic[::-1], backwards.reasons[::-1]), "labels differ on a second call"
+    assert first == AnsweredScans(backwards.dynamic[::-1], backwards.reasons[::-1]), "labels differ on a second call"
 
 
 def answers_online(method: type[Method], params: Any) -> None:
@@ -294,7 +294,7 @@ def answers_online(method: type[Method], params: Any) -> None:
     for scan in scans:
         running.observe(scan)
         answers.append(_answers(running, [scan]))
-    _check_shapes(method, RunLabels([a.dynamic[0] for a in answers], [a.reasons[0] for a in answers]), scans)
+    _check_shapes(method, AnsweredScans([a.dynamic[0] for a in answers], [a.reasons[0] for a in answers]), scans)
 
 
 def answers_live(method: type[Method], params: Any) -> None:
@@ -305,7 +305,7 @@ def answers_live(method: type[Method], params: Any) -> None:
     """
     if issubclass(method, Live):
         tour, answers = check_live(method, params, _bare())
-        _check_shapes(method, RunLabels(*answers), tour)
+        _check_shapes(method, AnsweredScans(*answers), tour)
 
 
 def survives_few_points(method: type[Method], params: Any) -> None:

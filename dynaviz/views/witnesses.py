@@ -21,7 +21,7 @@ BEYOND = 40.0  # metres behind a point at which drawn rays end at the latest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rays:
+class TouchingRays:
     """Rays that touched points.
 
     Attributes:
@@ -35,7 +35,7 @@ class Rays:
     strips: F32
 
 
-def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> Rays:
+def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> TouchingRays:
     """The rays of ledgers; of many the ``most``, half of them hits if there are enough of each, spread over scans."""
     found = [ray for ledger in ledgers for entry in ledger.entries for ray in _rays(ledger, entry)]
     found.sort(key=lambda ray: ray[0])
@@ -43,11 +43,11 @@ def rays_of(ledgers: Sequence[PointLedger], most: int | None = None) -> Rays:
     kinds = np.array([kind for _, kind, *_ in found], np.uint8)
     strips = np.array([ends for *_, ends in found], np.float32).reshape(-1, 2, 3)
     if most is None or len(found) <= most:
-        return Rays(frames, kinds, strips)
+        return TouchingRays(frames, kinds, strips)
     hits, passes = np.flatnonzero(kinds == HIT), np.flatnonzero(kinds != HIT)
     many = min(len(hits), max(most // 2, most - len(passes)))
     chosen = np.sort(np.concatenate([hits[evenly(len(hits), many)], passes[evenly(len(passes), most - many)]]))
-    return Rays(frames[chosen], kinds[chosen], strips[chosen])
+    return TouchingRays(frames[chosen], kinds[chosen], strips[chosen])
 
 
 def _rays(ledger: PointLedger, entry: LedgerEntry) -> list[tuple[int, int, F64]]:

@@ -132,7 +132,7 @@ def shift(row: np.void, other: np.void) -> float:
     return float(np.hypot(*np.where(low * high > 0, np.minimum(np.abs(low), np.abs(high)), 0.0)))
 
 
-class Places:
+class VisitedPlaces:
     """Remembers when each cell of the map was hit; the cells of large maps are stored on disk during the run.
 
     Args:

@@ -21,7 +21,7 @@ RANGES = (0.0, *RANGE_EDGES, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)
 
 
-class Breakdown:
+class BreakdownMetric:
     """Section ``breakdown``: lists ``range``, ``height``, ``frame`` and ``object`` with counts and percentages.
 
     Range and height bins include their lower edge, ``from``; None is an open end. Points without finite coordinates

@@ -18,7 +18,7 @@ from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import percentage_points_lost
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
-from dynaviz_eval.behaviour import Objects, Places, groups_of
+from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, gathered, summed
 from dynaviz_eval.ground import on_ground
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
@@ -31,7 +31,7 @@ _UNLABELLED = 1 << 32  # the group of class 0
 _KINDS = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
-class Failures:
+class FailuresMetric:
     """Section ``failures``: where, when and why points are wrong, costliest case first.
 
     ``cases``: at most 100, each with ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
@@ -51,7 +51,7 @@ class Failures:
         self._causes: dict[str, dict[str, dict[str, int]]] = {
             kind: defaultdict(lambda: {"cases": 0, "points": 0}) for kind in spans
         }
-        self._objects, self._places, self._grounded = Objects(), Places(), True
+        self._objects, self._places, self._grounded = Objects(), VisitedPlaces(), True
         self._names: dict[int, str] = {}
         self._totals = dict.fromkeys(_KINDS, 0)
         self._frame = 0

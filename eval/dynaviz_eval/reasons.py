@@ -22,7 +22,7 @@ _KINDS = {
 }
 
 
-class Reasons:
+class ReasonsMetric:
     """Section ``reasons``: points by outcome and reason, the cost of each reason, and the meaning of each.
 
     ``cost`` is the number of percentage points of SA and DA lost to the wrong points of a reason; the costs of all

@@ -17,7 +17,7 @@ from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import shape
-from dynaviz_eval.behaviour import Places
+from dynaviz_eval.behaviour import VisitedPlaces
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
 from dynaviz_eval.ground import on_ground
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
@@ -27,7 +27,7 @@ _FRAME = ("frame", "index", "points", "removed")
 SPAN = 20.0  # metres: larger clusters are split, as are the holes of a run with ground truth
 
 
-class Removals:
+class RemovalsMetric:
     """Section ``removals``: removed points by reason, range and frame, for every run.
 
     A run without ground truth also has ``clusters``: at most 100, removed points that belong together as those of a
@@ -85,7 +85,7 @@ class _Clusters:
 
     def __init__(self, names: list[str]) -> None:
         self.listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
-        self._names, self._places, self._frame = names, Places(), 0
+        self._names, self._places, self._frame = names, VisitedPlaces(), 0
         self._dropped = {"cases": 0, "points": 0}
         self._cases = Cases(len(names), SPAN, self._drop)
 

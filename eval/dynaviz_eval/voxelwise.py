@@ -20,7 +20,7 @@ _COUNTS = ("static", "static_kept", "dynamic", "dynamic_kept")
 _RECORD = np.dtype([("key", np.int64), ("kind", np.uint8)])
 
 
-class Voxelwise:
+class VoxelwiseMetric:
     """Section ``voxelwise``: PR, RR and F1 of voxels of 0.2 m (Lim et al., "ERASOR", RA-L 2021).
 
     A voxel is static if it contains a static point, else dynamic if it contains a dynamic point. It is kept if it

@@ -11,14 +11,14 @@ from hypothesis.extra.numpy import arrays
 
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.scores.comparison.answers import BAND_NAMES, Answers, range_bands
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES, FrameAnswers, range_bands
 
 
 @settings(deadline=None)
 @given(n=st.integers(0, 200), data=st.data())
 def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
     u8 = arrays(np.uint8, n)
-    answers = Answers(
+    answers = FrameAnswers(
         3,
         4390,
         data.draw(arrays(bool, n)),
@@ -26,7 +26,7 @@ def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
         data.draw(u8),
         data.draw(arrays(np.uint8, n, elements=st.integers(0, 4))),
     )
-    back = Answers.unpacked(3, answers.packed())
+    back = FrameAnswers.unpacked(3, answers.packed())
     assert (back.frame, back.index, len(back)) == (3, 4390, n)
     for name in ("dynamic", "truth", "reasons", "bands"):
         np.testing.assert_array_equal(getattr(back, name), getattr(answers, name))
@@ -34,10 +34,10 @@ def test_packing_loses_nothing(n: int, data: st.DataObject) -> None:
 
 
 def test_truncated_data_is_an_error() -> None:
-    answers = Answers(0, 0, np.ones(50, bool), *(np.zeros(50, np.uint8) for _ in range(3)))
-    short = answers.packed() | {"truth": Answers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]}
+    answers = FrameAnswers(0, 0, np.ones(50, bool), *(np.zeros(50, np.uint8) for _ in range(3)))
+    short = answers.packed() | {"truth": FrameAnswers(0, 0, *(np.zeros(9, np.uint8),) * 4).packed()["truth"]}
     with pytest.raises(ValueError, match="9 values instead of 50"):
-        Answers.unpacked(0, short)
+        FrameAnswers.unpacked(0, short)
 
 
 def test_range_bands_use_the_origin_of_each_ray() -> None:
@@ -53,6 +53,6 @@ def test_range_bands_use_the_origin_of_each_ray() -> None:
 
 def test_without_ground_truth_every_point_is_unlabelled() -> None:
     scan = Scan(0, np.zeros((3, 3), np.float32), pose(0.0))
-    answers = Answers.of(Labelled.of(0, scan, np.array([True, False, True]), np.zeros(3, np.uint8)))
+    answers = FrameAnswers.of(Labelled.of(0, scan, np.array([True, False, True]), np.zeros(3, np.uint8)))
     assert answers.truth.tolist() == [Label.UNLABELLED] * 3
     assert answers.outcome.tolist() == [5, 4, 5]

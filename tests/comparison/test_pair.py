@@ -10,9 +10,9 @@ import pytest
 from helpers.two_runs import REASONS, TwoRuns, any_two_runs, compared, two_runs
 from hypothesis import given, settings
 
-from dynaviz.scores.comparison.answers import BAND_NAMES
 from dynaviz.scores.comparison.counts import AGREEMENT, TRUTHS
-from dynaviz.scores.comparison.pair import AgreementByTruth, RangeAgreement, ReasonPair, WrongPoints
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES
+from dynaviz.scores.comparison.pair import AgreementByTruth, RangeAgreement, ReasonPair, WrongPointCounts
 
 
 def by_truth(points: AgreementByTruth | RangeAgreement) -> dict[tuple[str, str], int]:
@@ -90,7 +90,7 @@ def test_against_a_count_point_by_point(seed: int) -> None:
     assert len(found.places) == 10
     for place in found.places:
         counts = wrong[place.low]
-        assert (place.first, place.second) == (WrongPoints(*counts[:2]), WrongPoints(*counts[2:]))
+        assert (place.first, place.second) == (WrongPointCounts(*counts[:2]), WrongPointCounts(*counts[2:]))
         assert place.high == tuple(low + 5 for low in place.low)
     totals = [sum(right[t, w] for w in AGREEMENT) for t in TRUTHS]
     cost = {key: 100 * (w[0] - w[2]) / totals[0] + 100 * (w[1] - w[3]) / totals[1] for key, w in wrong.items()}

@@ -11,7 +11,7 @@ from helpers.two_runs import REASONS, TwoRuns, compared, two_runs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dynaviz.scores.comparison.answers import BAND_NAMES
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES
 from dynaviz.scores.comparison.pair import ComparedRun
 from dynaviz.scores.comparison.removed import RemovalComparison
 from dynaviz.scores.comparison.summary import Comparison

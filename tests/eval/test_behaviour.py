@@ -11,9 +11,9 @@ from helpers.failure_cases import INFO, section
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
 from dynaviz.scores.behaviour import Behaviour
-from dynaviz_eval.behaviour import Objects, Places, behaviour_of_object, behaviour_of_place, shift, standing
+from dynaviz_eval.behaviour import Objects, VisitedPlaces, behaviour_of_object, behaviour_of_place, shift, standing
 from dynaviz_eval.cases import Cases, summed
-from dynaviz_eval.failures import Failures
+from dynaviz_eval.failures import FailuresMetric
 
 pytestmark = pytest.mark.boundscheck
 
@@ -95,7 +95,7 @@ def test_a_place_without_hits_is_unknown():
 
 
 def test_places_remember_when_their_cells_were_hit():
-    rng, places, expected = np.random.default_rng(3), Places(), {}
+    rng, places, expected = np.random.default_rng(3), VisitedPlaces(), {}
     for frame in range(6):
         points = rng.uniform(-40, 40, (14_000, 3)).astype(np.float32)
         points[rng.choice(14_000, 50)] = np.nan
@@ -154,7 +154,7 @@ def test_an_object_touches_what_stands_next_to_it_but_not_the_road_or_a_bridge()
 
 
 def test_without_heights_the_ground_is_unknown():
-    metric = Failures(INFO)
+    metric = FailuresMetric(INFO)
     labelled = scene(0, 5.0, caught=False, instances=False)
     metric.add(labelled, 3000, 200)
     (case,) = metric.finish()["failures"]["cases"]

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from dynaviz_eval.breakdown import Breakdown
+from dynaviz_eval.breakdown import BreakdownMetric
 from dynaviz_eval.confusion import Counts
 from dynaviz_eval.ground import heights_above_ground
 
@@ -16,7 +16,7 @@ COUNTED = ("static_kept", "static_removed", "dynamic_removed", "dynamic_kept", "
 
 
 def breakdown(info, *labelled):
-    metric = Breakdown(info)
+    metric = BreakdownMetric(info)
     for each in labelled:
         metric.update(each)
     section = metric.finish()["breakdown"]

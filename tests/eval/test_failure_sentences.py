@@ -7,7 +7,7 @@ from helpers.failure_cases import INFO, labelled, section
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz_eval.cases import KEEP
-from dynaviz_eval.failures import Failures
+from dynaviz_eval.failures import FailuresMetric
 
 pytestmark = pytest.mark.boundscheck
 
@@ -89,7 +89,7 @@ def test_the_costliest_are_listed_and_the_others_summed():
 
 
 def test_boxes_have_the_numbers_of_the_cases():
-    metric = Failures(INFO)
+    metric = FailuresMetric(INFO)
     metric.update(labelled(0, np.array([[0, 0, 0], [9, 0, 0], [9, 0.1, 0]]), 1, False))
     metric.update(labelled(1, np.array([[9, 0, 0.3]]), 1, False))
     metric.finish()

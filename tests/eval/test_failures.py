@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
-from dynaviz_eval.failures import Failures
+from dynaviz_eval.failures import FailuresMetric
 
 pytestmark = pytest.mark.boundscheck
 
@@ -150,7 +150,7 @@ def test_the_costliest_case_is_first_whatever_its_kind():
 
 
 def test_boxes_contain_the_points_of_their_frame():
-    metric, clouds = Failures(INFO), [cube(seed=f, x=f) for f in range(5)]
+    metric, clouds = FailuresMetric(INFO), [cube(seed=f, x=f) for f in range(5)]
     for f, cloud in enumerate(clouds):
         metric.update(labelled(f, cloud, 1, False))
     metric.finish()
@@ -170,7 +170,7 @@ def test_points_without_a_position_belong_to_no_case(points):
 
 def test_no_cases_without_ground_truth():
     scan = Scan(0, cube(), np.eye(4))
-    metric = Failures(INFO)
+    metric = FailuresMetric(INFO)
     metric.update(Labelled.of(0, scan, np.ones(50, np.bool_), np.zeros(50, np.uint8)))
     assert metric.finish()["failures"]["cases"] == []
     assert metric.figures() == {}

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from dynaviz_eval.confusion import Counts
-from dynaviz_eval.reasons import Reasons
+from dynaviz_eval.reasons import ReasonsMetric
 
 pytestmark = pytest.mark.boundscheck
 
 
 def test_wrong_points_are_counted_by_name(info, make_labelled):
-    metric = Reasons(info)
+    metric = ReasonsMetric(info)
     labelled = make_labelled(
         0,
         points=np.zeros((6, 3)),
@@ -33,7 +33,7 @@ def test_wrong_points_are_counted_by_name(info, make_labelled):
 
 
 def test_costs_add_up_to_the_missing_percentage_points(info, make_labelled):
-    metric, total = Reasons(info), Counts()
+    metric, total = ReasonsMetric(info), Counts()
     for frame in range(3):
         labelled = make_labelled(frame)
         metric.update(labelled)
@@ -45,13 +45,13 @@ def test_costs_add_up_to_the_missing_percentage_points(info, make_labelled):
 
 @pytest.mark.parametrize("code", [2, 255])  # the legend has 0 and 1
 def test_an_undeclared_code_shows_as_a_number(info, make_labelled, code):
-    metric = Reasons(info)
+    metric = ReasonsMetric(info)
     metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code]))
     assert metric.finish()["reasons"]["false_negative"] == {f"code {code}": 1}
 
 
 def test_the_most_frequent_reason_is_first(info, make_labelled):
-    metric = Reasons(info)
+    metric = ReasonsMetric(info)
     metric.update(
         make_labelled(0, points=np.zeros((6, 3)), labels=[1] * 6, dynamic=[False] * 6, reasons=[0, 1, 1, 7, 7, 7])
     )
@@ -63,14 +63,14 @@ def test_the_most_frequent_reason_is_first(info, make_labelled):
 
 
 def test_a_reason_may_cost_both_accuracies(info, make_labelled):
-    metric = Reasons(info)
+    metric = ReasonsMetric(info)
     labels, dynamic = [1, 1, 0, 0], [False, True, True, False]
     metric.update(make_labelled(0, points=np.zeros((4, 3)), labels=labels, dynamic=dynamic, reasons=[0] * 4))
     assert metric.finish()["reasons"]["cost"] == {"seen_free": {"SA": 50, "DA": 50}}
 
 
 def test_no_wrong_points_without_ground_truth(info, make_labelled):
-    metric = Reasons(info)
+    metric = ReasonsMetric(info)
     metric.update(make_labelled(0, labels=None, dynamic=np.ones(400, bool)))
     section = json.loads(json.dumps(metric.finish(), allow_nan=False))["reasons"]
     assert section["false_negative"] == section["false_positive"] == section["cost"] == {}

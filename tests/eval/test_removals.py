@@ -12,14 +12,14 @@ from helpers.failure_cases import INFO
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.scores.sections import Sections
-from dynaviz_eval.removals import Removals
+from dynaviz_eval.removals import RemovalsMetric
 
 pytestmark = pytest.mark.boundscheck
 
 
-def measured(*frames: Labelled) -> tuple[dict[str, Any], Removals]:
+def measured(*frames: Labelled) -> tuple[dict[str, Any], RemovalsMetric]:
     """The section of these frames, which is plain JSON and opens as a typed section; and the metric."""
-    metric = Removals(INFO)
+    metric = RemovalsMetric(INFO)
     for frame in frames:
         assert metric.update(frame) == {}
     section = metric.finish()
@@ -45,7 +45,7 @@ def street(frame: int) -> Labelled:
 
 
 @pytest.fixture(scope="module")
-def without_truth() -> tuple[dict[str, Any], Removals]:
+def without_truth() -> tuple[dict[str, Any], RemovalsMetric]:
     return measured(*map(street, range(25)))
 
 

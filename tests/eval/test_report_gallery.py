@@ -16,11 +16,11 @@ from helpers.made_results import REMOVALS, case, result, thing, without_truth
 import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Outcome
-from dynaviz.reports.reporting import Overview
+from dynaviz.reports.reporting import StudyOverview
 from dynaviz.scores.sections import Sections
 from dynaviz_eval.report import birdseye
-from dynaviz_eval.report.cases import ALIKE, MOST, Spot, shared_cases
 from dynaviz_eval.report.gallery import crop, gallery
+from dynaviz_eval.report.spots import ALIKE, MOST, Spot, shared_cases
 from dynaviz_eval.report.tables import tables
 
 PREVIOUS = Path(__file__).resolve().parents[1] / "data/previous"
@@ -88,14 +88,14 @@ def spot(kind: str, low: tuple[float, ...], high: tuple[float, ...]) -> Spot:
     return Spot("a", kind, "car", "", "", 1.0, "1.00", "DA lost", low, high, (None, None))
 
 
-def scene(size: tuple[float, float, float], outcome: Outcome) -> Overview:
+def scene(size: tuple[float, float, float], outcome: Outcome) -> StudyOverview:
     """Wrong points on the surface of a box at the origin, on a floor, below a roof."""
     random = np.random.default_rng(0)
     wrong = random.uniform(0, size, (4000, 3))
     floor, roof = (np.c_[random.uniform(-20, 20, (20_000, 2)), np.full(20_000, z)] for z in (-0.3, 20.0))
     points = np.concatenate([wrong, floor, roof]).astype(np.float32)
     outcomes = np.repeat(np.array([outcome, Outcome.STATIC_KEPT], np.uint8), [len(wrong), 40_000])
-    return Overview(points, outcomes)
+    return StudyOverview(points, outcomes)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.contracts.scan import Outcome
-from dynaviz.reports.reporting import Overview
+from dynaviz.reports.reporting import StudyOverview
 from dynaviz_eval.report import birdseye
 
 
@@ -79,7 +79,9 @@ def test_the_same_results_give_the_same_bytes(recorded, written):
 
 def pixels(points: list[tuple[float, float, float]], outcomes: list[Outcome]) -> set[int]:
     frame = [(x, y, 0.0) for x in (-20.0, 20.0) for y in (-10.0, 10.0)]
-    overview = Overview(np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8))
+    overview = StudyOverview(
+        np.array(frame + points, np.float32), np.array([Outcome.STATIC_KEPT] * 4 + outcomes, np.uint8)
+    )
     image = birdseye.View.of_map(overview).draw(overview)
     middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2 + 8, image.shape[1] // 2 - 8 : image.shape[1] // 2 + 8]
     return set(np.unique(middle).tolist()) - {birdseye.BACKGROUND}

@@ -7,9 +7,9 @@ from helpers.worlds import room
 
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
-from dynaviz_eval.behaviour import Places
+from dynaviz_eval.behaviour import VisitedPlaces
 from dynaviz_eval.sorted_runs import SortedRuns
-from dynaviz_eval.voxelwise import Voxelwise
+from dynaviz_eval.voxelwise import VoxelwiseMetric
 
 RECORD = np.dtype([("key", np.int64), ("value", np.int32)])
 
@@ -33,7 +33,7 @@ def test_intervals_contain_each_record_once_and_equal_keys_together() -> None:
 
 def test_voxels_on_disk_are_counted_like_those_in_memory() -> None:
     random, info = np.random.default_rng(1), MethodInfo("m", "M", "none", ())
-    metrics = [Voxelwise(info), Voxelwise(info, held=300)]
+    metrics = [VoxelwiseMetric(info), VoxelwiseMetric(info, held=300)]
     for frame, scan in enumerate(room(frames=6, rays=800).scans):
         labelled = Labelled.of(frame, scan, random.random(len(scan)) < 0.3, np.zeros(len(scan), np.uint8))
         for metric in metrics:
@@ -44,7 +44,7 @@ def test_voxels_on_disk_are_counted_like_those_in_memory() -> None:
 
 
 def test_places_on_disk_remember_like_those_in_memory() -> None:
-    places = [Places(), Places(held=100)]
+    places = [VisitedPlaces(), VisitedPlaces(held=100)]
     for frame, scan in enumerate(room(frames=6, rays=800).scans):
         for each in places:
             each.add(frame, scan.points)

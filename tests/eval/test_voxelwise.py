@@ -7,7 +7,7 @@ from helpers.worlds import room
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
-from dynaviz_eval.voxelwise import EDGE, Voxelwise
+from dynaviz_eval.voxelwise import EDGE, VoxelwiseMetric
 
 pytestmark = pytest.mark.boundscheck
 
@@ -15,7 +15,7 @@ INFO = MethodInfo("m", "M", "none", ())
 
 
 def section(scans: list[Scan], answers: list[np.ndarray]) -> dict[str, float | None]:
-    metric = Voxelwise(INFO)
+    metric = VoxelwiseMetric(INFO)
     for frame, (scan, dynamic) in enumerate(zip(scans, answers, strict=True)):
         metric.update(Labelled.of(frame, scan, dynamic, np.zeros(len(scan), np.uint8)))
     return metric.finish()["voxelwise"]
@@ -75,7 +75,7 @@ def test_points_without_a_position_or_label_do_not_count() -> None:
 
 
 def test_the_points_of_a_cleaned_map_keep_voxels() -> None:
-    metric = Voxelwise(INFO)
+    metric = VoxelwiseMetric(INFO)
     metric.cleaned_map(np.array([[0.1, 0.1, 0.1]], np.float32))
     scan = scan_of([[0.05, 0.05, 0.05], [1, 0, 0], [5, 0, 0]], [0, 0, 1])
     metric.update(Labelled.of(0, scan, np.array([True, False, False]), np.zeros(3, np.uint8)))

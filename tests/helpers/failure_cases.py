@@ -10,7 +10,7 @@ import numpy as np
 from dynaviz.contracts.method import Cause, MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan
-from dynaviz_eval.failures import Failures
+from dynaviz_eval.failures import FailuresMetric
 
 INFO = MethodInfo(
     "m",
@@ -36,7 +36,7 @@ def labelled(frame: int, points: Any, labels: int, dynamic: bool, reasons: int =
 
 def section(*frames: Labelled) -> dict[str, Any]:
     """The section of these frames; checks that it is plain JSON."""
-    metric = Failures(INFO)
+    metric = FailuresMetric(INFO)
     for frame in frames:
         metric.update(frame)
     found = metric.finish()["failures"]

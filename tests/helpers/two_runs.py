@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from dynaviz.scores.comparison.answers import Answers
 from dynaviz.scores.comparison.counts import SpatialCells, count_agreement, spatial_gains
+from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.comparison.pair import PairComparison, compare_pair
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import SequenceInfo
 
 REASONS = {0: "zero", 1: "one", 2: "two"}
-TwoRuns = tuple[list[Answers], list[Answers], list[np.ndarray]]
+TwoRuns = tuple[list[FrameAnswers], list[FrameAnswers], list[np.ndarray]]
 
 
 def two_runs(seed: int, frames: int, points: int, truths: tuple[int, ...] = (0, 0, 1, 255)) -> TwoRuns:
@@ -24,7 +24,7 @@ def two_runs(seed: int, frames: int, points: int, truths: tuple[int, ...] = (0, 
         truth, bands = random.choice(truths, n).astype(np.uint8), random.integers(0, 5, n).astype(np.uint8)
         for run in (first, second):
             dynamic, reasons = random.random(n) < random.random(), random.integers(0, 3, n).astype(np.uint8)
-            run.append(Answers(frame, frame + 100, dynamic, truth, reasons, bands))
+            run.append(FrameAnswers(frame, frame + 100, dynamic, truth, reasons, bands))
         xyz.append((random.normal(size=(n, 3)) * 12).astype(np.float32))
     return first, second, xyz
 
@@ -38,7 +38,7 @@ any_two_runs = st.builds(
 )
 
 
-def cells_of(run: list[Answers], xyz: list[np.ndarray], size: float = 5.0) -> SpatialCells:
+def cells_of(run: list[FrameAnswers], xyz: list[np.ndarray], size: float = 5.0) -> SpatialCells:
     """Wrong points of a run by place."""
     cells = SpatialCells(size)
     for answers, points in zip(run, xyz, strict=True):
@@ -46,7 +46,7 @@ def cells_of(run: list[Answers], xyz: list[np.ndarray], size: float = 5.0) -> Sp
     return cells
 
 
-def compared(first: list[Answers], second: list[Answers], xyz: list[np.ndarray]) -> PairComparison:
+def compared(first: list[FrameAnswers], second: list[FrameAnswers], xyz: list[np.ndarray]) -> PairComparison:
     """The comparison of both."""
     counts = count_agreement(first, second)
     places = spatial_gains(cells_of(first, xyz), cells_of(second, xyz), counts.points.sum(1))

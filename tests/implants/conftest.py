@@ -9,8 +9,8 @@ import pytest
 
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.sources.datasets import open_sequence
-from dynaviz.synthetic.implants.options import ImplantOptions
-from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
 from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 

@@ -12,9 +12,9 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.implants.cast import implant
-from dynaviz.synthetic.implants.options import ImplantOptions
-from dynaviz.synthetic.implants.scene import CLASSES, Implant
-from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
+from dynaviz.synthetic.implants.implant_scene import CLASSES, Implant
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
 from dynaviz.synthetic.simulate.shapes import Mesh
 from dynaviz.testing import InMemory
 

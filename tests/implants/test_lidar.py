@@ -11,9 +11,9 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.synthetic.implants.cast import Target, cast, implant
-from dynaviz.synthetic.implants.lidar import LidarModel
+from dynaviz.synthetic.implants.implant_scene import Implant, ImplantScene
+from dynaviz.synthetic.implants.lidar_model import LidarModel
 from dynaviz.synthetic.implants.pattern import Pattern, find_beams
-from dynaviz.synthetic.implants.scene import Implant, ImplantScene
 from dynaviz.synthetic.simulate.lidar import sweep_rays
 from dynaviz.testing import InMemory
 

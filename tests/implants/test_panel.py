@@ -14,10 +14,10 @@ from dynaviz.contracts.scan import Label
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.errors import UsageError
-from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
+from dynaviz.synthetic.implants.implant_scene import CLASSES
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
 from dynaviz.synthetic.implants.panel import around, default_panel, votes
-from dynaviz.synthetic.implants.scene import CLASSES
-from dynaviz.synthetic.implants.sequence import ImplantedSequence
 from dynaviz.synthetic.implants.survey import Survey
 from dynaviz.testing import InMemory
 

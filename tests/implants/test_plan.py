@@ -6,9 +6,9 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
-from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
 from dynaviz.synthetic.implants.plan import Plan, footprints, plan
-from dynaviz.synthetic.implants.space import FreeSpace
+from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey
 from dynaviz.testing import InMemory
 
@@ -29,7 +29,7 @@ def plain(speed: float) -> InMemory:
 
 def planned(speed: float) -> tuple[Plan, F64, F64]:
     survey = Survey.of(plain(speed))
-    return plan(CARS, survey, FreeSpace.of(survey)), survey.times, survey.positions[:, :2]
+    return plan(CARS, survey, SpaceAboveGround.of(survey)), survey.times, survey.positions[:, :2]
 
 
 def test_a_car_keeps_pace_with_a_sensor_on_a_road() -> None:

@@ -9,12 +9,12 @@ import pytest
 
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
-from dynaviz.synthetic.implants.options import ImplantOptions, parse
+from dynaviz.synthetic.implants.implant_options import ImplantOptions, parse
+from dynaviz.synthetic.implants.implant_scene import Implant, ImplantScene
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
 from dynaviz.synthetic.implants.paths import Path as MoverPath
 from dynaviz.synthetic.implants.paths import paced
-from dynaviz.synthetic.implants.scene import Implant, ImplantScene
 from dynaviz.synthetic.implants.schedule import cruise, park, pause, stand
-from dynaviz.synthetic.implants.sequence import ImplantedSequence
 from dynaviz.testing import InMemory
 
 PATH = np.array([[0.0, 0, 0], [10, 0, 1], [20, 0, 2]])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynaviz.contracts.scan import Scan
-from dynaviz.synthetic.implants.space import FreeSpace
+from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey, part
 from dynaviz.testing import InMemory
 
@@ -34,12 +34,12 @@ def yard() -> InMemory:
     return InMemory(scans, "yard")
 
 
-def clear(space: FreeSpace, place: tuple[float, float]) -> float:
+def clear(space: SpaceAboveGround, place: tuple[float, float]) -> float:
     return float(space.clear(np.array([place]))[0])
 
 
 def test_the_trail_of_a_mover_is_free_at_other_times(yard: InMemory) -> None:
-    space = FreeSpace.of(Survey.of(yard))
+    space = SpaceAboveGround.of(Survey.of(yard))
     assert clear(space, TRAIL) > 1
     for frame in range(FRAMES):
         there = space.passed(part(frame, FRAMES))
@@ -48,14 +48,14 @@ def test_the_trail_of_a_mover_is_free_at_other_times(yard: InMemory) -> None:
 
 
 def test_what_is_seen_as_often_as_the_ground_blocks(yard: InMemory) -> None:
-    space = FreeSpace.of(Survey.of(yard))
+    space = SpaceAboveGround.of(Survey.of(yard))
     assert clear(space, WALL) <= 0
     assert clear(space, RARE) <= 0
 
 
 def test_labelled_points_block_however_rarely_they_are_seen(yard: InMemory) -> None:
     labelled = [dataclasses.replace(scan, labels=np.zeros(len(scan), np.uint8)) for scan in yard.scans]
-    assert clear(FreeSpace.of(Survey.of(dataclasses.replace(yard, scans=labelled))), TRAIL) <= 0
+    assert clear(SpaceAboveGround.of(Survey.of(dataclasses.replace(yard, scans=labelled))), TRAIL) <= 0
 
 
 def test_parts_of_a_long_recording_follow_one_another() -> None:

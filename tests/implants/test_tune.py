@@ -16,7 +16,7 @@ from dynaviz.contracts import params, registry
 from dynaviz.contracts.scan import Label
 from dynaviz.errors import UsageError
 from dynaviz.sources.datasets import open_sequence
-from dynaviz.synthetic.implants.scene import CLASSES
+from dynaviz.synthetic.implants.implant_scene import CLASSES
 
 pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
 

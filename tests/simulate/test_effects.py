@@ -13,10 +13,10 @@ from dynaviz.synthetic.simulate import measurement, optics, poses
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import BEHAVIOUR, NAMES, Effects
 from dynaviz.synthetic.simulate.lidar import Hits, RayScene
-from dynaviz.synthetic.simulate.movers import Motion, Route, cruise
+from dynaviz.synthetic.simulate.movers import Movement, Route, cruise
 from dynaviz.synthetic.simulate.options import Chosen
 from dynaviz.synthetic.simulate.presets import PRESETS, REAL
-from dynaviz.synthetic.simulate.recording import Recorder, build
+from dynaviz.synthetic.simulate.recording import SceneRecorder, build
 from dynaviz.synthetic.simulate.scene import SimulatedScene
 from dynaviz.synthetic.simulate.shapes import box, quads
 
@@ -40,7 +40,7 @@ def flat(x, y):
 def wall():
     """A sensor that drives along y at 8 m/s, 10 m from a wall; a box moves 1 m in front of the wall."""
     way = Route([(0, -20), (0, 20)])
-    scene = SimulatedScene(np.random.default_rng(0), 2.0, flat, Motion(way, cruise(16, SPEED)))
+    scene = SimulatedScene(np.random.default_rng(0), 2.0, flat, Movement(way, cruise(16, SPEED)))
     scene.add(quads([[(9, -90, -90), (9, 90, -90), (9, 90, 90), (9, -90, 90)]]), ObjectClass.BUILDING, 0.8)
     scene.move(ObjectClass.MOVING_CAR, Route([(8.3, -8), (8.3, 8)]), cruise(5, 0.5), box(0.6, 1.0, 2.5))
     return scene
@@ -72,7 +72,7 @@ def test_deskewing_puts_the_wall_back_and_raw_points_bend(wall):
 
 
 def test_movers_move_during_the_sweep(wall):
-    wall.movers[0] = dataclasses.replace(wall.movers[0], motion=Motion(Route([(8.3, -8), (8.3, 8)]), cruise(5, 10.0)))
+    wall.movers[0] = dataclasses.replace(wall.movers[0], motion=Movement(Route([(8.3, -8), (8.3, 8)]), cruise(5, 10.0)))
     lengths = []
     for effects in (Effects(), Effects(sweep_s=0.1)):
         found = sensed(wall, effects)
@@ -279,7 +279,7 @@ def test_walkers_brush_along_walls_at_the_given_distance():
 def test_a_real_preset_gives_the_same_sweep_in_any_order():
     chosen = Chosen.parse("street_vlp16_real?frames=4")
     scene = build(chosen.preset, 4, 0)
-    first, again = Recorder(scene, chosen.preset, 4), Recorder(build(chosen.preset, 4, 0), chosen.preset, 4)
+    first, again = SceneRecorder(scene, chosen.preset, 4), SceneRecorder(build(chosen.preset, 4, 0), chosen.preset, 4)
     forward, backward = [first.sweep(k) for k in (1, 3)], [again.sweep(k) for k in (3, 1)]
     for a, b in zip(forward, backward[::-1], strict=True):
         np.testing.assert_array_equal(a.points, b.points)

@@ -6,7 +6,7 @@ import pytest
 from dynaviz.contracts.sensors import load_sensor, sensor_names
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.lidar import Hits, RayScene, mounts, receive, sweep_rays
-from dynaviz.synthetic.simulate.movers import Motion, Route, cruise
+from dynaviz.synthetic.simulate.movers import Movement, Route, cruise
 from dynaviz.synthetic.simulate.scene import SimulatedScene
 from dynaviz.synthetic.simulate.shapes import box, quads
 
@@ -54,7 +54,7 @@ def test_a_pattern_without_rings_does_not_repeat():
 
 
 def scene_with_a_wall_and_a_mover():
-    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Motion(Route([(0, 0), (9, 0)]), cruise(0, 1)))
+    scene = SimulatedScene(np.random.default_rng(0), 1.0, flat, Movement(Route([(0, 0), (9, 0)]), cruise(0, 1)))
     scene.add(quads([[(10, -50, -9), (10, 50, -9), (10, 50, 9), (10, -50, 9)]]), ObjectClass.BUILDING, 0.8)
     scene.move(ObjectClass.MOVING_CAR, Route([(5, -4), (5, 4)]), cruise(0, 4), box(2, 2, 2))
     return scene

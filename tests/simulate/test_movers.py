@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynaviz.synthetic.simulate.movers import Motion, Route, arrive, cruise, depart
+from dynaviz.synthetic.simulate.movers import Movement, Route, arrive, cruise, depart
 
 
 def flat(x, y):
@@ -45,7 +45,7 @@ def test_a_parallel_of_a_circle_is_a_circle(left):
 
 
 def test_a_motion_has_no_pose_beyond_its_route():
-    motion = Motion(Route([(0, 0), (10, 0)]), cruise(-5, 1))
+    motion = Movement(Route([(0, 0), (10, 0)]), cruise(-5, 1))
     assert motion.pose(4, flat) is None
     assert motion.pose(16, flat) is None
     pose = motion.pose(10, flat)
@@ -55,7 +55,7 @@ def test_a_motion_has_no_pose_beyond_its_route():
 
 @pytest.mark.parametrize("upright", [True, False])
 def test_vehicles_follow_the_slope_and_people_stay_upright(upright):
-    pose = Motion(Route([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
+    pose = Movement(Route([(0, 0), (10, 10)]), cruise(5, 1), upright).pose(0, slope)
     assert pose is not None
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)

@@ -24,7 +24,7 @@ from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.tiles.grid import Tile, TileGrid, unpacked
 from dynaviz.runs.tiles.index import SequenceIndex, indexed
-from dynaviz.runs.tiles.tile import DYNAMIC, NEAR, Answers, AnswersHead, TileFrames, TileTask
+from dynaviz.runs.tiles.tile import DYNAMIC, NEAR, AnswersHead, TileCodes, TileFrames, TileTask
 from dynaviz.scores.result import RecordMode, environment
 from dynaviz.scores.sections import Runtime, Tiling
 from dynaviz.tasks.local import InThisProcess, LocalExecutor
@@ -102,8 +102,8 @@ class TiledLabels:
             raise DataError(self._path(packed), problem, hint="The data changed during the run: run it again")
         return answers.codes[first:end]
 
-    def _load(self, packed: int) -> Answers:
-        return Answers.load(self._path(packed))
+    def _load(self, packed: int) -> TileCodes:
+        return TileCodes.load(self._path(packed))
 
     def _path(self, packed: int) -> Path:
         return self._folder / "tiles" / "{}_{}".format(*unpacked(packed)) / TileTask.files[-1]

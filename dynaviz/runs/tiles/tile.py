@@ -293,7 +293,7 @@ class AnswersHead:
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class TileCodes:
     """The answers for the points of a tile.
 
     Attributes:
@@ -305,7 +305,7 @@ class Answers:
     codes: U8
 
     @classmethod
-    def load(cls, path: Path) -> Answers:
+    def load(cls, path: Path) -> TileCodes:
         """Read ``answers.npz``.
 
         Raises:

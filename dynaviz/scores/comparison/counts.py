@@ -18,7 +18,7 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.scores.comparison.answers import BAND_NAMES, Answers
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES, FrameAnswers
 from dynaviz.scores.scores import accuracies, percentage_points_lost
 
 TRUTHS = ("static", "dynamic")
@@ -89,7 +89,7 @@ class AgreementCounts:
         return points
 
 
-def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> AgreementCounts:
+def count_agreement(first: Iterable[FrameAnswers], second: Iterable[FrameAnswers]) -> AgreementCounts:
     """Count agreement between two runs, frame by frame.
 
     Raises:
@@ -118,7 +118,7 @@ def count_agreement(first: Iterable[Answers], second: Iterable[Answers]) -> Agre
     return AgreementCounts(np.array(index, np.int64), counts, bands, reasons, removed_bands, removed_reasons)
 
 
-def _count_removed(a: Answers, b: Answers, chosen: Bool, bands: I64, reasons: I64) -> None:
+def _count_removed(a: FrameAnswers, b: FrameAnswers, chosen: Bool, bands: I64, reasons: I64) -> None:
     """Add the chosen points of a frame to counts by which run removed them."""
     by = (a.dynamic[chosen] + np.uint8(2) * b.dynamic[chosen]).astype(np.intp)
     bands += np.bincount(by * len(BAND_NAMES) + a.bands[chosen], minlength=bands.size).reshape(bands.shape)

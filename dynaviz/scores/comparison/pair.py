@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from dynaviz.arrays import F64, I64
-from dynaviz.scores.comparison.answers import BAND_NAMES
 from dynaviz.scores.comparison.counts import (
     AGREEMENT,
     BOTH,
@@ -23,6 +22,7 @@ from dynaviz.scores.comparison.counts import (
     largest,
     scores,
 )
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES
 from dynaviz.scores.comparison.removed import ReasonNames as ReasonNames
 from dynaviz.scores.comparison.removed import RemovalComparison, compare_removals
 from dynaviz.scores.comparison.settings import RuntimeRatio, SettingChange, runtime_ratio, setting_changes
@@ -118,7 +118,7 @@ class ReasonPair:
 
 
 @dataclass(frozen=True, slots=True)
-class WrongPoints:
+class WrongPointCounts:
     """Static points removed (FP) and dynamic points kept (FN)."""
 
     FP: int
@@ -141,8 +141,8 @@ class FrameChange:
     gain: float
     gain_SA: float
     gain_DA: float
-    first: WrongPoints
-    second: WrongPoints
+    first: WrongPointCounts
+    second: WrongPointCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +163,8 @@ class PlaceChange:
     gain: float
     gain_SA: float
     gain_DA: float
-    first: WrongPoints
-    second: WrongPoints
+    first: WrongPointCounts
+    second: WrongPointCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,7 +270,7 @@ def _frame_changes(counts: AgreementCounts) -> tuple[FrameChange, ...]:
             int(f),
             int(counts.index[f]),
             *_gain(gain[f]),
-            *(WrongPoints(int(side.FP[f]), int(side.FN[f])) for side in sides),
+            *(WrongPointCounts(int(side.FP[f]), int(side.FN[f])) for side in sides),
         )
         for f in largest(gain)[:MOST]
     )
@@ -280,7 +280,7 @@ def _place_changes(places: SpatialGains) -> tuple[PlaceChange, ...]:
     found = []
     for k in places.order()[:MOST]:
         x, y, height = places.low[k].tolist()
-        first, second = (WrongPoints(*wrong) for wrong in places.wrong[k].tolist())
+        first, second = (WrongPointCounts(*wrong) for wrong in places.wrong[k].tolist())
         high = (x + places.size, y + places.size)
         found.append(PlaceChange((x, y), high, height, int(places.frame[k]), *_gain(places.gain[k]), first, second))
     return tuple(found)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.scores.comparison.answers import BAND_NAMES
 from dynaviz.scores.comparison.counts import FIRST, REMOVED_BY, SECOND, AgreementCounts
+from dynaviz.scores.comparison.frame_answers import BAND_NAMES
 from dynaviz.scores.scores import percent
 
 ReasonNames = Mapping[int, str]  # by code

@@ -51,7 +51,7 @@ class CloudTopic:
 
 
 @dataclass(frozen=True)
-class Odometry:
+class OdometryTopic:
     """The poses of ``child`` in ``world`` from a topic; ``child`` is empty if the messages do not name it."""
 
     world: str
@@ -213,7 +213,7 @@ def _cloud_topic(bag: Bag, requested: str | None) -> str:
     raise DataError(bag.path, f"has no PointCloud2 topic, only {types}", hint=hint)
 
 
-def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, Odometry], TransformTree]:
+def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, OdometryTopic], TransformTree]:
     """Read the bag once: index of the clouds, poses of all odometry topics, and transforms."""
     types, transforms = bag.topics, TransformTree()
     keys: list[tuple[int, int]] = []
@@ -249,7 +249,7 @@ def _read_index(bag: Bag, topic: str) -> tuple[CloudTopic, dict[str, Odometry], 
         warnings.warn(f"{bag.path}: {problem}", stacklevel=3)
     transforms.build()
     odometries = {
-        name: Odometry(*names[name], Trajectory.of([time for time, _ in samples], [T for _, T in samples]))
+        name: OdometryTopic(*names[name], Trajectory.of([time for time, _ in samples], [T for _, T in samples]))
         for name, samples in poses.items()
     }
     clouds = CloudTopic(topic, frame_name(frame), np.array(keys, np.int64), np.array(stamps, np.int64))
@@ -271,7 +271,7 @@ def _pose(bag: Bag, topic: str, position: Any, rotation: Any) -> F64:
 def _pose_source(
     bag: Bag,
     clouds: CloudTopic,
-    odometries: dict[str, Odometry],
+    odometries: dict[str, OdometryTopic],
     transforms: TransformTree,
     requested: str | None,
     points_in: str,
@@ -317,7 +317,7 @@ def _pose_source(
 def _requested_source(
     bag: Bag,
     clouds: CloudTopic,
-    odometries: dict[str, Odometry],
+    odometries: dict[str, OdometryTopic],
     transforms: TransformTree,
     requested: str,
     points_in: str,
@@ -349,7 +349,7 @@ def _from_transforms(transforms: TransformTree, world: str, frame: str) -> tuple
 
 
 def _from_topic(
-    bag: Bag, clouds: CloudTopic, topic: str, odometry: Odometry, transforms: TransformTree, points_in: str
+    bag: Bag, clouds: CloudTopic, topic: str, odometry: OdometryTopic, transforms: TransformTree, points_in: str
 ) -> PosesOverTime | None:
     """Sensor poses from a topic; None if there is no transform from the sensor to the child frame of the topic."""
     if points_in == "world":

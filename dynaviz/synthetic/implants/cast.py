@@ -8,8 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, U16, Bool, Intp
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.synthetic.implants.lidar import LidarModel, ranges_of
-from dynaviz.synthetic.implants.scene import CLASS_NAMES, CLASSES, ImplantScene
+from dynaviz.synthetic.implants.implant_scene import CLASS_NAMES, CLASSES, ImplantScene
+from dynaviz.synthetic.implants.lidar_model import LidarModel, ranges_of
 from dynaviz.synthetic.ray_caster import RayCaster
 from dynaviz.synthetic.simulate.shapes import Mesh
 
@@ -17,7 +17,7 @@ GRAZING = 0.05  # cosine between ray and surface normal below which nothing retu
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """The nearest mover along some rays; all arrays (N,).
 
     Attributes:
@@ -118,13 +118,13 @@ def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
     return found
 
 
-def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, times: F64) -> Hits:
+def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, times: F64) -> RayHits:
     """Find the nearest mover along rays (N, 3), unit directions, closer than the limits (N,) in metres.
 
     A ray meets a mover in motion where a ray whose origin moves the opposite way meets it at rest. Origins and meshes
     are near zero, so float32 is exact to less than a millimetre.
     """
-    found = Hits(np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins)))
+    found = RayHits(np.full(len(origins), np.inf), np.full(len(origins), -1, np.int64), np.zeros(len(origins)))
     if not targets or not len(origins):
         return found
     for number, target in enumerate(targets):
@@ -153,11 +153,11 @@ def _may_hit(mesh: Mesh, origins: F64, directions: F64, limits: F64) -> Bool:
     return may
 
 
-def _rows(hits: Hits, rows: Intp) -> Hits:
-    return Hits(hits.range[rows], hits.mover[rows], hits.facing[rows])
+def _rows(hits: RayHits, rows: Intp) -> RayHits:
+    return RayHits(hits.range[rows], hits.mover[rows], hits.facing[rows])
 
 
-def _measure(hits: Hits, scene: ImplantScene, lidar: LidarModel, rng: np.random.Generator) -> tuple[F64, Bool]:
+def _measure(hits: RayHits, scene: ImplantScene, lidar: LidarModel, rng: np.random.Generator) -> tuple[F64, Bool]:
     """Range with noise, metres, and whether the ray returns."""
     distance = hits.range + rng.normal(0, scene.range_noise, len(hits.range))
     returned = (rng.random(len(hits.range)) >= scene.drop_out) & (hits.facing > GRAZING)

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz.arrays import F64, Bool
-from dynaviz.synthetic.implants.options import ImplantOptions
+from dynaviz.synthetic.implants.implant_options import ImplantOptions
+from dynaviz.synthetic.implants.implant_scene import Implant
 from dynaviz.synthetic.implants.paths import (
     NEAREST,
     SPACING,
@@ -23,9 +24,8 @@ from dynaviz.synthetic.implants.paths import (
     stations,
     swerved,
 )
-from dynaviz.synthetic.implants.scene import Implant
 from dynaviz.synthetic.implants.schedule import cruise, park, pause, stand
-from dynaviz.synthetic.implants.space import TALL, FreeSpace
+from dynaviz.synthetic.implants.space import TALL, SpaceAboveGround
 from dynaviz.synthetic.implants.survey import CELL, Survey, part
 from dynaviz.synthetic.simulate.movers import Route
 
@@ -95,7 +95,7 @@ class Plan:
     missing: Counter[str]
 
 
-def plan(options: ImplantOptions, survey: Survey, space: FreeSpace) -> Plan:
+def plan(options: ImplantOptions, survey: Survey, space: SpaceAboveGround) -> Plan:
     """Place movers one after another; the same options and scans give the same plan.
 
     Each mover takes the best of some random paths: arcs through the free space near the sensor, and paths that follow
@@ -159,7 +159,7 @@ class Trip:
 class _Planner:
     """Places movers; each keeps clear of the earlier ones."""
 
-    def __init__(self, survey: Survey, space: FreeSpace) -> None:
+    def __init__(self, survey: Survey, space: SpaceAboveGround) -> None:
         from scipy.spatial import cKDTree
 
         self._survey, self._space = survey, space

@@ -25,7 +25,7 @@ LARGEST = 100_000_000  # columns in the bounding box
 
 
 @dataclass(frozen=True, eq=False)
-class FreeSpace:
+class SpaceAboveGround:
     """A grid of columns of ``CELL`` metres over the surveyed area.
 
     Attributes:
@@ -45,7 +45,7 @@ class FreeSpace:
     parts: U64
 
     @classmethod
-    def of(cls, survey: Survey) -> FreeSpace:
+    def of(cls, survey: Survey) -> SpaceAboveGround:
         """Estimate the ground and the free space.
 
         Raises:

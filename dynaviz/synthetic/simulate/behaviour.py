@@ -14,7 +14,7 @@ from dynaviz.synthetic.simulate import bodies, objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import Effects
 from dynaviz.synthetic.simulate.lidar import REFLECTING
-from dynaviz.synthetic.simulate.movers import Height, Motion, Mover, Route, Schedule, arrive, cruise, depart
+from dynaviz.synthetic.simulate.movers import Height, Movement, Mover, Route, Schedule, arrive, cruise, depart
 from dynaviz.synthetic.simulate.scene import SimulatedScene
 from dynaviz.synthetic.simulate.shapes import Mesh
 
@@ -28,12 +28,12 @@ TRIES = 40  # candidates for the place of an event
 
 
 @dataclass(frozen=True, eq=False)
-class Anchored(Motion):
+class Anchored(Movement):
     """A motion on the spot: the body changes with the schedule, the pose stays that of the start of the path."""
 
     def poses(self, times: Sequence[float], height: Height) -> list[F64 | None]:
         """(4, 4) float64 pose on the ground in the scene frame, for each time."""
-        return Motion(self.path, lambda _: 0.0, upright=True).poses(times, height)
+        return Movement(self.path, lambda _: 0.0, upright=True).poses(times, height)
 
 
 def populate(scene: SimulatedScene, effects: Effects, rng: np.random.Generator) -> None:
@@ -110,9 +110,9 @@ class Stage:
     def person(self, route: Route, schedule: Schedule) -> None:
         """Add a person."""
         height = self.rng.uniform(1.55, 1.9)
-        self.add(ObjectClass.MOVING_PERSON, Motion(route, schedule, True), lambda d: objects.person(d, height))
+        self.add(ObjectClass.MOVING_PERSON, Movement(route, schedule, True), lambda d: objects.person(d, height))
 
-    def add(self, kind: ObjectClass, motion: Motion, body: Mesh | Callable[[float], Mesh]) -> None:
+    def add(self, kind: ObjectClass, motion: Movement, body: Mesh | Callable[[float], Mesh]) -> None:
         """Add a mover."""
         shape = body if callable(body) else lambda _: body
         number = len(self.scene.movers) + 1
@@ -189,7 +189,7 @@ def _pass(stage: Stage, time: float) -> None:
         at = float(np.clip(path.distance[away.argmin()] + ahead, 0, path.length))
         schedule = cruise(at - pace * time, pace)
         if stage.apart(path, schedule, 1.8 if indoors else 2.6):
-            return stage.add(kind, Motion(path, schedule), body)
+            return stage.add(kind, Movement(path, schedule), body)
     return None
 
 
@@ -249,7 +249,7 @@ def _trolley(stage: Stage, time: float) -> None:
         schedule = halting(way, at, time, 1.0, 0.15 * stage.scene.duration)
         if stage.free(way, at - 3, at + 3, 0.4) and stage.apart(way, schedule):
             stage.person(way, schedule)
-            pushed = Motion(way, _led(schedule, 0.85, way.length), True)
+            pushed = Movement(way, _led(schedule, 0.85, way.length), True)
             return stage.add(ObjectClass.MOVING_OTHER_VEHICLE, pushed, bodies.trolley())
     return None
 
@@ -268,7 +268,7 @@ def _sit(stage: Stage, time: float) -> None:
             continue
         stage.scene.put(objects.bench(), ObjectClass.OTHER_OBJECT, x, y, yaw + np.pi / 2)
         body = partial(bodies.sitter, end=path.length, height=stage.rng.uniform(1.55, 1.9))
-        return stage.add(ObjectClass.MOVING_PERSON, Motion(path, schedule, True), body)
+        return stage.add(ObjectClass.MOVING_PERSON, Movement(path, schedule, True), body)
     return None
 
 
@@ -283,7 +283,7 @@ def _animal(stage: Stage, time: float) -> None:
         path = way.shifted(0.35 * np.sin(way.distance / 1.3))
         schedule = halting(path, at, time, 1.9, 0.1 * stage.scene.duration)
         if stage.free(path, at - 4, at + 4, 0.2) and stage.apart(path, schedule):
-            return stage.add(ObjectClass.MOVING_ANIMAL, Motion(path, schedule, True), bodies.dog)
+            return stage.add(ObjectClass.MOVING_ANIMAL, Movement(path, schedule, True), bodies.dog)
     return None
 
 
@@ -304,7 +304,7 @@ def _park(stage: Stage, time: float) -> None:
             body = objects.forklift(stage.rng) if indoors else objects.car(stage.rng)
             kind = ObjectClass.MOVING_OTHER_VEHICLE if indoors else ObjectClass.MOVING_CAR
             stage.taken.append(place)
-            return stage.add(kind, Motion(path, schedule), body)
+            return stage.add(kind, Movement(path, schedule), body)
     return None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
-from dynaviz.synthetic.simulate.movers import Motion, Route, cruise, depart
+from dynaviz.synthetic.simulate.movers import Movement, Route, cruise, depart
 from dynaviz.synthetic.simulate.scene import SimulatedScene, rolling
 from dynaviz.synthetic.simulate.shapes import Mesh, box, boxes, grid, join, quads, tube
 
@@ -25,7 +25,7 @@ def hall(rng: np.random.Generator, duration: float, speed: float, traffic: float
         traffic: relative number of movers; 1 is normal.
     """
     route = Route([(-16, -4), (0, -4), (13, -4), (13, 4), (0, 4), (-19, 4), (-19, -4), (0, -4), (13, -4)], rounds=4)
-    scene = SimulatedScene(rng, duration, rolling(rng, 0.0003), Motion(route, cruise(1.0, speed)))
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.0003), Movement(route, cruise(1.0, speed)))
     _shell(scene)
     _furniture(scene)
     _people(scene, traffic)

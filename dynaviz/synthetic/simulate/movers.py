@@ -90,7 +90,7 @@ def _run_up(elapsed: float, speed: float, acceleration: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Movement:
     """Motion along a route.
 
     Attributes:
@@ -158,7 +158,7 @@ class Mover:
 
     kind: ObjectClass
     instance: int
-    motion: Motion
+    motion: Movement
     body: Callable[[float], Mesh]
     reflectance: float = 0.4
 

@@ -83,7 +83,7 @@ def record_sweeps(
         seed: random seed.
         share: numbers of the sweeps to simulate; all by default.
     """
-    recorder = Recorder(scene, preset, frames, seed)
+    recorder = SceneRecorder(scene, preset, frames, seed)
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting: deque[Future[SimulatedSweep]] = deque()
         for index in range(frames) if share is None else share:
@@ -94,7 +94,7 @@ def record_sweeps(
             yield waiting.popleft().result()
 
 
-class Recorder:
+class SceneRecorder:
     """Simulates any sweep of a sequence.
 
     Args:

@@ -11,7 +11,7 @@ from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
 from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import REFLECTANCE, ObjectClass
-from dynaviz.synthetic.simulate.movers import Height, Motion, Mover, Route, Schedule
+from dynaviz.synthetic.simulate.movers import Height, Movement, Mover, Route, Schedule
 from dynaviz.synthetic.simulate.shapes import Mesh
 
 
@@ -61,7 +61,7 @@ class SimulatedScene:
     rng: np.random.Generator
     duration: float
     height: Height
-    sensor: Motion
+    sensor: Movement
     parts: list[MeshPart] = field(default_factory=list)
     movers: list[Mover] = field(default_factory=list)
     places: Places = field(default_factory=Places)
@@ -104,7 +104,7 @@ class SimulatedScene:
         shape = body if callable(body) else lambda _: body
         upright = kind in (ObjectClass.MOVING_PERSON, ObjectClass.MOVING_BICYCLIST)
         reflectance = self.rng.uniform(0.12, 0.7)
-        self.movers.append(Mover(kind, len(self.movers) + 1, Motion(path, schedule, upright), shape, reflectance))
+        self.movers.append(Mover(kind, len(self.movers) + 1, Movement(path, schedule, upright), shape, reflectance))
 
     def walk(self, path: Route, schedule: Schedule) -> None:
         """Add a person who walks along a route."""

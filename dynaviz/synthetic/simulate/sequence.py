@@ -15,7 +15,7 @@ from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.spatial import geometry
 from dynaviz.synthetic.simulate.classes import CLASS_NAMES
 from dynaviz.synthetic.simulate.options import Chosen
-from dynaviz.synthetic.simulate.recording import Recorder, SimulatedSweep, build
+from dynaviz.synthetic.simulate.recording import SceneRecorder, SimulatedSweep, build
 
 
 class SimulatedSequence:
@@ -70,9 +70,9 @@ class SimulatedSequence:
         return {"effects": ", ".join(f"{name} {value:g}" for name, value in active.items())} if active else {}
 
     @cached_property
-    def _recorder(self) -> Recorder:
+    def _recorder(self) -> SceneRecorder:
         preset, frames, seed = self.chosen.preset, self.chosen.frames, self.chosen.seed
-        return Recorder(build(preset, frames, seed), preset, frames, seed)
+        return SceneRecorder(build(preset, frames, seed), preset, frames, seed)
 
     def __len__(self) -> int:
         return self.chosen.frames

@@ -7,7 +7,7 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
-from dynaviz.synthetic.simulate.movers import Motion, Route, Schedule, cruise, depart
+from dynaviz.synthetic.simulate.movers import Movement, Route, Schedule, cruise, depart
 from dynaviz.synthetic.simulate.scene import SimulatedScene, rolling
 from dynaviz.synthetic.simulate.shapes import box, grid, join, tube
 
@@ -29,7 +29,7 @@ def square(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     route = Route(
         [(-14, -14), (-2, -13), (10, -12), (14, 2), (8, 15), (-8, 16), (-20, 15), (-21, 0), (-20, -20)], rounds=4
     )
-    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Motion(route, depart(2.0, speed, duration / 3, 1.0)))
+    scene = SimulatedScene(rng, duration, rolling(rng, 0.002), Movement(route, depart(2.0, speed, duration / 3, 1.0)))
     _ground(scene)
     _houses(scene)
     _furniture(scene)

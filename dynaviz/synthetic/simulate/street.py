@@ -7,7 +7,7 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
-from dynaviz.synthetic.simulate.movers import Motion, Route, arrive, cruise, depart
+from dynaviz.synthetic.simulate.movers import Movement, Route, arrive, cruise, depart
 from dynaviz.synthetic.simulate.scene import SimulatedScene, rolling
 from dynaviz.synthetic.simulate.shapes import Mesh, box, grid
 
@@ -69,7 +69,7 @@ def street(rng: np.random.Generator, duration: float, speed: float, traffic: flo
     """
     road = Street(rng, duration * speed)
     lane = road.lane(-LANE)
-    scene = SimulatedScene(rng, duration, road.height, Motion(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
+    scene = SimulatedScene(rng, duration, road.height, Movement(lane, cruise(road.station(lane, ENDS, -LANE), speed)))
     reserved = _parking_cars(scene, road, speed)
     _ground(scene, road)
     _fronts(scene, road)

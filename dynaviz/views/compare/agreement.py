@@ -11,8 +11,8 @@ from dynaviz.arrays import F32, U8, U16, Bool
 from dynaviz.colours import Colour
 from dynaviz.contracts.method import Reason
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.scores.comparison.answers import Answers
 from dynaviz.scores.comparison.counts import BOTH, FIRST, NEITHER, SECOND, agreement
+from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.views import classes
 from dynaviz.views.read.reader import DrawnPoints, RunRecording
 
@@ -110,7 +110,7 @@ def agreed_points(first: RunRecording, second: RunRecording, legend: AgreementLe
         yield AgreedPoints(a.frame, xyz, right, ids, truth == Label.DYNAMIC)
 
 
-def _drawn_in_either(a: Answers, drawn_a: DrawnPoints, drawn_b: DrawnPoints) -> tuple[np.ndarray, np.ndarray]:
+def _drawn_in_either(a: FrameAnswers, drawn_a: DrawnPoints, drawn_b: DrawnPoints) -> tuple[np.ndarray, np.ndarray]:
     """Labelled points drawn in either recording: positions in the scan, and in both drawings put together."""
     points, at = np.unique(np.concatenate([drawn_a.point, drawn_b.point]), return_index=True)
     labelled = a.truth[points] != Label.UNLABELLED

@@ -14,7 +14,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
-from dynaviz.scores.comparison.answers import Answers
+from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.sections import FailureCase, Sections
 from dynaviz.views import cases, drawn, paths
 from dynaviz.views.compare.compare_layout import CASE_AROUND, CASE_BOX, CASE_STATES, CASE_TEXT, GAIN
@@ -72,7 +72,7 @@ def _of_run(run: RunRecording, other: RunRecording, wrong: int) -> Iterator[Diff
         yield Difference(wrong, case, Outcome(boxes.outcomes[i]), *corners)
 
 
-def _wrong_alone(points: DrawnPoints, mine: Answers, others: Answers, position: F64) -> Labelled:
+def _wrong_alone(points: DrawnPoints, mine: FrameAnswers, others: FrameAnswers, position: F64) -> Labelled:
     """A frame's dynamic points and those that only this run got wrong; where both are wrong, as if it were right."""
     truth = mine.truth == Label.DYNAMIC
     labelled = mine.truth != Label.UNLABELLED

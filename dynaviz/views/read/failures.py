@@ -12,7 +12,7 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
 from dynaviz.errors import DataError
-from dynaviz.scores.comparison.answers import Answers
+from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.scores.sections import Failures, Removals, RemovedFrame, RemovedInterval, Sections
 from dynaviz.views import paths
@@ -98,7 +98,7 @@ def _compute(recording: RunRecording) -> Failures:
     return Sections.of(metric.finish()).failures or Failures()
 
 
-def _wrong_or_dynamic(drawn: DrawnPoints, answers: Answers, position: F32) -> Labelled:
+def _wrong_or_dynamic(drawn: DrawnPoints, answers: FrameAnswers, position: F32) -> Labelled:
     """The drawn points of a frame as a labelled scan; each is repeated for all points that it stands for."""
     chosen = np.flatnonzero(drawn.outcome != Outcome.STATIC_KEPT)
     chosen = np.repeat(chosen, drawn.stands_for[chosen])

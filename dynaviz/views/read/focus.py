@@ -17,7 +17,7 @@ from dynaviz.views import drawn, paths
 from dynaviz.views.layout import CLEAR, blueprint, follow, solid
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.scene import EDGES, WIRES
-from dynaviz.views.witnesses import Rays
+from dynaviz.views.witnesses import TouchingRays
 
 BOX, POINT, RAYS = "world/explore/box", "world/explore/point", "world/explore/rays"
 LOADING = "explore/loading"
@@ -82,7 +82,7 @@ class Focus:
         stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
         return _content(stream, sink)
 
-    def marks(self, point: F64 | None, rays: Rays, lit: int | None) -> bytes:
+    def marks(self, point: F64 | None, rays: TouchingRays, lit: int | None) -> bytes:
         """A mark at a point, and its rays; they replace the earlier ones.
 
         Args:

@@ -23,7 +23,7 @@ from dynaviz.contracts.method import Cause, Reason
 from dynaviz.contracts.scan import Outcome
 from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import DataError, DynavizError
-from dynaviz.scores.comparison.answers import ARCHETYPE, Answers
+from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
 from dynaviz.views import classes, paths, stored_ledgers
 from dynaviz.views.read import chunks
@@ -262,7 +262,7 @@ class RunRecording(AnyRecording):
         name = f"{stored_ledgers.ARCHETYPE}:{stored_ledgers.COMPONENT}"
         return {case: components[name] for case, components in self.rows(paths.CASE_LEDGERS, paths.CASE)}
 
-    def answers(self) -> Iterator[Answers]:
+    def answers(self) -> Iterator[FrameAnswers]:
         """Label, ground truth and reason of every point, frame by frame in the order of the run.
 
         Raises:
@@ -271,7 +271,7 @@ class RunRecording(AnyRecording):
         for frame, components in self.rows(paths.ANSWERS):
             values = {name.removeprefix(f"{ARCHETYPE}:"): value for name, value in components.items()}
             try:
-                answers = Answers.unpacked(frame, values)
+                answers = FrameAnswers.unpacked(frame, values)
             except Exception as error:
                 raise DataError(
                     self.path, f"contains damaged answers ({error})", at=f"frame {frame}", hint="Run the method again"

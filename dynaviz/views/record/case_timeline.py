@@ -149,7 +149,7 @@ class CaseTimeline:
         legend = [(kind, name, colours.RAYS[kind]) for kind, name in witnesses.NAMES.items()]
         log(paths.CASE_RAYS, rr.AnnotationContext(legend), lines(radii=RAYS, show_labels=False), static=True)
 
-    def _rays(self, rays: witnesses.Rays) -> None:
+    def _rays(self, rays: witnesses.TouchingRays) -> None:
         kinds = rays.kinds.astype(np.uint16)
         self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds))
 

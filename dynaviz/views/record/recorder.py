@@ -23,7 +23,7 @@ from dynaviz.engine.ledger import PointLedger, replay
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.io.atomic import sha256
-from dynaviz.scores.comparison import answers
+from dynaviz.scores.comparison import frame_answers
 from dynaviz.scores.result import RecordMode, Result, environment
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.views import cases, classes, keys, paths, viewer
@@ -168,8 +168,8 @@ class Recorder(Listener):
             self._scene.pose(scan)
             self._scene.frame(labelled, self._quota.drawing(self._open.size))
         self._quota.answered(len(scan))
-        packed = answers.Answers.of(labelled).packed()
-        self._open.log(paths.ANSWERS, rr.DynamicArchetype(answers.ARCHETYPE, components=packed))
+        packed = frame_answers.FrameAnswers.of(labelled).packed()
+        self._open.log(paths.ANSWERS, rr.DynamicArchetype(frame_answers.ARCHETYPE, components=packed))
         wrong = self._outcomes.add(labelled.frame, scan.index, labelled.outcome, labelled.reasons)
         for path, count in self._counts(labelled, wrong):
             self._curves.add(path, labelled.frame, scan.stamp_ns, count)

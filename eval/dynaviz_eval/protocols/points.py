@@ -38,7 +38,7 @@ class _Accuracy(Counted):
         return {name: float(found[name]) for name in SCORES}
 
 
-class Points(_Accuracy):
+class PointsProtocol(_Accuracy):
     """SA, DA, AA and HA over all labelled points, by index: the main metric of dynaviz."""
 
     info: ClassVar = ProtocolInfo(

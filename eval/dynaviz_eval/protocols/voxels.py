@@ -15,7 +15,7 @@ from dynaviz.contracts.scan import Label
 from dynaviz.scores.scores import harmonic_mean, percent
 from dynaviz.spatial.grid import in_key_range, pack
 from dynaviz_eval.protocols import Counted
-from dynaviz_eval.voxelwise import EDGE, Voxelwise
+from dynaviz_eval.voxelwise import EDGE, VoxelwiseMetric
 
 SCORES = ("F1", "PR", "RR")
 _COUNTS = ("static", "static_kept", "dynamic", "dynamic_kept")
@@ -32,7 +32,7 @@ class _Voxels(Counted):
         return {"F1": float(harmonic_mean(PR, RR)), "PR": PR, "RR": RR}
 
 
-class Freedom(_Voxels):
+class FreedomProtocol(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as FreeDOM counts them (Li et al., RA-L 2025).
 
     A voxel is static if it contains any static point, else dynamic. It is kept if it contains a kept point.
@@ -50,7 +50,7 @@ class Freedom(_Voxels):
     edge: ClassVar[float] = EDGE
 
     def __init__(self, scoring: str) -> None:
-        self._voxels = Voxelwise(MethodInfo("", "", "", ()), self.edge)
+        self._voxels = VoxelwiseMetric(MethodInfo("", "", "", ()), self.edge)
 
     def update(self, labelled: Labelled) -> None:
         """Add one scan."""
@@ -62,7 +62,7 @@ class Freedom(_Voxels):
         return {name: found[name] for name in _COUNTS}
 
 
-class FreedomIndoor(Freedom):
+class FreedomIndoor(FreedomProtocol):
     """PR, RR and F1 over voxels of 0.1 m, as FreeDOM counts them indoors."""
 
     info: ClassVar = ProtocolInfo(
@@ -77,7 +77,7 @@ class FreedomIndoor(Freedom):
     edge: ClassVar[float] = 0.1
 
 
-class Erasor(_Voxels):
+class ErasorProtocol(_Voxels):
     """PR, RR and F1 over voxels of 0.2 m as ERASOR's script counts them (Lim et al., RA-L 2021).
 
     Both the map of all points and the map of the kept ones are reduced to one point per voxel: the mean of its points,

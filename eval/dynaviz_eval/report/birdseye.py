@@ -13,7 +13,7 @@ from dynaviz.colours import BACKGROUND as GROUND_COLOUR
 from dynaviz.colours import BRIGHT, web
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError
-from dynaviz.reports.reporting import Overview, Study
+from dynaviz.reports.reporting import Study, StudyOverview
 from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
 from dynaviz_eval.report.table import many
 
@@ -54,22 +54,22 @@ class Picture:
     alt: str
 
 
-def has_truth(overview: Overview) -> bool:
+def has_truth(overview: StudyOverview) -> bool:
     """Whether any point of the map is known to be static or dynamic."""
     return bool(np.isin(overview.outcome, (*_STATIC, *_DYNAMIC)).any())
 
 
-def raw(overview: Overview) -> Overview:
+def raw(overview: StudyOverview) -> StudyOverview:
     """The map before cleaning."""
-    return Overview(overview.points, np.full(len(overview.points), Outcome.STATIC_KEPT, np.uint8))
+    return StudyOverview(overview.points, np.full(len(overview.points), Outcome.STATIC_KEPT, np.uint8))
 
 
-def corrected(overview: Overview) -> Overview:
+def corrected(overview: StudyOverview) -> StudyOverview:
     """The map as a perfect method would clean it."""
-    return Overview(overview.points, _CORRECTED[overview.outcome])
+    return StudyOverview(overview.points, _CORRECTED[overview.outcome])
 
 
-def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, Overview], list[str]]:
+def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, StudyOverview], list[str]]:
     """The map of the best run of each method, by label, and a sentence for each run that has none."""
     found, notes = {}, []
     for row in best_of_each_method(board):
@@ -87,13 +87,13 @@ def overviews(study: Study, board: ScoreBoard) -> tuple[dict[str, Overview], lis
     return found, notes
 
 
-def most_complete(found: Mapping[str, Overview]) -> Overview:
+def most_complete(found: Mapping[str, StudyOverview]) -> StudyOverview:
     """The map with the fewest removed points. Points are thinned by outcome, so removed ones may be thinned twice."""
     removed = (Outcome.FALSE_POSITIVE, Outcome.UNLABELLED_REMOVED)
     return min(found.values(), key=lambda overview: int(np.isin(overview.outcome, removed).sum()))
 
 
-def maps(board: ScoreBoard, found: Mapping[str, Overview]) -> list[Picture]:
+def maps(board: ScoreBoard, found: Mapping[str, StudyOverview]) -> list[Picture]:
     """Draw the ground truth (without it, the raw map) and the map of each method."""
     if not found:
         return []
@@ -139,7 +139,7 @@ class View:
     box: tuple[F64, F64] | None = None
 
     @classmethod
-    def of_map(cls, overview: Overview) -> View:
+    def of_map(cls, overview: StudyOverview) -> View:
         """A view from above of the labelled points, without the outermost ones: these would make the rest too small.
 
         The longest side of the map is horizontal.
@@ -162,7 +162,7 @@ class View:
         pixel = float(((high - low)[:2] / MAX_SIZE).max())
         return cls(axes, low, high, height_range(points), pixel)
 
-    def draw(self, overview: Overview) -> U8:
+    def draw(self, overview: StudyOverview) -> U8:
         """(rows, columns) uint8 indices into the palette. A point covers at least 3 x 3 pixels.
 
         A pixel is a ghost where at least as many dynamic points were kept as removed, else a hole where more static
@@ -210,7 +210,7 @@ class View:
             image[count_around(Outcome.UNLABELLED_REMOVED) > kept] = TAKEN
         return image
 
-    def _project(self, overview: Overview) -> tuple[Intp, F64, U8]:
+    def _project(self, overview: StudyOverview) -> tuple[Intp, F64, U8]:
         """Row and column, height, and outcome of each point inside the picture."""
         with np.errstate(invalid="ignore"):  # NaN, which is outside
             turned = overview.points @ self.axes.astype(np.float32).T
@@ -219,7 +219,7 @@ class View:
         column, row = ((flat[:, 0] - self.low[0]) / self.pixel), ((self.high[1] - flat[:, 1]) / self.pixel)
         return np.stack([row, column], 1).astype(np.intp), overview.points[inside, 2], overview.outcome[inside]
 
-    def picture(self, overview: Overview, title: str, caption: str, alt: str) -> Picture:
+    def picture(self, overview: StudyOverview, title: str, caption: str, alt: str) -> Picture:
         """Draw a map as WebP, with a scale bar in the lower left corner."""
         import cv2
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from dynaviz.contracts.protocol import ProtocolInfo, ProtocolScores
 from dynaviz.reports.reporting import Study
 from dynaviz_eval.protocols.moving import SemanticKittiMos
-from dynaviz_eval.protocols.points import Points, PublicBenchmark
+from dynaviz_eval.protocols.points import PointsProtocol, PublicBenchmark
 from dynaviz_eval.published import Match, published
 from dynaviz_eval.report import birdseye
 from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method, boards
-from dynaviz_eval.report.cases import case_table, note, shared_cases
 from dynaviz_eval.report.gallery import gallery
 from dynaviz_eval.report.html import rendered
+from dynaviz_eval.report.spots import case_table, note, shared_cases
 from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named, percent
 from dynaviz_eval.report.tables import failed_table, match
 
@@ -39,7 +39,7 @@ class Boards:
         """The scores of a row by protocol; those of its result under ``points`` if it was not scored."""
         assert row.run is not None
         known = self.study.scores.get(row.run.file, {})
-        return known or {Points.info.name: ProtocolScores(row.result.metrics)}
+        return known or {PointsProtocol.info.name: ProtocolScores(row.result.metrics)}
 
     def score(self, row: ScoreRow, info: ProtocolInfo, name: str) -> float | None:
         """A score in percent; None if undefined or unknown."""
@@ -79,7 +79,7 @@ def board_report(study: Study) -> str:
 
 def _ordered(study: Study) -> list[ProtocolInfo]:
     """The protocol of dynaviz and the public benchmark's first, all others by name."""
-    first = (Points.info.name, PublicBenchmark.info.name)
+    first = (PointsProtocol.info.name, PublicBenchmark.info.name)
     infos = [protocol.info for protocol in study.protocols.values()]
     return sorted(infos, key=lambda info: (first.index(info.name) if info.name in first else 9, info.name))
 

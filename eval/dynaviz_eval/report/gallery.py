@@ -9,7 +9,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Outcome
-from dynaviz.reports.reporting import Overview
+from dynaviz.reports.reporting import StudyOverview
 from dynaviz_eval.report.birdseye import (
     Picture,
     View,
@@ -21,7 +21,7 @@ from dynaviz_eval.report.birdseye import (
     raw,
     upright,
 )
-from dynaviz_eval.report.cases import SharedCase, Spot
+from dynaviz_eval.report.spots import SharedCase, Spot
 
 SIZE = (220, 165)  # pixels of a crop
 SMALLEST = 6.0  # metres: width of the smallest crop
@@ -44,7 +44,7 @@ class GalleryRow:
     seen_from: str
 
 
-def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[str, Overview]) -> list[GalleryRow]:
+def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[str, StudyOverview]) -> list[GalleryRow]:
     """Draw each case as left by each method.
 
     Args:
@@ -74,7 +74,7 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
     return rows
 
 
-def crop(spot: Spot, overview: Overview) -> tuple[View, str]:
+def crop(spot: Spot, overview: StudyOverview) -> tuple[View, str]:
     """A view of a case, from above or from the side, whichever shows more of it.
 
     Its points fill about two thirds of the width. Of what lies in front of it or behind it, only ``DEPTH`` is drawn.
@@ -101,7 +101,7 @@ def crop(spot: Spot, overview: Overview) -> tuple[View, str]:
     return view, "from above" if above else "from the side"
 
 
-def _points(spot: Spot, overview: Overview) -> F64:
+def _points(spot: Spot, overview: StudyOverview) -> F64:
     """(N, 3) the case's wrong points in a recorded map; the corners of its box if they were not recorded."""
     low, high = np.array(spot.low), np.array(spot.high)
     points = overview.points[np.isin(overview.outcome, _OUTCOMES[spot.kind])].astype(np.float64)

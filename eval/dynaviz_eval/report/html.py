@@ -10,8 +10,8 @@ from typing import Any
 from dynaviz.reports.reporting import Study
 from dynaviz_eval.report import birdseye, figures
 from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
-from dynaviz_eval.report.cases import note
 from dynaviz_eval.report.gallery import gallery
+from dynaviz_eval.report.spots import note
 from dynaviz_eval.report.table import Column
 from dynaviz_eval.report.tables import BoardTables, tables
 

@@ -24,10 +24,10 @@ from dynaviz_eval.report.boards import (
     n_parameters,
     setting,
 )
-from dynaviz_eval.report.cases import SharedCase, case_table, shared_cases
 from dynaviz_eval.report.errors import cause_table, interval_table
 from dynaviz_eval.report.objects import object_table
-from dynaviz_eval.report.removals import removal_table
+from dynaviz_eval.report.removal_tables import removal_table
+from dynaviz_eval.report.spots import SharedCase, case_table, shared_cases
 from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named, percent
 
 MARK = "†"  # runtimes measured while states were recorded

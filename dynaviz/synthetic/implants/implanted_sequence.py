@@ -14,11 +14,11 @@ from dynaviz.errors import UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.synthetic.implants.cast import implant
-from dynaviz.synthetic.implants.lidar import LidarModel
-from dynaviz.synthetic.implants.options import COUNTS, ImplantOptions, parse
+from dynaviz.synthetic.implants.implant_options import COUNTS, ImplantOptions, parse
+from dynaviz.synthetic.implants.implant_scene import ImplantScene
+from dynaviz.synthetic.implants.lidar_model import LidarModel
 from dynaviz.synthetic.implants.plan import plan
-from dynaviz.synthetic.implants.scene import ImplantScene
-from dynaviz.synthetic.implants.space import FreeSpace
+from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey
 
 
@@ -153,7 +153,7 @@ def planned(name: str, options: ImplantOptions, lidar: LidarModel, survey: Surve
     Raises:
         UsageError: if no mover finds a free path; if only some do, a warning counts the others.
     """
-    found = plan(options, survey, FreeSpace.of(survey))
+    found = plan(options, survey, SpaceAboveGround.of(survey))
     wanted = sum(getattr(options, name) for name in COUNTS)
     if not found.implants:
         raise UsageError(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynaviz.io.atomic import write_atomic
 from dynaviz.sources.datasets.convert import Conversion, convert
-from dynaviz.synthetic.implants.sequence import ImplantedSequence
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
 
 SCENE_FILE = "implants.toml"
 

@@ -20,7 +20,7 @@ ARCHETYPE = "dynaviz.Answers"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answers:
+class FrameAnswers:
     """The labels of one frame, in the order of the scan's points.
 
     Attributes:
@@ -47,12 +47,12 @@ class Answers:
         """(N,) uint8, an ``Outcome`` per point."""
         return outcomes(self.truth, self.dynamic)
 
-    def unscored(self) -> Answers:
+    def unscored(self) -> FrameAnswers:
         """The same answers without ground truth."""
         return dataclasses.replace(self, truth=np.full(len(self), Label.UNLABELLED, np.uint8))
 
     @classmethod
-    def of(cls, labelled: Labelled) -> Answers:
+    def of(cls, labelled: Labelled) -> FrameAnswers:
         """From a labelled scan."""
         scan = labelled.scan
         truth = np.full(len(scan), Label.UNLABELLED, np.uint8) if scan.labels is None else scan.labels
@@ -70,7 +70,7 @@ class Answers:
         }
 
     @classmethod
-    def unpacked(cls, frame: int, components: dict[str, NDArray[np.generic]]) -> Answers:
+    def unpacked(cls, frame: int, components: dict[str, NDArray[np.generic]]) -> FrameAnswers:
         """The inverse of ``packed``.
 
         Raises:
