@@ -2,11 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
-PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
+PIP = $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test browser lint types boundscheck coverage fuzz mutants docs check clean
+.PHONY: demo test smoke browser lint types boundscheck coverage fuzz mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
@@ -14,6 +14,13 @@ demo: .venv/.user
 
 test: .venv/.dev
 	$(BIN)/pytest $(ALL_CORES)
+
+SMOKE := $(addprefix tests/,io kernels/test_threads.py odometry/test_refine.py spatial test_platforms.py)
+smoke: BIN := build/smoke/bin
+smoke:  # run a part of the tests with another Python: make smoke PYTHON=python3.13
+	@$(PYTHON) -m venv --clear build/smoke
+	@$(PIP) --no-compile --editable '.[las,ros]' hypothesis pytest pytest-xdist
+	$(BIN)/pytest -q $(ALL_CORES) $(SMOKE)
 
 browser: .venv/.dev  # test the page of the explorer in Chromium, without a GPU
 	DYNAVIZ_BROWSER=1 $(BIN)/pytest -q tests/explorer/test_page.py
@@ -61,6 +68,7 @@ check: lint types test browser fuzz boundscheck docs
 .venv/.dev: .venv/.venv pyproject.toml
 	@echo "installing dynaviz and its test dependencies into .venv, about 2 GB ..."
 	@$(PIP) --no-compile --editable '.[dev]'
+	@$(BIN)/python -c 'import sys; sys.tracebacklimit = 0; from dynaviz.spatial import open3d; open3d.load("make test")'
 	@$(BIN)/python -m dynaviz.precompile --all
 	@touch .venv/.user $@
 
