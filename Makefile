@@ -19,7 +19,8 @@ SMOKE := $(addprefix tests/,io kernels/test_threads.py odometry/test_refine.py s
 smoke: BIN := build/smoke/bin
 smoke:  # run a part of the tests with another Python: make smoke PYTHON=python3.13
 	@$(PYTHON) -m venv --clear build/smoke
-	@$(PIP) --no-compile --editable '.[las,ros]' hypothesis pytest pytest-xdist
+	@$(PIP) --no-compile --editable '.[explore,las,ros]' hypothesis pytest pytest-xdist
+	@$(BIN)/python -m dynaviz.precompile
 	$(BIN)/pytest -q $(ALL_CORES) $(SMOKE)
 
 browser: .venv/.dev  # test the page of the explorer in Chromium, without a GPU
