@@ -28,7 +28,7 @@ from scenes import Drive
 import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.engine.loop import peak_rss_mb
-from dynaviz.runs.tiles.run import TileOptions, label_tiles, tileable
+from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles, tileable
 from dynaviz.scores.result import Result
 
 BLOCK = 18.0  # metres after which a drive repeats

@@ -29,7 +29,7 @@ class Deciding:
 
 
 @dataclass(frozen=True, slots=True)
-class EvidenceListener:
+class CaseEvidence:
     """What the points of a case have in common; medians are over points.
 
     Attributes:
@@ -59,13 +59,13 @@ class EvidenceListener:
         return f"{cells} {counts}{low}.{decided}"
 
 
-def evidence_of(ledgers: Sequence[PointLedger]) -> EvidenceListener:
+def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
     """What ledgers, at least one, have in common."""
     removed = 2 * sum(ledger.removed for ledger in ledgers) > len(ledgers)
     crossing = [entry for ledger in ledgers for entry in ledger.entries if entry.crossed]
     known = [entry for entry in crossing if entry.angle_deg is not None]
     low = sum(entry.angle_deg < GRAZING for entry in known if entry.angle_deg is not None)
-    return EvidenceListener(
+    return CaseEvidence(
         points=len(ledgers),
         searched=max(ledger.searched for ledger in ledgers),
         hit=_median(ledgers, lambda entry: entry.hits > 0),

@@ -26,7 +26,7 @@ from dynaviz.io.lock import locked
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.options import Record, RunOptions
 from dynaviz.runs.tiles.counts import TileCounts
-from dynaviz.runs.tiles.run import TileOptions, label_tiles
+from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
 from dynaviz.scores.result import RecordMode, Result
 from dynaviz.sources.opening import refined
 from dynaviz.sources.origin import PoseFinding
