@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.arrays import F64
@@ -21,6 +22,7 @@ from dynaviz.explorer.cards import Card, cards
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
 from dynaviz.scores.result import Result
+from dynaviz.spatial import geometry
 from dynaviz.views.read.focus import ASIDE, CLOSEST
 from dynaviz.views.read.reader import RunRecording
 
@@ -262,5 +264,30 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         page.tab.evaluate("explorer.viewers.a.seek(1)")
         page.wait("explorer.viewers.b.time === 1")  # one cursor
         page.wait("location.search.includes('frame=1')")
+        assert not page.errors
+        page.tab.close()
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("made", ["cleaned", "arrays"])
+def test_runs_of_clean_and_of_arrays_explain_a_point(browser: Any, made: str, tmp_path: Path) -> None:
+    scans = room(4, 700).scans
+    local = [geometry.transform(geometry.inverse(scan.T_world_sensor), scan.points) for scan in scans]
+    arrays = [(xyz, scan.T_world_sensor) for xyz, scan in zip(local, scans, strict=True)]
+    if made == "arrays":
+        run: Any = dv.run("octomap", arrays, record=tmp_path / "alone.rrd")
+    else:
+        folder = tmp_path / "scans"
+        folder.mkdir()
+        for scan, xyz in zip(scans, local, strict=True):
+            np.save(folder / f"{scan.index:06d}.npy", xyz)
+        poses = np.array([scan.T_world_sensor for scan in scans])[:, :3].reshape(-1, 12)
+        np.savetxt(folder / "poses.txt", poses, fmt="%.17g")
+        run = dv.clean(folder, tmp_path / "map.pcd", method="octomap").folder
+    with dv.explore(run) as explorer:
+        page = Page(browser, explorer)
+        page.open("?frame=1&at=1&point=7")
+        page.tab.wait_for_selector("#point .ledger figure")
+        assert "Point 7 of frame 1" in page.tab.inner_text("#point")
         assert not page.errors
         page.tab.close()
