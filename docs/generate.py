@@ -214,7 +214,7 @@ def parameters(kind: Any) -> str:
     return (
         table(("parameter", "default", "type", "meaning"), rows)
         + "\n\nSet a parameter with `--set KEY=VALUE`, a preset or a file; "
-        + f"`dynaviz config {kind.info.name}` prints the values in effect."
+        + f"`dynaviz list {kind.info.name}` prints the values in effect."
     )
 
 

@@ -154,9 +154,9 @@ def test_no_generic_name_is_ever_installed() -> None:
         ["bench", "--help"],
         ["compare", "--help"],
         ["doctor", "--help"],
-        ["download", "--help"],
+        ["convert", "--help"],
         ["report", "--help"],
-        ["config", "octomap_gf"],
+        ["list", "octomap_gf"],
     ],
 )
 def test_quick_commands_load_nothing_heavy(command: list[str]) -> None:

@@ -13,7 +13,6 @@ from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
 
 from dynaviz.cli import (
     bench,
@@ -21,13 +20,10 @@ from dynaviz.cli import (
     check,
     clean,
     compare,
-    config,
     convert,
     demo,
     doctor,
-    download,
     explore,
-    export_labels,
     failures,
     implant,
     info,
@@ -45,29 +41,10 @@ from dynaviz.cli import (
     why,
 )
 from dynaviz.cli.console import set_quiet
-from dynaviz.errors import DataError, DynavizError, UsageError, interrupted, on_command_line
-
-try:
-    from typer import TyperException as CommandLineError
-except ImportError:  # earlier versions of typer raise the exceptions of click
-    from click import ClickException as CommandLineError  # type: ignore[assignment]
+from dynaviz.cli.groups import CommandLineError, Commands
+from dynaviz.errors import DataError, DynavizError, interrupted, on_command_line
 
 __all__ = ["CommandLineError", "app", "main"]
-
-
-class Commands(TyperGroup):
-    """All commands. Wrong usage gives one line, like every other error that a user can cause."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the chosen command."""
-        try:
-            return super().invoke(ctx)
-        except CommandLineError as error:
-            problem = error.format_message().replace("Value error, ", "")
-            context = getattr(error, "ctx", None) or ctx  # only errors of usage have a context
-            end = "" if problem.endswith((".", "?")) else "."
-            text = f"{problem[0].lower()}{problem[1:]}{end} For examples run: {context.command_path} --help"
-            raise UsageError(text) from error
 
 
 app = typer.Typer(
@@ -81,8 +58,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 COMMANDS = (
-    demo, clean, run, live, score, failures, compare, bench, report, board, check, info, doctor, list, config, simulate,
-    implant, tune, download, convert, export_labels, explore, rescore, view, shot, why, repair
+    demo, clean, live, explore, view, why, compare, run, score, bench, tune, report, check, info, doctor, list,
+    simulate, convert, failures, board, implant, rescore, shot, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

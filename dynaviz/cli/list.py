@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterator
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import print_json, show
-from dynaviz.cli.options import Json
+from dynaviz.cli.options import METHOD, Json, method_names, takes
+from dynaviz.cli.parameters import show_parameters, show_sensor
 
 if TYPE_CHECKING:
     from dynaviz.contracts.registry import PluginHandle
@@ -29,26 +32,65 @@ class Listing(StrEnum):
     odometries = "odometries"
 
 
+def _methods() -> list[str]:
+    return method_names("")
+
+
+def _completions(incomplete: str) -> list[str]:
+    return [name for name in Listing if name.startswith(incomplete)] + method_names(incomplete)
+
+
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
     app.command("list")(list_)
 
 
+@takes(METHOD, without=("seed", "threads"))
 def list_(
-    kind: Annotated[Listing | None, typer.Argument(metavar="KIND", help="What to list. [default: all]")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="KIND|NAME",
+            help=f"{', '.join(Listing)}; or a method or sensor. [default: all lists]",
+            autocompletion=_completions,
+        ),
+    ] = None,
     json: Json = None,
+    *,
+    options: dict[str, Any],
 ) -> None:
-    """List methods, datasets, sensors, presets and scenes.
+    """List methods, datasets, sensors and more, or the parameters of a method.
 
-    Also lists the installed metrics, protocols and report formats.
+    Parameters have a meaning, a unit, a range and a value, which is a default or set by a preset, a file or --set.
 
     \b
     dynaviz list
     dynaviz list methods
+    dynaviz list octomap --preset av2 --set prob_hit=0.65
+    dynaviz list vlp16
     """
+    from dynaviz.contracts import registry
+    from dynaviz.contracts.sensors import sensor_names
+    from dynaviz.errors import UsageError
+
+    if name in _methods():
+        show_parameters(name, options, json)
+        return
+    if any(options.values()):
+        raise UsageError("--preset, --config and --set: only with a method. Give the name of a method")
+    if name is None or name in list(Listing):
+        _show_lists([Listing(name)] if name else list(Listing), json)
+    elif name in sensor_names() or name.endswith(".toml"):
+        show_sensor(name, json)
+    else:
+        near = difflib.get_close_matches(name, [*Listing, *_methods(), *sensor_names()], 1)
+        hint = registry.suggest(name, near or list(Listing))
+        raise UsageError(f"list: unknown kind, method or sensor '{name}'. {hint}")
+
+
+def _show_lists(chosen: list[Listing], json: Path | None) -> None:
     from rich.table import Table
 
-    chosen = [kind] if kind else list(Listing)
     if json is not None:
         names = ("name", "description", "package")
         plain = {each.value: [dict(zip(names, row, strict=True)) for row in _rows(each.value)] for each in chosen}

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from dynaviz.cli.console import set_quiet
+from dynaviz.errors import UsageError
 
 
 class PointFrame(StrEnum):
@@ -195,6 +196,13 @@ def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable
         return call
 
     return decorate
+
+
+def refuse(options: Mapping[str, Any], what: str) -> None:
+    """Raise UsageError if options of ``takes`` are given beside something that does not use them."""
+    for name, value in options.items():
+        if value and value != DEFAULTS.get(name):
+            raise UsageError(f"--{name.replace('_', '-')}: not with {what}")
 
 
 def _plain(name: str, value: Any) -> Any:

@@ -146,7 +146,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         RecursionError,
     ) as error:  # invalid TOML, invalid UTF-8, integers too long to convert, nesting too deep
         raise DataError(
-            path, f"not valid TOML: {error}", hint="For the parameter names run 'dynaviz config METHOD'"
+            path, f"not valid TOML: {error}", hint="For the parameter names run 'dynaviz list METHOD'"
         ) from None
 
 

@@ -21,7 +21,7 @@ from dynaviz.contracts.scan import Scan
 
 @dataclass(frozen=True)
 class Params:
-    """Each field is a parameter for ``--set d_s=0.3``, presets and ``dynaviz config``.
+    """Each field is a parameter for ``--set d_s=0.3``, presets and ``dynaviz list``.
 
     Attributes:
         resolution: edge of a voxel, metres.

@@ -17,6 +17,7 @@ from helpers.worlds import room
 from dynaviz import __main__ as start
 from dynaviz import cli
 from dynaviz.cli import app
+from dynaviz.cli.groups import RENAMED
 from dynaviz.io.pcd import write_pcd
 
 Command = Callable[..., tuple[int, str, str]]
@@ -158,13 +159,25 @@ def test_invalid_data_give_one_line(run_command: Command, folder: Path, tmp_path
         assert not list((tmp_path / "out").rglob("*.*")), "nothing half-written is left"
 
 
-def test_list_config_and_info(run_command: Command, folder: Path) -> None:
+@pytest.mark.parametrize("name", RENAMED)
+def test_earlier_commands_name_their_successors(run_command: Command, name: str) -> None:
+    code, _, err = run_command(name, "anything", "--at-all")
+    assert (code, one_line(err)) == (2, f"dynaviz: 'dynaviz {name}' is now 'dynaviz {RENAMED[name]}'.\n")
+    assert run_command(RENAMED[name].split()[0], "--help")[0] == 0
+
+
+def test_list_and_info(run_command: Command, folder: Path) -> None:
     code, out, _ = run_command("list")
     assert code == 0
     assert all(name in out for name in ("octomap_gf", "semantickitti", "hdl64e", "av2", "demo", "breakdown"))
-    code, out, _ = run_command("config", "octomap", "--preset", "av2", "--set", "prob_hit=0.6", "--sensor", "vlp16")
+    code, out, _ = run_command("list", "octomap", "--preset", "av2", "--set", "prob_hit=0.6")
     assert code == 0
-    assert all(text in out for text in ("preset av2", "--set", "default", "0.6", "Velodyne"))
+    assert all(text in out for text in ("preset av2", "--set", "default", "0.6"))
+    assert "Velodyne" in run_command("list", "vlp16")[1]
+    code, _, err = run_command("list", "octomapp")
+    assert (code, "Did you mean 'octomap'?" in one_line(err)) == (2, True)
+    code, _, err = run_command("list", "methods", "--preset", "av2")
+    assert (code, "Give the name of a method" in one_line(err)) == (2, True)
     code, out, _ = run_command("info", folder)
     assert code == 0
     assert "ground truth" in out

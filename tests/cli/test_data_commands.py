@@ -1,4 +1,4 @@
-"""``dynaviz convert``, ``export-labels`` and ``download``, as a user types them."""
+"""``dynaviz convert`` of sequences, labels and downloads, as a user types it."""
 
 from __future__ import annotations
 
@@ -82,30 +82,38 @@ def test_convert_takes_poses_and_warns(run_command: Command, tmp_path: Path) -> 
     assert "BenchmarkSequence" in out
 
 
-def test_export_labels(run_command: Command, folder: Path, tmp_path: Path) -> None:
+def test_convert_labels(run_command: Command, folder: Path, tmp_path: Path) -> None:
     assert run_command("run", "octomap", folder, "-o", tmp_path / "run", "--record", "none", "--frames", "1:3")[0] == 0
-    code, out, err = run_command("export-labels", tmp_path / "run", "-o", tmp_path / "labels")
+    code, out, err = run_command("convert", tmp_path / "run", tmp_path / "labels", "--labels")
     assert code == 0, err
     assert "2 frames" in out
     assert sorted(path.name for path in (tmp_path / "labels").iterdir()) == ["000011.label", "000012.label"]
 
 
 def test_download(run_command: Command, mirror: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, out, err = run_command("download", "05", "-o", tmp_path / "data", "--url", mirror)
+    monkeypatch.setenv("DYNAVIZ_DOWNLOAD_URL", mirror)
+    code, out, err = run_command("convert", "download:05", tmp_path / "data")
     assert code == 0, err
     assert "KITTI 05" in out
     assert "unpack 6/6 files" in err
     code, out, _ = run_command("info", tmp_path / "data/05")
     assert (code, "4,000" in out) == (0, True)
-    monkeypatch.setenv("DYNAVIZ_DOWNLOAD_URL", mirror)
-    code, _, err = run_command("download", "00", "-o", tmp_path / "data")
+    code, _, err = run_command("convert", "download:00", tmp_path / "data")
     assert (code, "00.zip: download failed (404" in one_line(err)) == (2, True)
-    code, _, err = run_command("download", "moon")
+    code, _, err = run_command("convert", "download:moon", tmp_path / "data")
     assert (code, "Available: 00 (385 MB)" in one_line(err)) == (2, True)
 
 
-@pytest.mark.parametrize("verb", ["convert", "export-labels", "download"])
-def test_help_begins_with_examples(run_command: Command, verb: str) -> None:
-    code, out, _ = run_command(verb, "--help")
-    assert code == 0
-    assert out.index(f"  dynaviz {verb}") < out.index("Options:")
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (("download:05", "--frames", "1:2"), "--frames: not with download:NAME"),
+        (("run", "--labels", "--stride", "2"), "--stride: not with --labels"),
+        (("scans", "--sequence", "moved"), "--sequence: only with --labels"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    run_command: Command, tmp_path: Path, words: tuple[str, ...], option: str
+) -> None:
+    source, *options = words
+    assert run_command("convert", source, tmp_path / "x", *options) == (2, "", f"dynaviz: {option}\n")

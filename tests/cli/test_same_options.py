@@ -34,7 +34,7 @@ OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["
          "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
          "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
 RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
-WITHOUT_SEQUENCE = {"demo", "check", "compare", "config", "download", "explore", "export-labels", "failures", "list",
+WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "failures", "list",
                     "repair", "report", "board", "rescore", "shot", "simulate", "view", "why"}  # fmt: skip
 
 

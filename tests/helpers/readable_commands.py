@@ -250,10 +250,10 @@ COMMANDS = {
         tiny_benchmark, "**/*", ("live", "@demo", "-m", "octomap", "--rate", "0", "--reach", "10", "-o", ">live")
     ),
     "dynaviz score": subject(map_of_demo, "**/*", ("score", "@map.npy", "@demo", "-o", ">out", "--record", "none")),
-    "dynaviz export-labels": subject(
-        labels_of_demo, "**/*", ("export-labels", "@out/labels.npz", "@demo", "-o", ">labels")
+    "dynaviz convert --labels": subject(
+        labels_of_demo, "**/*", ("convert", "@out", ">labels", "--labels", "--sequence", "@demo")
     ),
-    "dynaviz config": subject(config, "*", ("config", "octomap", "--config", "@config.toml")),
+    "dynaviz list": subject(config, "*", ("list", "octomap", "--config", "@config.toml")),
     "dynaviz bench": subject(plan, "**/*", ("bench", "@bench.toml", "-o", ">bench")),
     "dynaviz bench --resume": subject(plan_and_runs, "bench/**/*", ("bench", "@bench.toml", "-o", "@bench")),
     "dynaviz implant": subject(

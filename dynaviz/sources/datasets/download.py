@@ -85,7 +85,9 @@ def download(
         available = ", ".join(f"{key} ({remote.mb} MB)" for key, remote in SEQUENCES.items())
         raise UsageError(f"unknown sequence '{name}'. Available: {available}")
     if not re.match(r"https?://[^/]", base):
-        raise UsageError(f"--url {base}: give the address of a folder that contains {name}.zip, such as {BASE}")
+        raise UsageError(
+            f"DYNAVIZ_DOWNLOAD_URL={base}: give the address of a folder that contains {name}.zip, such as {BASE}"
+        )
     out, url = Path(out), f"{base.rstrip('/')}/{name}.zip"
     folder, part, record = out / name, out / f".{name}.zip.part", out / f"{name}.download.json"
     if os.path.lexists(folder):

@@ -18,7 +18,7 @@ from dynaviz.io.atomic import remove
 MAX_ATTEMPTS = 4  # without a new byte
 RETRY_DELAY = 1.0  # seconds before the second attempt, doubled for each further one
 TIMEOUT = 60.0  # seconds without data
-HINT = "Run the same command again later, or set another source with --url"
+HINT = "Run the same command again later, or set DYNAVIZ_DOWNLOAD_URL to a mirror"
 _BLOCK, _MB = 1 << 18, 1_000_000
 
 
@@ -94,13 +94,13 @@ def _request(url: str, part: Path, have: int) -> Any:
             remove(part)
         if code in (408, 416, 429) or code >= 500:
             raise _BrokenDownload(f"{code} {reason}") from None
-        hint = "Open the address in a browser, or set another source with --url"
+        hint = "Open the address in a browser, or set DYNAVIZ_DOWNLOAD_URL to a mirror"
         raise DataError(url, f"download failed ({code} {reason})", hint=hint) from None
     except (OSError, http.client.HTTPException, ValueError) as error:
         cause = getattr(error, "reason", error)
         reason = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
         if isinstance(cause, socket.gaierror | ValueError):
-            hint = "Check your connection and the address, or set another source with --url"
+            hint = "Check your connection and the address, or set DYNAVIZ_DOWNLOAD_URL to a mirror"
             raise DataError(url, f"cannot connect ({reason})", hint=hint) from None
         raise _BrokenDownload(reason) from None
 

@@ -21,7 +21,7 @@ from dynaviz.spatial.grid import in_key_range, pack, unpack
 
 @dataclass(frozen=True)
 class SeldomParams:
-    """Each field is a parameter for ``--set min_scans=5``, presets, ``dynaviz config`` and ``--grid``.
+    """Each field is a parameter for ``--set min_scans=5``, presets, ``dynaviz list`` and ``--grid``.
 
     Attributes:
         resolution: edge of a voxel, metres.

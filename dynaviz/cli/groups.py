@@ -1,0 +1,64 @@
+"""The commands in groups, their help, and the commands that earlier versions had."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperGroup
+
+from dynaviz.errors import UsageError
+
+try:
+    from typer import TyperException as CommandLineError
+except ImportError:  # earlier versions of typer raise the exceptions of click
+    from click import ClickException as CommandLineError  # type: ignore[assignment]
+
+__all__ = ["GROUPS", "RENAMED", "CommandLineError", "Commands"]
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Clean": ("demo", "clean", "live"),
+    "Look": ("explore", "view", "why", "compare", "failures", "shot", "repair"),
+    "Evaluate": ("run", "score", "bench", "tune", "report", "check", "board", "rescore"),
+    "Data": ("info", "doctor", "list", "simulate", "convert", "implant"),
+}
+"""The commands by heading, in the order of the help."""
+
+RENAMED = {
+    "config": "list METHOD",
+    "download": "convert download:NAME FOLDER",
+    "export-labels": "convert RUN FOLDER --labels",
+}
+"""Commands of earlier versions, and what to type instead."""
+
+
+class Commands(TyperGroup):
+    """All commands. Wrong usage gives one line, like every other error that a user can cause."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen command."""
+        try:
+            return super().invoke(ctx)
+        except CommandLineError as error:
+            problem = error.format_message().replace("Value error, ", "")
+            context = getattr(error, "ctx", None) or ctx  # only errors of usage have a context
+            end = "" if problem.endswith((".", "?")) else "."
+            text = f"{problem[0].lower()}{problem[1:]}{end} For examples run: {context.command_path} --help"
+            raise UsageError(text) from error
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command; the name of an earlier one gives an error with its successor."""
+        if args and (now := RENAMED.get(args[0])):
+            raise UsageError(f"'{ctx.command_path} {args[0]}' is now '{ctx.command_path} {now}'")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands under the headings of ``GROUPS``."""
+        widest = max(map(len, self.commands))
+        for heading, names in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl(
+                    [
+                        (name.ljust(widest), self.commands[name].get_short_help_str(formatter.width - 6 - widest))
+                        for name in names
+                    ]
+                )
