@@ -14,8 +14,11 @@ from helpers.worlds import room
 
 import dynaviz as dv
 from dynaviz.contracts.scan import Outcome
+from dynaviz.errors import UsageError
+from dynaviz.runs.run import open_run
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
+from dynaviz.sources.datasets.convert import convert
 from dynaviz.views.read.failures import failures_of
 from dynaviz.views.read.reader import RunRecording
 
@@ -107,3 +110,21 @@ def test_a_report_collects_them(files: Path) -> None:
     for name in RUNS:
         assert f"{Result.load(files / name / 'result.json').metrics['SA']:.2f}" in text
     assert "<img" in dv.report(files, format="html")
+
+
+def test_runs_that_do_not_state_their_origin(tmp_path: Path) -> None:
+    """Of the version before runs stated their origin: all opens, and the ledger asks for the sequence in one line."""
+    earlier = DATA.with_name("before_origin")
+    for name in ("result.json", "labels.npz"):
+        shutil.copy(earlier / name, tmp_path)
+    (tmp_path / "run.rrd").write_bytes(gzip.decompress((earlier / "run.rrd.gz").read_bytes()))
+    convert(room(3, 300), tmp_path / "room")
+    with pytest.raises(UsageError, match=r"does not state where its sequence came from\. Give the sequence of the run"):
+        dv.why(tmp_path, 0, 5)
+    labels = open_run(tmp_path).labels
+    for file in (tmp_path, tmp_path / "run.rrd"):
+        found = dv.why(file, 1, 5, sequence=tmp_path / "room")
+        assert found.ledger.removed == labels[1][5]
+        assert found.ledger.rules
+    assert open_run(tmp_path).result.origin is None
+    assert dv.compare(tmp_path / "run.rrd", tmp_path / "run.rrd").pairs
