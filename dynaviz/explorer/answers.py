@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import tempfile
 import threading
@@ -17,6 +18,7 @@ from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
+from dynaviz.explorer.reruns import Rerun
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.strip import strip, what_if
 from dynaviz.runs.explanation import Why, cause_at
@@ -29,7 +31,7 @@ PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
 CLIP_SIZE = (960, 640)
 LETTERS = "ab"
-CASE_RAYS = 400  # drawn of a case
+CASE_RAYS = 120  # drawn of a case
 
 Query = Mapping[str, str]
 
@@ -45,6 +47,7 @@ class Explored:
         answers: by name, a function from a query to plain JSON types.
         changes: by name, a function from a query to plain JSON types, which writes a file.
         contents: by name, a function from a query to the content of a file, and its media type.
+        compare: serves the comparison of two runs, and returns its address; set by the server.
 
     Raises:
         DataError: as ``ExploredRun``.
@@ -59,6 +62,8 @@ class Explored:
             )
         self.runs = dict(zip(LETTERS, opened, strict=False))
         self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
+        self._reruns: list[Rerun] = []
+        self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
         self._ledgers, self._lock = Ledgers(self.runs), threading.Lock()
         self._thumbnail = cache(lambda letter, number: cards.thumbnail(self.runs[letter], self._card(letter, number)))
         self.answers: dict[str, Callable[[Query], Any]] = {
@@ -67,9 +72,10 @@ class Explored:
             "point": self._point,
             "why": self._why,
             "evidence": self._evidence,
+            "run": self._rerun_state,
             "rescored": self._rescored,
         }
-        self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct}
+        self.changes: dict[str, Callable[[Query], Any]] = {"correct": self._correct, "run": self._rerun}
         self.contents: dict[str, tuple[Callable[[Query], bytes], str]] = {
             "loading": (lambda query: self.runs[self._letter(query)].focus.loading(), RRD),
             "layout": (self._layout, RRD),
@@ -82,6 +88,8 @@ class Explored:
     def close(self) -> None:
         """Stop work in the background."""
         self._ledgers.close()
+        for rerun in self._reruns:
+            rerun.close()
 
     def _overview(self, query: Query) -> dict[str, Any]:
         """Facts of the runs, and their cases."""
@@ -169,6 +177,23 @@ class Explored:
             "what_if": what_if(ledgers, run.result.parameters),
         }
 
+    def _rerun(self, query: Query) -> dict[str, Any]:
+        """Start a run with other parameters, unless one is running."""
+        running = self._reruns[-1].state.keys() if self._reruns else {"url"}
+        if "phase" in running:
+            raise UsageError("a run is in progress. Wait until it has finished")
+        try:
+            settings = json.loads(query["settings"])
+        except (KeyError, ValueError):
+            raise UsageError("settings: give a JSON object") from None
+        run = self.runs[self._letter(query)]
+        self._reruns.append(Rerun(run, settings, lambda other: self.compare(run, other)))
+        return self._reruns[-1].state
+
+    def _rerun_state(self, query: Query) -> dict[str, Any]:
+        """How far the run with other parameters is."""
+        return self._reruns[-1].state if self._reruns else {"error": "no run was started"}
+
     def _corrections(self, run: ExploredRun) -> dict[int, str]:
         """The corrected truth by number of the case."""
         found = read_corrections(run.path.parent, run.result.sequence.digest).corrections
@@ -254,6 +279,10 @@ class Explored:
         if not 1 <= number <= len(found):
             raise UsageError(f"case {number}: the run has the cases 1 to {len(found)}")
         return found[number - 1]
+
+
+def _unserved(run: ExploredRun, other: ExploredRun) -> str:
+    raise UsageError("no server compares the runs")
 
 
 def _extent(run: ExploredRun) -> tuple[Any, Any]:

@@ -29,6 +29,7 @@ except ImportError:
     ) from None
 
 from dynaviz.explorer.answers import RRD, Explored, Query
+from dynaviz.explorer.run import ExploredRun
 from dynaviz.views.read.chunks import with_passive_layout
 
 HOME = "127.0.0.1"
@@ -146,6 +147,8 @@ class Explorer:
 
     def __init__(self, explored: Explored, port: int = 0):
         self._explored, token = explored, secrets.token_urlsafe(24)
+        self._comparisons: list[Explorer] = []
+        explored.compare = self._compare
         app = application(explored, token)
         self._socket = socket.socket()
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -177,6 +180,13 @@ class Explorer:
         self._thread.join(5.0)
         self._explored.close()
         self._socket.close()
+        for comparison in self._comparisons:
+            comparison.close()
+
+    def _compare(self, run: ExploredRun, other: ExploredRun) -> str:
+        """Serve the comparison of two runs, too; returns its address."""
+        self._comparisons.append(Explorer(Explored(run, other)))
+        return self._comparisons[-1].url
 
     def __enter__(self) -> Explorer:
         return self

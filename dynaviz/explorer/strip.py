@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from statistics import median
 from typing import Any
 
-from dynaviz.engine.case_evidence import decided_by
+from dynaviz.engine.case_evidence import BOUNDS, decided_by
 from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
 
 
@@ -22,7 +22,9 @@ def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:
         of the points, the ``change`` and the ``value`` of the quantity, the share ``removed`` so far, whether it
         touched the points ``without_effect``, and where the ``sensor`` stood.
     """
-    shown = _quantity(ledgers)
+    rule = decided_by(ledgers[0])
+    terms = rule.terms if rule else ()
+    shown = _quantity(ledgers[0].quantities, {term.name for term in terms})
     by_frame: defaultdict[int, dict[int, LedgerEntry]] = defaultdict(dict)
     for k, ledger in enumerate(ledgers):
         for entry in ledger.entries:
@@ -59,16 +61,14 @@ def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:
             "unit": shown.unit,
             "total": shown.total,
             "threshold": shown.threshold,
+            "bound": next((BOUNDS[term.test] for term in terms if term.name == name), "beyond"),
             "legend": shown.legend,
         }
     return {"quantity": quantity, "scans": scans, "points": len(ledgers)}
 
 
-def _quantity(ledgers: Sequence[PointLedger]) -> QuantityInfo | None:
-    """The quantity that decided, or else the first with a threshold."""
-    quantities = ledgers[0].quantities
-    rule = decided_by(ledgers[0])
-    terms = {term.name for term in rule.terms} if rule else set()
+def _quantity(quantities: Sequence[QuantityInfo], terms: Set[str]) -> QuantityInfo | None:
+    """The quantity that decided, by the names of the terms, or else the first with a threshold."""
     order = (
         [q for q in quantities if q.name in terms],
         [q for q in quantities if q.threshold is not None and not q.legend],

@@ -182,7 +182,7 @@ def test_a_click_with_the_mouse_explains_a_point(page: Page, runs: dict[str, Pat
     assert at == frame, "no click met a point of the case"
     assert page.tab.get_attribute(".reason", "data-reason") == run.point(at, point)["reason"]
     assert f"Point {point:,} of frame {at}" in page.tab.inner_text("#point")
-    page.tab.wait_for_selector("#point .ledger table")  # the replay of the tiny run follows by itself
+    page.tab.wait_for_selector("#point .ledger .strip")  # the replay of the tiny run follows by itself
 
 
 def test_keys(page: Page, cases: Any) -> None:
@@ -234,6 +234,53 @@ def test_a_correction_changes_the_scores(page: Page, cases: Any) -> None:
     page.wait("/^AA .* -> .* with 1 correction/.test(document.getElementById('corrected').textContent)")
     page.tab.click(".correction button >> text='Undo'")
     page.wait("document.getElementById('corrected').textContent === ''")
+
+
+def test_a_point_says_corrected_after_its_case_was_corrected(page: Page, cases: Any) -> None:
+    number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
+    page.tab.click(f"#card-a-{number}")
+    page.tab.wait_for_selector("#point .given.wrong")
+    page.tab.click(".correction button >> text='It is static'")
+    page.tab.wait_for_selector("#point .truth >> text=static, corrected")
+    assert not page.tab.locator("#point .given.wrong").count()
+    assert "corrected: static" in page.tab.inner_text(f"#card-a-{number}")
+    page.tab.click(".correction button >> text='Undo'")
+    page.tab.wait_for_selector("#point .given.wrong")
+
+
+def test_the_evidence_of_a_case_is_there_at_once_and_its_strip_is_linked(page: Page) -> None:
+    page.tab.click("#card-a-1")
+    page.wait("document.body.dataset.layout === 'case-1'")
+    strip = page.tab.wait_for_selector("#case .strip")
+    page.tab.wait_for_selector("#point .strip")
+    asked = [url for url in page.requests if "/api/why?" in url]
+    assert not any("exact" in url for url in asked[-2:])  # no replay
+    strip.scroll_into_view_if_needed()
+    box = strip.bounding_box()
+    page.tab.mouse.move(box["x"] + box["width"] * 0.4, box["y"] + box["height"] / 2)
+    page.tab.wait_for_selector("#case figcaption >> text=/^Frame \\d+: /")
+    frame = int(page.tab.inner_text("#case figcaption").split()[1].rstrip(":"))
+    page.wait(f"performance.getEntriesByType('resource').some(entry => entry.name.includes('lit={frame}'))")
+    page.tab.mouse.click(box["x"] + box["width"] * 0.4, box["y"] + box["height"] / 2)
+    page.wait(f"explorer.viewers.a.time === {frame}")
+
+
+def test_sliders_judge_the_stored_points_again(page: Page, cases: Any) -> None:
+    page.tab.click("#card-a-1")
+    page.tab.click("#case .sliders summary")
+    set_to = """([name, value]) => {
+        const input = document.querySelector(`#case .sliders input[name=${name}]`)
+        input.value = value
+        input.dispatchEvent(new Event('input'))
+        return document.querySelector('#case .result').textContent
+    }"""
+    points = page.tab.evaluate("async () => (await (await fetch('api/evidence?run=a&case=1')).json()).strip.points")
+    never = page.tab.evaluate(set_to, ["prob_miss", 0.5])  # a crossing then counts nothing
+    assert never.startswith(f"0 of {points} points would be removed")
+    removed = cases[0].kind == "false_positive"
+    assert f"; {points if removed else 0} are." in never
+    assert "The case would cost" in never
+    assert page.tab.evaluate(set_to, ["prob_miss", 0.4]) == ""  # as it is
 
 
 def test_no_request_left_the_machine(page: Page) -> None:

@@ -82,7 +82,7 @@ const pointShown = () => panel.shown && { frame: panel.shown.frame, point: panel
 
 /** What the strips of scans of a run do: light up the rays of a scan, go to it, and start a run with other parameters. */
 const scansOf = (letter, what) => ({
-  hover: frame => light(letter, { ...what(), ...(frame !== null && { lit: frame }) }),
+  hover: frame => frame === null ? mark(letter) : light(letter, { ...what(), lit: frame }),
   pick: ({ frame, sensor: [x, y, z] }) => {
     change({ frame, layout: 'case' })
     for (const viewer of Object.values(viewers)) viewer.seek(frame)
@@ -181,11 +181,11 @@ async function clicked(letter, { entity_path, instance_id, position: [x, y, z] }
 async function explain(answer, asked) {
   try {
     const found = await answer
+    if (asked) change({ at: found.frame, point: found.point })
     if (asked && panel.open && Object.values(found.runs).every(({ outcome }) => !WRONG.includes(outcome))) {
       panel.mention(found, () => explain(found, false))
       return
     }
-    if (asked) change({ at: found.frame, point: found.point })
     const ready = panel.show(found, asked)
     by('point').append(make('p', { class: 'buttons' }, Object.entries(found.commands).map(([letter, command]) => button(runs.b ? `Command ${letter.toUpperCase()}` : 'Command', () => copy(command)))))
     Object.keys(viewers).forEach(mark)

@@ -28,9 +28,12 @@ export function scanStrip({ quantity, scans, points }, frames, on) {
   const sum = scale(scans.map(scan => scan.value), [quantity?.threshold], TOP, TOP + LINE - 10)
   if (sum) {
     for (const value of sum.ends) parts.push(text(L - 4, sum.y(value) + 3, short(value), 'end'))
-    if (quantity.threshold !== null) parts.push(
-      make('line', { x1: L, x2: W - R, y1: sum.y(quantity.threshold), y2: sum.y(quantity.threshold), class: 'threshold' }),
-      text(W - R, sum.y(quantity.threshold) + (sum.y(quantity.threshold) < TOP + 12 ? 10 : -3), `removal beyond ${short(quantity.threshold)}`, 'end', 'threshold'))
+    if (quantity.threshold !== null) {
+      const at = sum.y(quantity.threshold), near = scan => Math.abs((scan?.value ?? quantity.threshold) - quantity.threshold)
+      const left = near(scans[0]) > near(scans.at(-1)) // where the curve is farther away
+      parts.push(make('line', { x1: L, x2: W - R, y1: at, y2: at, class: 'threshold' }),
+        text(left ? L + 2 : W - R, at + (at < TOP + 12 ? 10 : -3), `${quantity.bound === 'beyond' ? 'threshold' : `removed ${quantity.bound}`} ${short(quantity.threshold)}`, left ? 'start' : 'end', 'threshold'))
+    }
     const known = scans.filter(scan => scan.value !== null)
     if (total) parts.push(make('path', { class: 'curve', d: known.map(({ frame, value }, k) => (k ? `H${x(frame).toFixed(1)}V` : `M${x(frame).toFixed(1)} `) + sum.y(value).toFixed(1)).join('') + `H${W - R}` }))
     else parts.push(known.map(({ frame, value, hit, crossed }) => make('circle', { cx: x(frame + 0.5), cy: sum.y(value), r: 2, class: kind(hit, crossed) })))

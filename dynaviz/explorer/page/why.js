@@ -54,8 +54,8 @@ export class PointPanel {
   /** Mention a point that is right, and leave the ledger of another one open. */
   mention(found, explain) {
     this.element.querySelector('.mention')?.remove()
-    const { sentence } = Object.values(found.runs)[0]
-    this.element.prepend(make('p', { class: 'mention' }, `Point ${whole(found.point)} of frame ${found.frame}: ${sentence} `,
+    const { sentence, reason } = Object.values(found.runs)[0]
+    this.element.prepend(make('p', { class: 'mention reason', 'data-reason': reason }, `Point ${whole(found.point)} of frame ${found.frame}: ${sentence} `,
       make('button', { type: 'button', click: explain }, 'Why')))
   }
 

@@ -1,0 +1,134 @@
+"""Sentences about cases follow from the stored evidence, for every method and each cause that it gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from statistics import median
+
+import pytest
+from helpers.worlds import room
+
+import dynaviz as dv
+from dynaviz.contracts import registry
+from dynaviz.contracts.evidence import TESTS
+from dynaviz.engine.case_evidence import decided_by, evidence_of, flip
+from dynaviz.engine.ledger import PointLedger
+from dynaviz.explorer.strip import strip, what_if
+from dynaviz.views.read.reader import RunRecording
+
+METHODS = sorted(registry.loadable("methods"))
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RunRecording:
+    scans = room(6, 1500)
+    scans = replace(scans, sensor=replace(scans.sensor, rings=24, elevation=(-60.0, 60.0)))
+    folder = tmp_path_factory.mktemp("evidence")
+    dv.run(request.param, scans, out=folder)
+    return RunRecording(folder / "run.rrd")
+
+
+def cases(recording: RunRecording) -> list[tuple[int, tuple[PointLedger, ...]]]:
+    assert recording.result is not None
+    listed = range(1, len(recording.result.failures[:20]) + 1)
+    return [(number, ledgers) for number in listed if (ledgers := recording.ledgers(number))]
+
+
+def test_the_costliest_case_has_evidence_and_its_points_are_stored_with_their_answers(recording: RunRecording) -> None:
+    assert recording.result is not None
+    answers = {each.frame: each for each in recording.answers()}
+    assert not recording.result.failures or recording.ledgers(1)
+    for number, ledgers in cases(recording):
+        case = recording.result.failures[number - 1]
+        for ledger in ledgers:
+            stored = answers[ledger.frame]
+            assert ledger.frame == case.worst_frame
+            assert ledger.removed == stored.dynamic[ledger.point] == (case.kind == "false_positive")
+            assert ledger.reason == recording.reasons[stored.reasons[ledger.point]]
+            assert ledger.verdict == ledger.removed
+            assert ledger.wrong
+
+
+def test_the_sentence_of_a_case_quotes_a_reason_of_its_points(recording: RunRecording) -> None:
+    assert recording.result is not None
+    for case in recording.result.failures:
+        meanings = [reason.meaning.partition(": ")[2] for reason in recording.reasons if reason.name in case.reasons]
+        assert any(case.sentence.lower().endswith(f"{meaning.lower()}.") for meaning in meanings), case.sentence
+
+
+def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunRecording) -> None:
+    for _, ledgers in cases(recording):
+        found = evidence_of(ledgers)
+        assert found.hit == median(sum(entry.hits > 0 for entry in ledger.entries) for ledger in ledgers)
+        assert found.crossed == median(sum(entry.crossed > 0 for entry in ledger.entries) for ledger in ledgers)
+        assert f"hit by {found.hit:g} scan" in found.text
+        assert f"crossed by {found.crossed:g} of {found.searched}" in found.text
+        assert found.deciding is not None
+        for term in found.deciding.terms:
+            assert term.holds == found.removed
+            if term.value is not None and math.isfinite(term.value) and not math.isnan(term.threshold):
+                assert TESTS[term.test](term.value, term.threshold) == found.removed
+
+
+CLAIMS: dict[tuple[str, str], Callable[[PointLedger], bool]] = {  # what a reason states, by the ledger alone
+    ("octomap", "crossed_by_rays"): lambda ledger: any("crossed" in entry.steps for entry in ledger.entries),
+    ("octomap", "hit_more_than_missed"): lambda ledger: any("crossed" in entry.steps for entry in ledger.entries),
+    ("octomap", "never_crossed"): lambda ledger: not any("crossed" in entry.steps for entry in ledger.entries),
+    ("dufomap", "void_seen"): lambda ledger: 2.0 in _values(ledger, "saw"),
+    ("dufomap", "beside_unknown"): lambda ledger: 1.0 in _values(ledger, "saw") and 2.0 not in _values(ledger, "saw"),
+    ("dufomap", "never_crossed"): lambda ledger: _values(ledger, "saw") <= {0.0},
+    ("dynablox", "never_free"): lambda ledger: 1.0 not in _values(ledger, "ever-free"),
+    ("beautymap", "always_seen"): lambda ledger: _values(ledger, "outcome") <= {0.0},
+    ("freedom", "never_seen_through"): lambda ledger: _values(ledger, "passes") <= {0.0},
+}
+
+
+def _values(ledger: PointLedger, name: str) -> set[float]:
+    return {value for entry in ledger.entries if (value := entry.values.get(name)) is not None}
+
+
+def test_what_a_reason_states_follows_from_the_ledger(recording: RunRecording) -> None:
+    method = str(recording.properties["method"]).partition("_g")[0]
+    for _, ledgers in cases(recording):
+        for ledger in ledgers:
+            claim = CLAIMS.get((method, ledger.reason.name))
+            assert claim is None or claim(ledger), (ledger.reason.name, ledger.point)
+            rule = decided_by(ledger)
+            assert rule is not None
+            assert rule.holds == ledger.removed
+            if text := flip(ledger):
+                assert "threshold" in text
+
+
+def test_sums_of_log_odds_follow_from_their_steps(recording: RunRecording) -> None:
+    found = [
+        (ledger, quantity)
+        for _, ledgers in cases(recording)
+        for ledger in ledgers
+        for quantity in ledger.quantities
+        if quantity.steps
+    ]
+    assert bool(found) == str(recording.properties["method"]).startswith("octomap")
+    logit = {
+        name: math.log(p / (1 - p)) for name, p in recording.parameters.items() if name.startswith(("prob_", "clamp_"))
+    }
+    for ledger, quantity in found:
+        total, (low, high) = 0.0, (logit[name] for name in quantity.limits)
+        for entry in ledger.entries:
+            for name, parameter in quantity.steps:
+                if name in entry.steps:
+                    total = min(max(total + logit[parameter], low), high)
+            value = entry.values[quantity.name]
+            assert value == pytest.approx(total, abs=1e-5)
+
+
+def test_the_page_draws_each_scan_once(recording: RunRecording) -> None:
+    for _, ledgers in cases(recording):
+        drawn = strip(ledgers)
+        frames = [scan["frame"] for scan in drawn["scans"]]
+        assert frames == sorted({entry.frame for ledger in ledgers for entry in ledger.entries})
+        assert all(0 <= scan[share] <= 1 for scan in drawn["scans"] for share in ("hit", "crossed"))
+        asked = what_if(ledgers, recording.parameters)
+        assert asked is None or all(p["value"] == recording.parameters[p["name"]] for p in asked["parameters"])
