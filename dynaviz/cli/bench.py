@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dynaviz.cli.console import is_quiet, show
+from dynaviz.cli.console import is_quiet, program, show
 from dynaviz.cli.options import DEFAULTS, SEQUENCE, Quiet, RecordModeOption, takes
 
 if TYPE_CHECKING:
@@ -186,6 +186,7 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
         number = len(list(rows))
         yield f"{number} run{'s' * (number != 1)} repeated: {reason}."
     yield f"{done}, {failed} failed. The files of each run are in {out}/SEQUENCE/METHOD."
+    yield f"Click the failures of a run, and see why: {program()} explore {out}/SEQUENCE/METHOD"
     if board.failed:
         log = board.failed[0].folder / "error.log"
         file = log if log.is_file() else log.with_name("error.json")  # a cell that never ran has no log

@@ -104,7 +104,7 @@ def clean(
         show(cleaned, f"Written to {cleaned.maps[0].path} and {cleaned.folder}.")
         if options["record"] != "none":
             recording = shlex.quote(str(cleaned.folder / "run.rrd"))
-            show(f"Check what was removed with: {program()} view {recording}")
+            show(f"Check what was removed with: {program()} view {recording}", f"or: {program()} explore {recording}")
         show(f"Points: {cleaned.account}")
     if cleaned.doubt and not accept:
         warn(cleaned.doubt)

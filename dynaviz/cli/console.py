@@ -69,7 +69,10 @@ def program() -> str:
 
 def written(folder: Path, recorded: bool) -> str:
     """Where the files of a run are, and how to open its recording."""
-    return f"Written to {folder}." + (f" Open it with: {program()} view {folder / 'run.rrd'}" if recorded else "")
+    if not recorded:
+        return f"Written to {folder}."
+    opened = f"Written to {folder}. Open it with: {program()} view {folder / 'run.rrd'}"
+    return f"{opened}\nClick the failures, and see why: {program()} explore {folder}"
 
 
 def show(*items: RenderableType) -> None:

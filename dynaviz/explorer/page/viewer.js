@@ -100,10 +100,11 @@ export class Viewer {
     }
   }
 
-  /** Of things behind each other take the points, which may lie behind a box. */
+  /** Of things behind each other take the points, which may lie behind a box; a ray drawn in front stands for the place. */
   #click(items) {
-    const hits = items.filter(item => item.type === 'entity' && item.position && !item.entity_path.startsWith('/world/explore'))
-    const hit = hits.find(item => item.entity_path === '/world/scan') ?? hits.find(item => item.instance_id !== undefined) ?? hits[0]
+    const hits = items.filter(item => item.type === 'entity' && item.position)
+    const points = hits.filter(item => !item.entity_path.startsWith('/world/explore'))
+    const hit = points.find(item => item.entity_path === '/world/scan') ?? points.find(item => item.instance_id !== undefined) ?? points[0] ?? hits[0]
     if (hit) setTimeout(() => this.on.click(hit))
   }
 }
