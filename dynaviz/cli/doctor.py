@@ -8,6 +8,7 @@ import typer
 
 from dynaviz.cli.console import print_json, progress, show
 from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
+from dynaviz.cli.unposed import open_posed_or_not, proposal
 
 
 def add_to(app: typer.Typer) -> None:
@@ -27,20 +28,22 @@ def doctor(
 ) -> None:
     """Diagnose a sequence and suggest fixes.
 
-    Exit code 0: nothing found, 1: findings, 2: the data cannot be read.
+    Exit code 0: nothing found, 1: findings or no poses, 2: the data cannot be read.
 
     \b
     dynaviz doctor path/to/sequence
     dynaviz doctor kitti/sequences/08 --frames 0:200 --json findings.json
     dynaviz doctor files:scans --poses odometry.txt --sensor vlp16
     """
-    from dynaviz import api
     from dynaviz.diagnosis import doctor as examine
 
-    opened = api.open(sequence, **options)
+    opened, unposed = open_posed_or_not(sequence, options)
     with progress(f"doctor on {opened.name}") as report:
         diagnosis = examine(opened, progress=report)
     if not print_json(diagnosis.to_dict(), json):
         show(diagnosis)
-    if not diagnosis.ok:
+        if unposed:
+            show(f"{opened.name} {unposed}, so only its scans were examined.")
+            show(f"Estimate the poses and clean the map with: {proposal(sequence)}")
+    if unposed or not diagnosis.ok:
         raise typer.Exit(1)

@@ -13,6 +13,7 @@ import typer
 
 from dynaviz.cli.console import print_json, progress, show
 from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
+from dynaviz.cli.unposed import open_posed_or_not, proposal
 
 if TYPE_CHECKING:
     from dynaviz.arrays import F64
@@ -57,7 +58,6 @@ def info(
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
     """
-    from dynaviz import api
     from dynaviz.io.lock import unfinished
 
     if (Path(path) / "result.json").is_file():
@@ -81,9 +81,14 @@ def info(
     else:
         if left := unfinished(Path(path)):
             raise left
-        facts = _sequence_facts(api.open(path, **options))
+        opened, unposed = open_posed_or_not(path, options)
+        facts = _sequence_facts(opened)
+        if unposed:
+            facts |= {"poses": f"none: {unposed}", "distance": "unknown", "extent": "unknown", "low corner": "unknown"}
         if not print_json(facts, json):
             _show_pairs(path, facts)
+            if unposed:
+                show(f"Estimate the poses and clean the map with: {proposal(path)}")
 
 
 def _show_result(result: Result) -> None:

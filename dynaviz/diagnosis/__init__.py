@@ -70,7 +70,9 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         raise errors[0]
     findings += _unreadable(errors)
     if columns := list(check_columns(sequence, checker.indices[0], checker.positions[0])):
-        return Diagnosis.of(sequence.name, len(sequence), len(chosen), columns + findings)  # all else follows from it
+        return Diagnosis.of(
+            sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
+        )  # the rest follows
     alignment_findings = list(_check_alignment(checker, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
     findings += alignment_findings  # first among equal confidence: other findings may follow from these
@@ -80,13 +82,14 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     if len(checker.positions) > 1 and not other_unit:
         findings += trajectory.jumps(checker.positions, checker.indices, checker.poses)
     measured = None if misaligned else noise.result()
-    return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured)
+    return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured, alignment_findings)
 
 
 def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
-    """Compare a few scans of a sequence with each other: the findings on poses, frames and units that are likely.
+    """Compare a few scans with each other; if they do not fit, the likely findings of ``doctor`` on poses and frames.
 
-    Takes less than a second. Simulated sequences, and copies with implants, are not checked: reading them is slow.
+    Takes less than a second if they fit. Simulated sequences, and copies with implants, are not checked: reading them
+    is slow.
     Errors of reading are not reported: reading the whole sequence reports them.
     """
     if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
@@ -100,6 +103,9 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
             checker.check(position, few[position])
         columns = list(check_columns(sequence, checker.indices[0], checker.positions[0]))
         found = columns or list(_check_alignment(checker, silent, quick=True))
+        if all(each.confidence > Confidence.LIKELY for each in found):
+            return ()
+        found = doctor(sequence).of_poses
     except DataError:
         return ()
     likely = (each for each in found if each.confidence <= Confidence.LIKELY)

@@ -80,6 +80,7 @@ class Diagnosis:
         examined: number of frames that were read.
         findings: certain ones first.
         pose_noise: None if too few planes are seen, or if the poses are wrong.
+        of_poses: the findings on poses, frames, units and columns among them.
     """
 
     sequence: str
@@ -87,14 +88,21 @@ class Diagnosis:
     examined: int
     findings: tuple[Finding, ...]
     pose_noise: PoseNoise | None = None
+    of_poses: tuple[Finding, ...] = ()
 
     @classmethod
     def of(
-        cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding], pose_noise: PoseNoise | None = None
+        cls,
+        sequence: str,
+        frames: int,
+        examined: int,
+        findings: Iterable[Finding],
+        pose_noise: PoseNoise | None = None,
+        of_poses: Iterable[Finding] = (),
     ) -> Diagnosis:
         """Sort findings by confidence."""
         ordered = tuple(sorted(findings, key=lambda finding: finding.confidence))
-        return cls(sequence, frames, examined, ordered, pose_noise)
+        return cls(sequence, frames, examined, ordered, pose_noise, tuple(of_poses))
 
     @property
     def ok(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -69,7 +70,18 @@ W_FIRST = PoseFault(
     _QUATERNION,
     lambda T: swapped(T, (1, 2, 3, 0)),
 )
-FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST)
+
+
+def _other_order(order: tuple[int, int, int, int]) -> PoseFault:
+    """Quaternions in an order that no convention has, such as w z y x after bytes were swapped."""
+    read = " ".join("wxyz"[order.index(k)] for k in range(4))
+    problem = f"the components of quaternions are in another order: what was read as w x y z is {read}"
+    return PoseFault("quaternion order", problem, _QUATERNION, lambda T: swapped(T, order))
+
+
+_KNOWN = ((0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0))
+_OTHERS = tuple(_other_order(order) for order in permutations(range(4)) if order not in _KNOWN)
+FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST, *_OTHERS)
 
 
 def jumps(positions: Sequence[int], indices: Sequence[int], poses: Sequence[F64]) -> Iterator[Finding]:

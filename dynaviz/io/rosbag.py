@@ -59,6 +59,15 @@ class Bag:
                 raise TypeError("a topic has messages of several types")
             return {each.topic: each.msgtype for each in connections if counts[each.topic]}
 
+    @property
+    def contents(self) -> dict[str, str]:
+        """For each topic that has messages: its type, their number, and their mean rate, in words."""
+        with self._errors():
+            seconds = self._reader.duration / 1e9
+            counts = {name: info.msgcount for name, info in self._reader.topics.items()}
+        rates = {name: f", {n / seconds:.1f} Hz" if seconds > 0 and n > 1 else "" for name, n in counts.items()}
+        return {name: f"{kind}, {counts[name]:,} messages{rates[name]}" for name, kind in sorted(self.topics.items())}
+
     def messages(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
         """Messages in recorded order: topic, recording time in ns, and message.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.bags import BagWriter
 
 from dynaviz.cli import main
 from dynaviz.io.pcd import write_pcd
@@ -51,3 +52,26 @@ def test_help_begins_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
     assert command("doctor", "--help") == 0
     out = capsys.readouterr().out
     assert out.index("  dynaviz doctor") < out.index("Options:")
+
+
+def test_a_bag_without_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its scans are examined, its topics listed, and the command proposed that estimates the poses."""
+    with BagWriter(tmp_path / "drive") as bag:
+        for k, scan in enumerate(crossing(6)):
+            T = scan.T_world_sensor
+            local = (scan.points - T[:3, 3]) @ T[:3, :3]
+            bag.cloud(k / 10, dict(zip("xyz", local.T.astype(np.float32), strict=True)))
+    cleaning = f"dynaviz clean {bag.path} -o drive_clean.laz"
+    assert command("doctor", bag.path, "--quiet") == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert "poses missing" in out
+    assert f"clean the map with: {cleaning}" in out
+    assert command("info", bag.path, "--quiet") == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"clean the map with: {cleaning}" in out
+    assert command("info", bag.path, "--quiet", "--json", "-") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["/points"] == "sensor_msgs/msg/PointCloud2, 6 messages, 12.0 Hz"
+    assert facts["poses"].startswith("none: has no poses")
+    assert facts["distance"] == "unknown"
+    assert command("doctor", bag.path, "--poses", tmp_path / "absent.tum") == 2

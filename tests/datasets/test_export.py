@@ -62,5 +62,5 @@ def test_labels_of_a_different_sequence_are_refused(folder: Path, tmp_path: Path
     with pytest.raises(DataError, match=r"absent: cannot be read"):
         export_labels(tmp_path / "absent", tmp_path / "out", sequence)
     with pytest.raises(DataError, match="already exists"):
-        export_labels(folder / "run", sequence, folder / "run")
+        export_labels(folder / "run", folder / "run", sequence)
     assert not list(tmp_path.iterdir())

@@ -139,7 +139,8 @@ class RosBagSequence:
             warnings.warn(f"{file}: the stamps of {clouds.topic} decrease at cloud {position}", stacklevel=2)
         time_field = None if frame == "world" or deskew is False else _time_field(bag, clouds, positions)
         facts = {"topic": f"{clouds.topic} (frame {clouds.frame})", "poses": description, "points in": f"{frame} frame",
-                 "deskewed": f"with the field {time_field[0]}" if time_field else "no"}  # fmt: skip
+                 "deskewed": f"with the field {time_field[0]}" if time_field else "no",
+                 **bag.contents}  # fmt: skip
         return cls(file.stem, Sensor(), bag, clouds, positions, T, trajectory, frame, time_field, facts, origin)
 
     @property
