@@ -105,10 +105,10 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
         found = columns or list(_check_alignment(checker, silent, quick=True))
         if all(each.confidence > Confidence.LIKELY for each in found):
             return ()
-        found = doctor(sequence).of_poses
+        of_poses = doctor(sequence).of_poses
     except DataError:
         return ()
-    likely = (each for each in found if each.confidence <= Confidence.LIKELY)
+    likely = (each for each in of_poses if each.confidence <= Confidence.LIKELY)
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
 
 

@@ -18,7 +18,7 @@ T_LIDAR_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 
 Pose = Callable[[F64], F64]
 
 
-def swapped(T: F64, order: tuple[int, int, int, int]) -> F64:
+def swapped(T: F64, order: tuple[int, ...]) -> F64:
     """The pose with the components of its quaternion (w, x, y, z) in another order."""
     return geometry.pose(T[:3, 3], geometry.quaternion(T[:3, :3])[list(order)])
 
@@ -72,7 +72,7 @@ W_FIRST = PoseFault(
 )
 
 
-def _other_order(order: tuple[int, int, int, int]) -> PoseFault:
+def _other_order(order: tuple[int, ...]) -> PoseFault:
     """Quaternions in an order that no convention has, such as w z y x after bytes were swapped."""
     read = " ".join("wxyz"[order.index(k)] for k in range(4))
     problem = f"the components of quaternions are in another order: what was read as w x y z is {read}"
