@@ -131,7 +131,7 @@ def read_corrections(run: Path, sequence: str) -> Corrections:
     except msgspec.ValidationError as error:
         raise DataError(path, f"is not a file of corrections: {error}", hint=_HINT) from None
     if found.schema > SCHEMA:
-        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
     if found.sequence != sequence:
         raise DataError(path, "is for a different sequence than the run", hint=_HINT)
     return found

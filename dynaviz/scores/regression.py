@@ -266,7 +266,7 @@ def read_baseline(path: str | os.PathLike[str]) -> list[BaselineEntry]:
     if not isinstance(plain, dict) or "baseline" not in plain:
         return [BaselineEntry.of(Result.from_dict(plain, path))]
     if isinstance(plain["baseline"], int) and plain["baseline"] > SCHEMA:
-        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
     try:  # an entry has the same keys as a result
         return [BaselineEntry.of(Result.from_dict(row, path)) for row in plain["results"]]
     except (KeyError, TypeError) as error:

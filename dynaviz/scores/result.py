@@ -199,7 +199,7 @@ class Result:
             raise DataError(path, "is not the result of a run", hint=_HINT)
         schema = plain.get("schema", 0)
         if isinstance(schema, int) and schema > SCHEMA:
-            raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+            raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
         names = {f.name for f in dataclasses.fields(cls)} - _NOT_IN_FILE
         fields = {key: value for key, value in plain.items() if key in names}
         rest = {k: v for k, v in plain.items() if k not in {*names, *_NOT_IN_FILE, "schema", "n_parameters"}}

@@ -96,7 +96,7 @@ def read_board(path: Path) -> BoardFile:
     except msgspec.ValidationError as error:
         raise DataError(path, f"is not a valid board: {error}", hint=_HINT) from None
     if board.schema > SCHEMA:
-        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+        raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
     return board
 
 

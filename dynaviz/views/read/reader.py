@@ -173,7 +173,7 @@ class AnyRecording:
         else:
             raise DataError(self.path, "is a Rerun recording, but not from dynaviz", hint="Give the run.rrd of a run")
         if properties["schema"] > paths.SCHEMA:
-            raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade with: pip install -U dynaviz")
+            raise DataError(self.path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
         if kind == paths.PROPERTIES and (lacking := [name for name in NEEDED if name not in properties]):
             problem = f"was written by an older dynaviz and lacks {', '.join(lacking)}"
             raise DataError(self.path, problem, hint="Run the method again")
@@ -347,7 +347,7 @@ def _broken(path: Path, head: bytes) -> DataError:
         return DataError(path, "was written by a Rerun before 0.23, which cannot be read", hint="Run the method again")
     if there > tuple(map(int, here.split(".")[:2])):
         problem = f"was written by rerun {'.'.join(map(str, there))}, newer than the installed {here}"
-        return DataError(path, problem, hint="Upgrade with: pip install -U dynaviz")
+        return DataError(path, problem, hint="Upgrade dynaviz")
     hint = f"Salvage its frames with: dynaviz repair {path}"
     return DataError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
 
