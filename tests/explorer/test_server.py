@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 import time
 import urllib.error
@@ -201,6 +202,23 @@ def test_other_points_are_explained_by_a_replay(explorer: Explorer, runs: dict[s
         time.sleep(0.05)
     expected = json.loads(json.dumps(dv.why(runs["fine"], 0, 3).to_dict()))
     assert {name: answer["why"][name] for name in expected} == expected
+
+
+def test_a_run_with_other_parameters_opens_the_comparison(runs: dict[str, Path], tmp_path: Path) -> None:
+    shutil.copytree(runs["fine"], tmp_path / "fine")
+    with dv.explore(tmp_path / "fine") as server:
+        query = urlencode({"run": "a", "settings": json.dumps({"prob_miss": 0.3})})
+        with urllib.request.urlopen(urllib.request.Request(f"{server.url}api/run?{query}", method="POST")) as answer:
+            state = json.load(answer)
+        end = time.monotonic() + 60
+        while "phase" in state:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+            state = ask(server, "run")
+        with urllib.request.urlopen(f"{state['url']}api/runs", timeout=30) as answer:
+            compared = json.load(answer)
+    assert [compared[letter]["variant"] for letter in "ab"] == ["", "prob_miss=0.3"]
+    assert Result.load(tmp_path / "fine" / "with_prob_miss=0.3" / "result.json").parameters["prob_miss"] == 0.3
 
 
 @pytest.mark.parametrize(
