@@ -16,7 +16,6 @@ import typer
 
 from dynaviz.cli import (
     bench,
-    board,
     check,
     clean,
     compare,
@@ -25,13 +24,11 @@ from dynaviz.cli import (
     doctor,
     explore,
     failures,
-    implant,
     info,
     list,
     live,
     repair,
     report,
-    rescore,
     run,
     score,
     shot,
@@ -59,7 +56,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, clean, live, explore, view, why, compare, run, score, bench, tune, report, check, info, doctor, list,
-    simulate, convert, failures, board, implant, rescore, shot, repair
+    simulate, convert, failures, shot, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

@@ -18,13 +18,16 @@ __all__ = ["GROUPS", "RENAMED", "CommandLineError", "Commands"]
 GROUPS: dict[str, tuple[str, ...]] = {
     "Clean": ("demo", "clean", "live"),
     "Look": ("explore", "view", "why", "compare", "failures", "shot", "repair"),
-    "Evaluate": ("run", "score", "bench", "tune", "report", "check", "board", "rescore"),
-    "Data": ("info", "doctor", "list", "simulate", "convert", "implant"),
+    "Evaluate": ("run", "score", "bench", "tune", "report", "check"),
+    "Data": ("info", "doctor", "list", "simulate", "convert"),
 }
 """The commands by heading, in the order of the help."""
 
 RENAMED = {
+    "board": "report FOLDER --format board",
     "config": "list METHOD",
+    "implant": "simulate implant:SEQ FOLDER",
+    "rescore": "score RUN",
     "download": "convert download:NAME FOLDER",
     "export-labels": "convert RUN FOLDER --labels",
 }

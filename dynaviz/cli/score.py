@@ -8,7 +8,20 @@ from typing import Annotated, Any
 import typer
 
 from dynaviz.cli.console import print_json, progress, show, written
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, Record, RecordModeOption, Threads, takes, typed_command
+from dynaviz.cli.options import (
+    SEQUENCE,
+    Json,
+    Moved,
+    Quiet,
+    Record,
+    RecordModeOption,
+    Threads,
+    refuse,
+    takes,
+    typed_command,
+)
+
+RADIUS = 0.05  # metres
 
 
 def add_to(app: typer.Typer) -> None:
@@ -27,27 +40,32 @@ def score(
         ),
     ],
     sequence: Annotated[
-        str, typer.Argument(metavar="SEQ", help="Sequence with ground truth. FORMAT:PATH forces the format.")
-    ],
+        str | None,
+        typer.Argument(
+            metavar="[SEQ]",
+            help="Sequence with ground truth. FORMAT:PATH forces the format. Without it, MAP is a run, scored again.",
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", help="Output folder. [default: recordings/SEQUENCE/NAME]"),
     ] = None,
     radius: Annotated[
         float, typer.Option(help="A point counts as kept if the map has a point within this radius, in metres.")
-    ] = 0.05,
+    ] = RADIUS,
     name: Annotated[str | None, typer.Option(help="Name in tables. [default: the name of the file or folder]")] = None,
     key: Annotated[
         str | None, typer.Option(metavar="NAME", help="Array with the labels, for .npz files of scans with several.")
     ] = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
+    moved: Moved = None,
     json: Json = None,
     quiet: Quiet = False,
     *,
     options: dict[str, Any],
 ) -> None:
-    """Score a cleaned map, or labels of each scan, from another program.
+    """Score a map or labels from another program, or a run with its corrections.
 
     Writes labels, maps, scores and a recording.
 
@@ -56,10 +74,22 @@ def score(
     dynaviz score cleaned.laz path/to/sequence --radius 0.1 -o out/cleaned
     dynaviz score mapmos/sequences/08/predictions kitti/sequences/08 --name mapmos
     dynaviz score recordings/demo/octomap/labels.npz path/to/demo --name again
+    dynaviz score recordings/demo/octomap
 
     Label files are named by frame number (000000.label). They contain 0 and 1, or classes of SemanticKITTI, of which
     251 and above are moving. Scans without a file are not scored.
+
+    With a run alone, its scores with the ground truth of its corrections.json are shown. They are made in the explorer.
+    The run's own files and its sequence stay as they are.
     """
+    if sequence is None:
+        own = {"out": out, "name": name, "key": key, "json": json, "threads": threads}
+        refuse({**options, **own, "radius": radius != RADIUS, "record": record}, "a run alone. Give SEQ, too")
+        from dynaviz.runs.relabelling import rescore
+
+        show(str(rescore(map, moved)))
+        return
+    refuse({"sequence": moved}, "SEQ")
     from dynaviz import api
     from dynaviz.engine.external import default_name
 

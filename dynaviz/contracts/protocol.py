@@ -1,6 +1,7 @@
 """The contract of a protocol: how a benchmark or a family of papers counts the labels of a run.
 
-Protocols are computed on demand from the stored labels of a run (``dynaviz board``), not during the run.
+Protocols are computed on demand from the stored labels of a run (``dynaviz report --format board``), not
+during the run.
 """
 
 from __future__ import annotations

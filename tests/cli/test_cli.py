@@ -162,7 +162,7 @@ def test_invalid_data_give_one_line(run_command: Command, folder: Path, tmp_path
 @pytest.mark.parametrize("name", RENAMED)
 def test_earlier_commands_name_their_successors(run_command: Command, name: str) -> None:
     code, _, err = run_command(name, "anything", "--at-all")
-    assert (code, one_line(err)) == (2, f"dynaviz: 'dynaviz {name}' is now 'dynaviz {RENAMED[name]}'.\n")
+    assert (code, one_line(err)) == (2, f"dynaviz: 'dynaviz {name}' is now 'dynaviz {RENAMED[name]}'\n")
     assert run_command(RENAMED[name].split()[0], "--help")[0] == 0
 
 

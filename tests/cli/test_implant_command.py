@@ -1,4 +1,4 @@
-"""``dynaviz implant`` and ``implant:`` paths, as a user types them."""
+"""``dynaviz simulate implant:SEQ`` and ``implant:`` paths, as a user types them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from dynaviz.io.pcd import read_pcd
 from dynaviz.synthetic.simulate import simulate
 
 Command = Callable[..., tuple[int, str, str]]
-FEW = ("--cars", 0, "--trucks", 0, "--cyclists", 1, "--persons", 2, "--parks", 0, "--seed", 3)
 QUERY = "cars=0&trucks=0&cyclists=1&persons=2&parks=0&seed=3"
 
 
@@ -32,7 +31,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def test_implants_are_written_run_and_scored(run_command: Command, folder: Path, tmp_path: Path) -> None:
-    code, out, err = run_command("implant", folder, tmp_path / "x", *FEW)
+    code, out, err = run_command("simulate", f"implant:{folder}?{QUERY}", tmp_path / "x")
     assert code == 0, err
     assert "6 frames" in out
     assert "Rays without a return: known from the regular scan pattern" in out
@@ -59,11 +58,11 @@ def test_implants_are_written_run_and_scored(run_command: Command, folder: Path,
 def test_the_same_seed_and_the_scene_file_give_the_same_bytes(
     run_command: Command, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run_command("implant", folder, tmp_path / "a/x", *FEW)[0] == 0
+    assert run_command("simulate", f"implant:{folder}?{QUERY}", tmp_path / "a/x")[0] == 0
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    assert run_command("implant", folder, tmp_path / "b/x", *FEW)[0] == 0
+    assert run_command("simulate", f"implant:{folder}?{QUERY}", tmp_path / "b/x")[0] == 0
     assert digests(tmp_path / "a/x") == digests(tmp_path / "b/x")
-    code, _, err = run_command("implant", folder, tmp_path / "c/x", "--scene", tmp_path / "a/x/implants.toml")
+    code, _, err = run_command("simulate", f"implant:{folder}?scene={tmp_path}/a/x/implants.toml", tmp_path / "c/x")
     assert code == 0, err
     first, again = digests(tmp_path / "a/x"), digests(tmp_path / "c/x")
     assert {name for name in first if first[name] != again[name]} == {"sequence.toml"}  # it has the name
@@ -76,7 +75,8 @@ def test_info_on_a_path(run_command: Command, folder: Path) -> None:
 
 
 def test_frames_of_the_sequence(run_command: Command, folder: Path, tmp_path: Path) -> None:
-    code, _, err = run_command("implant", folder, tmp_path / "x", *FEW, "--frames", "1:4", "--panel", "none")
+    words = ("simulate", f"implant:{folder}?{QUERY}&panel=none", tmp_path / "x", "--frames", "1:4")
+    code, _, err = run_command(*words)
     assert code == 0, err
     assert sorted(path.name for path in (tmp_path / "x/pcd").iterdir()) == [f"{k:06d}.pcd" for k in (1, 2, 3)]
     assert len(dynaviz.open(f"implant:{folder}?{QUERY}&frames=1:4")) == 3

@@ -112,7 +112,7 @@ def test_the_page_corrects_a_case(run: Path, run_command) -> None:
     assert rescore(run).after["DA"] > rescore(run).before["DA"]  # type: ignore[operator]
     (made,) = read_corrections(run, digest(run)).corrections
     assert {box.frame for box in made.boxes} == set(range(case.first_frame, case.last_frame + 1))
-    assert run_command("rescore", run)[:2] == (0, f"{text}\n")
+    assert run_command("score", run)[:2] == (0, f"{text}\n")
     with dv.explore(run) as server:
         assert ask("runs")["a"]["corrections"] == {str(number): "static"}  # type: ignore[index]
         assert ask("correct", "POST", case=number) == {}

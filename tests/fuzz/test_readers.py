@@ -76,7 +76,7 @@ def test_commands_read_or_refuse_damaged_files(name: str, tmp_path: Path) -> Non
 def test_every_command_that_reads_files_has_an_example() -> None:
     """The others read no files of the user: they simulate."""
     names = {command.name for command in app.registered_commands}
-    assert {name.split()[1] for name in COMMANDS} == names - {"simulate", "demo"}
+    assert {name.split()[1] for name in COMMANDS} == names - {"demo"}
 
 
 def test_every_data_set_has_an_example() -> None:

@@ -32,9 +32,9 @@ from helpers.worlds import room
 
 _PROGRESS = re.compile(r"(?!dynaviz:).* [\d,]+/[\d,]+ [a-z]|\[\d+/\d+|compiling kernels")
 
-ONE_CYCLIST = ("--cars", "0", "--trucks", "0", "--cyclists", "1", "--persons", "0", "--parks", "0")
+ONE_CYCLIST = "cars=0&trucks=0&cyclists=1&persons=0&parks=0"
 TUNE = (
-    *("tune", "implant:@room?cars=0&trucks=0&cyclists=1&persons=0&parks=0"),
+    *("tune", f"implant:@room?{ONE_CYCLIST}"),
     *("-m", "octomap", "-o", ">tuned", "--trials", "1", "--seeds", "1", "--holdout", "1"),
     *("--range", "resolution=0.2:0.4"),
 )
@@ -171,7 +171,7 @@ def recorded_demo(folder: Path) -> None:
 
 def board(folder: Path) -> None:
     labels_of_demo(folder)
-    command("board", "@out", "-o", "@board")(folder)
+    command("report", "@out", "--format", "board", "-o", "@board")(folder)
     (folder / "board/index.html").unlink()  # is only written
 
 
@@ -185,7 +185,7 @@ def corrected_demo(folder: Path) -> None:
 
 def implants(folder: Path) -> None:
     write_room(folder / "room", frames=4, rays=500)
-    command("implant", "@room", ">implants", "--panel", "none", *ONE_CYCLIST)(folder)
+    command("simulate", f"implant:@room?panel=none&{ONE_CYCLIST}", ">implants")(folder)
     (folder / "implants/implants.toml").rename(folder / "implants.toml")
     remove(folder / "implants")
 
@@ -222,9 +222,11 @@ COMMANDS = {
         "**/*",
         *(("why", run, "--frame", "1", "--point", "9", "--json", ">why.json") for run in ("@out", "@out/run.rrd")),
     ),
-    "dynaviz board": subject(board, "**/*", ("board", "@out", "-o", "@board")),
-    "dynaviz board --check": subject(board, "**/*", ("board", "@out", "-o", "@board", "--check", "--rerun")),
-    "dynaviz rescore": subject(corrected_demo, "out/corrections.json", ("rescore", "@out", "--sequence", "@demo")),
+    "dynaviz report --format board": subject(board, "**/*", ("report", "@out", "--format", "board", "-o", "@board")),
+    "dynaviz report --format board --check": subject(
+        board, "**/*", ("report", "@out", "--format", "board", "-o", "@board", "--check", "--rerun")
+    ),
+    "dynaviz score RUN": subject(corrected_demo, "out/corrections.json", ("score", "@out", "--sequence", "@demo")),
     "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
     "dynaviz failures RESULT": subject(scored, "out/result.json", ("failures", "@out/result.json")),
     "dynaviz report": subject(
@@ -256,8 +258,8 @@ COMMANDS = {
     "dynaviz list": subject(config, "*", ("list", "octomap", "--config", "@config.toml")),
     "dynaviz bench": subject(plan, "**/*", ("bench", "@bench.toml", "-o", ">bench")),
     "dynaviz bench --resume": subject(plan_and_runs, "bench/**/*", ("bench", "@bench.toml", "-o", "@bench")),
-    "dynaviz implant": subject(
-        implants, "**/*", ("implant", "@room", ">new", "--panel", "none", "--scene", "@implants.toml")
+    "dynaviz simulate": subject(
+        implants, "**/*", ("simulate", "implant:@room?panel=none&scene=@implants.toml", ">new")
     ),
     "dynaviz tune": subject(implants, "room/**/*", TUNE, shortened=without_search),
     "dynaviz tune (with the search)": subject(implants, "room/**/*", TUNE),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 from urllib.parse import unquote
 
@@ -34,7 +34,7 @@ class ImplantOptions:
     frames: str | None = None
     stride: int = 1
     scene: str | None = None
-    panel: tuple[str, ...] = field(default=())
+    panel: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise UsageError for numbers out of range."""
@@ -78,4 +78,6 @@ def _value(key: str, value: str, text: str) -> Any:
             return int(value)
         except ValueError:
             raise UsageError(f"implant:{text}: {key} = {value!r}: give a whole number") from None
-    return tuple(filter(None, value.split(","))) if key == "panel" else value
+    if key == "panel":
+        return () if value == "none" else tuple(filter(None, value.split(",")))
+    return value

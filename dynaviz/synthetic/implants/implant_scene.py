@@ -22,7 +22,7 @@ FORMAT = 1
 CLASSES = {"car": 60001, "truck": 60002, "cyclist": 60003, "person": 60004}
 CLASS_NAMES = {number: f"implanted {kind}" for kind, number in CLASSES.items()}
 WHEELBASE = {"car": 2.6, "truck": 4.0, "cyclist": 1.04, "person": 0.0}  # metres
-_HINT = "Use a scene file that 'dynaviz implant' wrote"
+_HINT = "Use a scene file that 'dynaviz simulate implant:SEQ' wrote"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,11 @@
-"""dynaviz board."""
+"""A leaderboard as a static site: written, or checked by recomputing its entries."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence as Several
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,58 +18,8 @@ if TYPE_CHECKING:
     from dynaviz.runs.sequences import SequenceFinder
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("board")(board)
-
-
-def board(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with the results of runs.")],
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="SITE", help="Folder of the board. [default: FOLDER/board]")
-    ] = None,
-    sequences: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sequence",
-            metavar="SEQ",
-            help="Sequence of some of the runs, if it is not found by their commands or names. Repeatable.",
-        ),
-    ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; recompute every entry and compare digests and scores.")
-    ] = False,
-    rerun: Annotated[
-        bool, typer.Option("--rerun", help="With --check: also run each method again and compare its labels.")
-    ] = False,
-) -> None:
-    """Write a leaderboard as a static site, or recompute its entries.
-
-    The page compares methods by sequence and protocol, shows failure cases, and lists the digest of every entry. It
-    works offline. Scores are computed from the stored labels, so the sequences are needed.
-
-    With --check the exit code is 1 if an entry differs or cannot be recomputed.
-
-    \b
-    dynaviz board recordings/demo
-    dynaviz board recordings/demo --check
-    dynaviz board recordings/demo/octomap -o recordings/demo/board --check --rerun
-    dynaviz board results -o site --sequence semantickitti:kitti/sequences/08
-    """
-    from dynaviz.errors import UsageError
-    from dynaviz.runs.sequences import SequenceFinder
-
-    if rerun and not check:
-        raise UsageError("--rerun: only with --check")
-    site = out or folder / "board"
-    finder = SequenceFinder(sequences or ())
-    if check:
-        _check(folder, site, finder, rerun)
-    else:
-        _write(folder, site, finder)
-
-
-def _write(folder: Path, site: Path, finder: SequenceFinder) -> None:
+def write(folder: Path, site: Path, finder: SequenceFinder) -> None:
+    """Write the board of the results in a folder; scores are computed from the stored labels."""
     from dynaviz.reports.board.write import write_board
 
     with progress("board", unit={"score": "runs"}) as report:
@@ -81,10 +31,11 @@ def _write(folder: Path, site: Path, finder: SequenceFinder) -> None:
     known = sum(bool(entry.protocols) for entry in entries) - written.rescored
     taken_over = f", {known} taken over from the earlier board" if known else ""
     show(f"{_counted(written.rescored, 'run', 'runs')} scored{taken_over}.", f"Written to {written.page}.")
-    show(f"Recompute the entries with: {program()} board {shlex.quote(str(folder))} --check")
+    show(f"Recompute the entries with: {program()} report {shlex.quote(str(folder))} --format board --check")
 
 
-def _check(folder: Path, site: Path, finder: SequenceFinder, rerun: bool) -> None:
+def check(folder: Path, site: Path, finder: SequenceFinder, rerun: bool) -> None:
+    """Recompute all entries of a board. Ends with exit code 1 if one differs or cannot be recomputed."""
     from dynaviz.reports.board.check import check_board
 
     with progress("check", unit="runs") as report:
