@@ -102,16 +102,16 @@ UNITS = {"millimetres": 1000.0, "centimetres": 100.0}
 
 
 def faulty() -> Iterator[tuple[str, str, list[Scan]]]:
-    """Name, expected finding and scans of 60 faults: any order of quaternions, inversion, axes, units, frames."""
-    # Swapping x and y hardly tilts a sensor that turns about z.
-    orders = {f"quaternion {order}": ("quaternion order", partial(shuffled, order=order)) for order in ORDERS
-              if order != [1, 0, 2, 3]}  # fmt: skip
+    """Name, expected finding and scans of faults: orders of quaternions, inversion, axes, units, frames."""
+    # Every third, for time; swapping x and y hardly tilts a sensor that turns about z.
+    chosen = [order for order in ORDERS[::3] if order != [1, 0, 2, 3]]
+    orders = {f"quaternion {order}": ("quaternion order", partial(shuffled, order=order)) for order in chosen}
     scaled = {unit: (unit, partial(far_apart, factor=factor)) for unit, factor in UNITS.items()}
     for kind, (name, wrong) in {**POSES, **orders, **scaled}.items():
         poses = [wrong(scan.T_world_sensor) for scan in SCANS]
         placed_there = [placed(in_sensor_frame(scan), T) for scan, T in zip(SCANS, poses, strict=True)]
         yield f"{kind}, points placed", name, renewed(poses, placed_there)
-        if kind not in orders or kind in list(orders)[::2]:
+        if kind not in orders:
             yield f"{kind}, poses only", name, renewed(poses, [scan.points for scan in SCANS])
     own = [scan.T_world_sensor for scan in SCANS]
     yield "sensor frame", "points in sensor frame", renewed(own, [in_sensor_frame(scan) for scan in SCANS])
@@ -137,8 +137,6 @@ def renewed(poses: list[F64], points: list[Any]) -> list[Scan]:
 
 
 FAULTY = {name: (finding, scans) for name, finding, scans in faulty()}
-# Poses that are only turned leave the points where they are: other findings explain some of them as well.
-UNNAMED = [name for name in FAULTY if name.startswith("quaternion [") and name.endswith("poses only")]
 
 
 @pytest.mark.parametrize("kind", FAULTY)
@@ -147,8 +145,7 @@ def test_the_quick_check_agrees_with_the_doctor(kind: str) -> None:
     found = [finding for finding in diagnose(scans).of_poses if finding.confidence <= Confidence.LIKELY]
     quick = quick_check(InMemory(scans, "crossing", SENSOR))
     assert [each.name for each in quick] == [each.name for each in found]
-    if kind not in UNNAMED:
-        assert [finding.name for finding in found] == [expected]
+    assert [finding.name for finding in found] == [expected]
 
 
 def test_points_in_the_wrong_frame() -> None:
