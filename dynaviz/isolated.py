@@ -17,14 +17,14 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import IO
 
-READING = ("info", "failures", "compare", "report", "repair", "shot", "why")
+READING = ("info", "compare", "report", "repair", "why")
 """Commands that read recordings and end on their own."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 
 
 def run(command: Callable[[], None], words: Sequence[str]) -> None:
-    """Run a command line, in a child process if it is one of ``READING`` and the system can fork.
+    """Run a command line, in a child process if it reads recordings and the system can fork.
 
     To be called before libraries are loaded: a process with threads does not fork safely.
 
@@ -32,7 +32,7 @@ def run(command: Callable[[], None], words: Sequence[str]) -> None:
         command: runs the command line.
         words: the command line without the name of the program.
     """
-    if not words or words[0] not in READING or not hasattr(os, "fork"):
+    if not _reads(words) or not hasattr(os, "fork"):
         command()
         return
     with tempfile.TemporaryFile() as messages:
@@ -52,6 +52,12 @@ def run(command: Callable[[], None], words: Sequence[str]) -> None:
         print("dynaviz:", _crash(-code, words), file=sys.stderr)
         code = 2
     sys.exit(code)
+
+
+def _reads(words: Sequence[str]) -> bool:
+    """Whether a command reads recordings and ends on its own; ``view`` does if it renders pictures."""
+    pictures = any(word.startswith(("-o", "--out", "--clip")) for word in words)
+    return bool(words) and (words[0] in READING or (words[0] == "view" and pictures))
 
 
 def _begin(messages: IO[bytes]) -> None:

@@ -47,7 +47,7 @@ def test_a_run_is_scored_recorded_and_read_again(tmp_path: Path) -> None:
         ("simulate", "square_mid360", scene, "--frames", 3),
         ("run", "octomap", scene, "-o", out),
         ("info", recording),
-        ("failures", recording),
+        ("info", recording, "--failures"),
         ("compare", recording, recording),
     )
     assert done.returncode == 0, done.stderr

@@ -74,7 +74,7 @@ def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
     output = command("dynaviz", "run", "erasor", room, "-o", "run", "--set", "sensor_height=1", **uncompiled)
     assert re.search(r"Open it with: \S*/bin/dynaviz view run/run.rrd$", output, re.MULTILINE), output
     assert "Warning" not in output
-    assert " DA  Kept: " in command("dynaviz", "failures", "run/run.rrd", **uncompiled)
+    assert " DA  Kept: " in command("dynaviz", "info", "run/run.rrd", "--failures", **uncompiled)
     command("dynaviz", "report", "run", "-o", "report.html", **uncompiled)
 
 

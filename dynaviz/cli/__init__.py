@@ -23,7 +23,6 @@ from dynaviz.cli import (
     demo,
     doctor,
     explore,
-    failures,
     info,
     list,
     live,
@@ -31,7 +30,6 @@ from dynaviz.cli import (
     report,
     run,
     score,
-    shot,
     simulate,
     tune,
     view,
@@ -56,7 +54,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, clean, live, explore, view, why, compare, run, score, bench, tune, report, check, info, doctor, list,
-    simulate, convert, failures, shot, repair
+    simulate, convert, repair
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

@@ -1,14 +1,12 @@
-"""dynaviz failures."""
+"""The failure cases of a run in the terminal."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from dynaviz.cli.console import print_json, show
-from dynaviz.cli.options import Json, recording_in
+from dynaviz.cli.options import recording_in
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -16,25 +14,8 @@ if TYPE_CHECKING:
     from dynaviz.scores.sections import Failures, Removals
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("failures")(failures)
-
-
-def failures(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder, run.rrd or result.json of a run.")],
-    top: Annotated[int, typer.Option(min=1, metavar="N", help="Number of cases to list.")] = 20,
-    json: Json = None,
-) -> None:
-    """List the failure cases of a run, costliest first.
-
-    Each case has its position, its frames, its number of points, and the reasons for the errors. For a run without
-    ground truth, this lists clusters of removed points that look suspicious.
-
-    \b
-    dynaviz failures recordings/demo/octomap/run.rrd
-    dynaviz failures recordings/demo/octomap/result.json --top 5 --json failures.json
-    """
+def show_failures(run: Path, top: int, json: Path | None) -> None:
+    """Print the ``top`` costliest failure cases of a run; without ground truth, clusters of removed points."""
     import msgspec
 
     from dynaviz.scores.sections import Failures

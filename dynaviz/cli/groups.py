@@ -17,7 +17,7 @@ __all__ = ["GROUPS", "RENAMED", "CommandLineError", "Commands"]
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Clean": ("demo", "clean", "live"),
-    "Look": ("explore", "view", "why", "compare", "failures", "shot", "repair"),
+    "Look": ("explore", "view", "why", "compare", "repair"),
     "Evaluate": ("run", "score", "bench", "tune", "report", "check"),
     "Data": ("info", "doctor", "list", "simulate", "convert"),
 }
@@ -26,8 +26,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
 RENAMED = {
     "board": "report FOLDER --format board",
     "config": "list METHOD",
+    "failures": "info RUN --failures",
     "implant": "simulate implant:SEQ FOLDER",
     "rescore": "score RUN",
+    "shot": "view RUN -o PICTURE.png",
     "download": "convert download:NAME FOLDER",
     "export-labels": "convert RUN FOLDER --labels",
 }

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
+from dynaviz.cli.failures import show_failures
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, refuse, takes
 from dynaviz.cli.unposed import open_posed_or_not, proposal
+from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:
     from dynaviz.arrays import F64
@@ -42,12 +44,18 @@ def info(
         str,
         typer.Argument(metavar="SEQ|RUN", help="Sequence (FORMAT:PATH forces the format), or a run: folder or file."),
     ],
+    failures: Annotated[
+        bool, typer.Option("--failures", help="List the failure cases of a run, costliest first.")
+    ] = False,
+    top: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="With --failures: number of cases to list. [default: 20]")
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
     *,
     options: dict[str, Any],
 ) -> None:
-    """Describe a sequence, a recording or a result.
+    """Describe a sequence, a recording or a result; list the failures of a run.
 
     For a sequence this shows the detected format, the sensor, the numbers of frames and points, the distance travelled,
     the rate, the share of dynamic points, and the extent.
@@ -57,7 +65,17 @@ def info(
     dynaviz info path/to/scans --poses trajectory.tum
     dynaviz info recordings/demo/octomap/run.rrd
     dynaviz info recordings/demo/octomap/result.json
+    dynaviz info recordings/demo/octomap --failures
+
+    Each failure case has its position, its frames, its number of points, and the reasons for the errors. For a run
+    without ground truth, --failures lists clusters of removed points that look suspicious.
     """
+    if failures:
+        refuse(options, "--failures")
+        show_failures(Path(path), top or 20, json)
+        return
+    if top is not None:
+        raise UsageError("--top: only with --failures")
     from dynaviz.io.lock import unfinished
 
     if (Path(path) / "result.json").is_file():

@@ -72,5 +72,5 @@ def run(
         return
     from dynaviz.cli.cases import top_of
 
-    command = f"{program()} failures {shlex.quote(str(folder / 'result.json'))}"
+    command = f"{program()} info {shlex.quote(str(folder))} --failures"
     show(result, *top_of(result, command), written(folder, running.record != "none"))

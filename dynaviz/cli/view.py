@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli.options import recording_in
+from dynaviz.cli.options import recording_in, refuse
+from dynaviz.cli.pictures import render_pictures
+from dynaviz.errors import UsageError
 
 
 def add_to(app: typer.Typer) -> None:
@@ -17,6 +19,29 @@ def add_to(app: typer.Typer) -> None:
 
 def view(
     recordings: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Recordings, or folders of runs.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            help="Write an image instead, without a display. With several frames, each name gets its number.",
+        ),
+    ] = None,
+    frames: Annotated[
+        list[int] | None, typer.Option("--frame", metavar="N", help="Frame to render. Repeatable. [default: the last]")
+    ] = None,
+    case: Annotated[
+        int | None, typer.Option(metavar="N", help="Failure case to render, by its number in the recording's list.")
+    ] = None,
+    clip: Annotated[
+        Path | None, typer.Option(metavar="CLIP.mp4", help="Output video of the frames of a case; needs --case.")
+    ] = None,
+    view_name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Render only this view. [default: the whole window]")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size of the picture in pixels. [default: 1600x900]")
+    ] = None,
     web: Annotated[
         bool, typer.Option("--web", help="Show them in a browser on this machine instead of a window.")
     ] = False,
@@ -27,13 +52,28 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Open recordings in the viewer.
+    """Open recordings in the viewer, or render pictures and videos of one.
 
     \b
     dynaviz view recordings/demo/octomap/run.rrd
     dynaviz view a.rrd b.rrd --web
     dynaviz view recordings/demo/octomap --web --port 9090
+    dynaviz view recordings/demo/octomap --frame 30 -o octomap.png
+    dynaviz view run.rrd --frame 0 --frame 40 --view-name map -o map.png
+    dynaviz view run.rrd --case 4 --size 3840x2160 -o case.png
+    dynaviz view run.rrd --case 4 --clip case.mp4
     """
+    if out is not None or clip is not None:
+        refuse({"web": web, "port": port}, "-o or --clip")
+        if len(recordings) > 1:
+            raise UsageError("-o and --clip render one recording. Give one RUN")
+        file = recording_in(recordings[0])
+        render_pictures(file, out, clip, tuple(frames or ()), case, view_name, size or "1600x900")
+        return
+    refuse(
+        {"frame": frames, "case": case is not None, "view_name": view_name, "size": size},
+        "a window. Give -o IMAGE.png, or --case N --clip VIDEO.mp4",
+    )
     from dynaviz.views.read.view import view as open_viewer
 
     open_viewer([recording_in(each) for each in recordings], web=web, port=port)

@@ -19,7 +19,7 @@ def add_to(app: typer.Typer) -> None:
 def why(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder, result.json or run.rrd of a run.")],
     frame: Annotated[
-        int, typer.Option(min=0, metavar="F", help="Frame: its position in the run, as in 'dynaviz failures'.")
+        int, typer.Option(min=0, metavar="F", help="Frame: its position in the run, as in 'dynaviz info --failures'.")
     ],
     point: Annotated[int, typer.Option(min=0, metavar="P", help="Point: its row in the scan of that frame.")],
     sequence: Moved = None,

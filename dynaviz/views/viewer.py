@@ -70,7 +70,7 @@ def open_window(*recordings: Path) -> int:
     """
     if not has_screen():
         raise UsageError(
-            "there is no screen to open a viewer on. Use dynaviz view --web for a browser, or dynaviz shot for pictures"
+            "there is no screen to open a viewer on. Use view --web for a browser, or view -o for pictures"
         )
     port = free_port()
     with tempfile.TemporaryFile() as output:

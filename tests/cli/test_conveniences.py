@@ -52,15 +52,16 @@ def test_json_on_standard_output(run_command: Command, folder: Path, tmp_path: P
     assert {row["name"] for row in json.loads(run_command("list", "methods", "--json", "-")[1])["methods"]} > {
         "octomap"
     }
-    assert json.loads(run_command("failures", folder / "run", "--json", "-")[1])["points"] == 2400
+    assert json.loads(run_command("info", folder / "run", "--failures", "--json", "-")[1])["points"] == 2400
 
 
-@pytest.mark.parametrize("command", ["info", "failures"])
-def test_the_folder_of_a_run_is_accepted(run_command: Command, folder: Path, command: str) -> None:
-    of_folder = run_command(command, folder / "run")
+@pytest.mark.parametrize(("file", "options"), [("result.json", ()), ("run.rrd", ("--failures",))])
+def test_the_folder_of_a_run_is_accepted(
+    run_command: Command, folder: Path, file: str, options: tuple[str, ...]
+) -> None:
+    of_folder = run_command("info", folder / "run", *options)
     assert of_folder[0] == 0
-    file = "result.json" if command == "info" else "run.rrd"
-    assert of_folder[1] == run_command(command, folder / "run" / file)[1]
+    assert of_folder[1] == run_command("info", folder / "run" / file, *options)[1]
 
 
 def test_a_comparison_of_folders(run_command: Command, folder: Path, tmp_path: Path) -> None:

@@ -34,8 +34,8 @@ OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["
          "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
          "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
 RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
-WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "failures", "list",
-                    "repair", "report", "shot", "view", "why"}  # fmt: skip
+WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "list",
+                    "repair", "report", "view", "why"}  # fmt: skip
 
 
 class Seen(Exception):

@@ -102,7 +102,7 @@ def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, 
     assert "crossed_by_rays 100" in out
     assert "SA" not in out
     for name in ("result.json", "run.rrd"):
-        code, out, err = run_command("failures", tmp_path / name, "--json", tmp_path / "removals.json")
+        code, out, err = run_command("info", tmp_path / name, "--failures", "--json", tmp_path / "removals.json")
         assert code == 0, err
         assert "There is no ground truth, so it is unknown which points are wrong." in out
         assert f"{removals['removed']:,} of {removals['points']:,} points were removed" in out

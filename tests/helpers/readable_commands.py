@@ -211,11 +211,11 @@ def configured_demo(folder: Path) -> None:
 
 COMMANDS = {
     "dynaviz info RECORDING": subject(recordings, "run.rrd", ("info", "@run.rrd")),
-    "dynaviz failures RECORDING": subject(recordings, "run.rrd", ("failures", "@run.rrd")),
+    "dynaviz info RECORDING --failures": subject(recordings, "run.rrd", ("info", "@run.rrd", "--failures")),
     "dynaviz compare": subject(recordings, "run.rrd", ("compare", "@run.rrd", "@other.rrd", "-o", ">both.rrd")),
     "dynaviz repair": subject(recordings, "run.rrd", ("repair", "@run.rrd", "-o", ">repaired.rrd")),
     "dynaviz view": subject(recordings, "run.rrd", ("view", "@run.rrd")),
-    "dynaviz shot": subject(recordings, "run.rrd", ("shot", "@run.rrd", "-o", ">shot.png")),
+    "dynaviz view -o": subject(recordings, "run.rrd", ("view", "@run.rrd", "-o", ">picture.png")),
     "dynaviz explore": subject(recordings, "run.rrd", ("explore", "@run.rrd", "@other.rrd", "--no-browser")),
     "dynaviz why": subject(
         recorded_demo,
@@ -228,7 +228,7 @@ COMMANDS = {
     ),
     "dynaviz score RUN": subject(corrected_demo, "out/corrections.json", ("score", "@out", "--sequence", "@demo")),
     "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
-    "dynaviz failures RESULT": subject(scored, "out/result.json", ("failures", "@out/result.json")),
+    "dynaviz info RESULT --failures": subject(scored, "out/result.json", ("info", "@out/result.json", "--failures")),
     "dynaviz report": subject(
         scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv", "latex"))
     ),

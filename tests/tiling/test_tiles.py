@@ -346,7 +346,7 @@ def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., 
         rows = {f"{row.column}_{row.row}": getattr(row, name) for row in result.sections.tiling.tile}
         assert {tile: each.counts[name] for tile, each in recorded.items() if each} == rows
         assert sum(rows.values()) == result.counts[name]
-    code, out, err = run_command("failures", run / "result.json")
+    code, out, err = run_command("info", run / "result.json", "--failures")
     assert code == 0, err
     whole = dv.run("dufomap", room_folder, out=tmp_path / "whole")
     comparison = dv.compare(tmp_path / "whole/run.rrd", run / "run.rrd")

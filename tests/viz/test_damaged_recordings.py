@@ -74,7 +74,7 @@ def test_a_damaged_chunk(whole: Path, tmp_path: Path, run_command: Command, dama
     broken = damaged(whole, tmp_path / "run.rrd", damage)
     for words in (
         ("info", broken),
-        ("failures", broken),
+        ("info", broken, "--failures"),
         ("compare", whole, broken, "-o", tmp_path / "both.rrd"),
         ("why", broken, "--frame", 0, "--point", 0),
     ):

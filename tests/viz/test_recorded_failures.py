@@ -67,7 +67,7 @@ def test_what_an_unfinished_run_without_truth_removed_is_counted(little_room, tm
     cut = cut_short(scans, tmp_path / "cut.rrd", "scores")
     assert whole.clusters
     assert removals_of(cut) == msgspec.structs.replace(whole, clusters=(), others=CaseTotals())
-    code, out, _ = run_command("failures", cut)
+    code, out, _ = run_command("info", cut, "--failures")
     assert (code, f"{whole.removed:,} of {whole.points:,} points" in out) == (0, True)
 
     class Stopping(Listener):

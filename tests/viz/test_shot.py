@@ -99,7 +99,8 @@ def test_a_window_without_pixels_is_refused(recording: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        ((), "nothing to write. Give -o IMAGE.png, or --case N --clip VIDEO.mp4"),
+        (("--case", "1"), "--case: not with a window. Give -o IMAGE.png, or --case N --clip VIDEO.mp4"),
+        (("-o", "case.png", "--web"), "--web: not with -o or --clip"),
         (("--clip", "case.mp4"), "--clip shows the frames of a case. Give its number with --case N"),
         (("--case", "1", "--clip", "case.gif"), "--clip case.gif: the name must end in .mp4"),
         (("-o", "case.mp4"), "-o case.mp4: is for images. Give --clip case.mp4"),
@@ -108,7 +109,7 @@ def test_a_window_without_pixels_is_refused(recording: Path) -> None:
 def test_the_command_says_what_is_missing(
     arguments: tuple[str, ...], problem: str, run_command: Callable[..., tuple[int, str, str]]
 ) -> None:
-    assert run_command("shot", "run.rrd", *arguments) == (2, "", f"dynaviz: {problem}\n")
+    assert run_command("view", "run.rrd", *arguments) == (2, "", f"dynaviz: {problem}\n")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="takes Vulkan away the way Linux finds it")

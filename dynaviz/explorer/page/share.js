@@ -5,7 +5,7 @@ import { address } from './state.js'
 /** The buttons of a case. */
 export function buttons(card, run) {
   const query = { run: card.of, case: card.number }, name = `case-${card.number}`
-  const command = `dynaviz shot ${run.path} --case ${card.number} -o ${name}.png`
+  const command = `dynaviz view ${run.path} --case ${card.number} -o ${name}.png`
   return [
     button('Link', () => copy(location.origin + address())),
     button('Command', () => copy(command)),

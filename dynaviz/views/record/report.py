@@ -197,7 +197,7 @@ def _sentences(result: Result) -> str:
         return ""
     others = result.sections.failures.others.cases if result.sections.failures else 0
     rest = len(result.failures) - len(rows) + others
-    more = f"\n\n{rest:,} smaller cases are not shown; `dynaviz failures` lists more." if rest else ""
+    more = f"\n\n{rest:,} smaller cases are not shown; `dynaviz info --failures` lists more." if rest else ""
     head = ("#", "frames", "what happened", "reasons given by the method")
     return "### Failure cases\n\n" + table([head, *rows]) + more
 
