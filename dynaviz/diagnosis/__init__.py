@@ -14,6 +14,7 @@ from dynaviz.contracts.scan import Scan, Sequence, SequenceView, base_of
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
+from dynaviz.diagnosis.drift import AWAY, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
@@ -31,6 +32,7 @@ MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive
 QUICK_PAIRS, QUICK_GAP = 3, 5  # pairs of frames of a quick check, and frames from one to the other
 QUICK_POINTS = 30_000  # of each of these frames, at most
 PAIRS = 6  # pairs of scans that are compared
+PLACES, QUICK_PLACES = 12, 5  # scans whose places are looked for in later ones, to find drift
 MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
 
@@ -79,8 +81,13 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     other_unit = any(finding.name in FACTORS for finding in alignment_findings)
     follow = {"ego points", *(("far points",) if other_unit else ())} if misaligned else set[str]()
     findings += (finding for finding in checker.findings() if finding.name not in follow)
-    if len(checker.positions) > 1 and not other_unit:
-        findings += trajectory.jumps(checker.positions, checker.indices, checker.poses)
+    jumps = list(trajectory.jumps(checker.positions, checker.indices, checker.poses)) if not other_unit else []
+    findings += jumps
+    if not misaligned and not jumps:
+        places = looks(checker.positions, checker.poses, checker.usable, PLACES)
+        drift = list(check_drift(_views(checker, list(places), progress)))
+        findings += drift
+        alignment_findings += drift
     measured = None if misaligned else noise.result()
     return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured, alignment_findings)
 
@@ -102,7 +109,7 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
         for position in sorted({int(start) + k for start in starts for k in (0, gap)}):
             checker.check(position, few[position])
         columns = list(check_columns(sequence, checker.indices[0], checker.positions[0]))
-        found = columns or list(_check_alignment(checker, silent, quick=True))
+        found = columns or list(_check_alignment(checker, silent, quick=True)) or list(_quick_drift(few, checker, gap))
         if all(each.confidence > Confidence.LIKELY for each in found):
             return ()
         of_poses = doctor(sequence).of_poses
@@ -110,6 +117,15 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
         return ()
     likely = (each for each in of_poses if each.confidence <= Confidence.LIKELY)
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
+
+
+def _quick_drift(few: _FewPoints, checker: ScanChecker, gap: int) -> Iterator[Finding]:
+    """Compare scans over the whole sequence with those that the sensor measures after about ``AWAY``."""
+    ends = np.array([pose[:3, 3] for pose in checker.poses])
+    speed = float(np.median(np.linalg.norm(ends[1::2] - ends[::2], axis=1))) / gap if len(ends) % 2 == 0 else 0.0
+    later = min(int(AWAY / speed) + 1 if speed > AWAY / len(few) else len(few), len(few) - 1)
+    starts = sorted({*np.linspace(0, len(few) - 1 - later, QUICK_PLACES).astype(int).tolist()})
+    yield from check_drift((ScanView(few[k]), ScanView(few[k + later])) for k in starts)
 
 
 @dataclass(frozen=True)
