@@ -81,8 +81,9 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     other_unit = any(finding.name in FACTORS for finding in alignment_findings)
     follow = {"ego points", *(("far points",) if other_unit else ())} if misaligned else set[str]()
     findings += (finding for finding in checker.findings() if finding.name not in follow)
-    jumps = list(trajectory.jumps(checker.positions, checker.indices, checker.poses)) if not other_unit else []
-    findings += jumps
+    jumps = list[Finding]()
+    if len(checker.positions) > 1 and not other_unit:
+        findings += (jumps := list(trajectory.jumps(checker.positions, checker.indices, checker.poses)))
     if not misaligned and not jumps:
         places = looks(checker.positions, checker.poses, checker.usable, PLACES)
         drift = list(check_drift(_views(checker, list(places), progress)))
@@ -95,7 +96,7 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
 def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     """Compare a few scans with each other; if they do not fit, the likely findings of ``doctor`` on poses and frames.
 
-    Takes less than a second if they fit. Simulated sequences, and copies with implants, are not checked: reading them
+    Takes about a second if they fit. Simulated sequences, and copies with implants, are not checked: reading them
     is slow.
     Errors of reading are not reported: reading the whole sequence reports them.
     """

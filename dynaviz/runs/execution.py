@@ -238,9 +238,7 @@ def _overwritten(path: Path) -> list[Path]:
 
 
 def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
-    """What is likely wrong with poses or points, with a warning. Data sets with ground truth are taken to be right."""
-    if sequence.has_labels:
-        return ()
+    """What is likely wrong with poses or points, with a warning; data sets with ground truth are no exception."""
     from dynaviz.diagnosis import quick_check
 
     findings = tuple(quick_check(sequence))

@@ -10,9 +10,9 @@ import pytest
 
 import dynaviz as dv
 from dynaviz.arrays import F64
+from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis import Confidence, doctor, quick_check
 from dynaviz.diagnosis.finding import Finding
-from dynaviz.scan import Scan
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing, moved, turn
 
