@@ -44,6 +44,10 @@ class Reason:
     cause: Cause | None = None
 
 
+AT_SENSOR = Reason("at_sensor", "kept unjudged: at the sensor, nearer than its minimum range, or part of its carrier")
+"""The last reason of every method: of points that the run does not show to it."""
+
+
 @dataclass(frozen=True, slots=True)
 class MethodInfo:
     """Facts about a method, known before it runs.
@@ -52,7 +56,7 @@ class MethodInfo:
         name: as on the command line, in tables and in the recording's paths.
         title: as written in prose.
         paper: where it was published.
-        reasons: the legend of the reason codes, by code.
+        reasons: the legend of the reason codes, by code; ``AT_SENSOR`` is appended.
         emits: the states it can show.
         needs_map: whether it needs the raw map before the first scan (an offline method).
         uses: facts of the sensor, by their names in ``Sensor``, that it can do without, but not as well. Like those
@@ -66,6 +70,10 @@ class MethodInfo:
     emits: tuple[State, ...] = ()
     needs_map: bool = False
     uses: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if AT_SENSOR not in self.reasons:
+            object.__setattr__(self, "reasons", (*self.reasons, AT_SENSOR))
 
 
 @dataclass(frozen=True, slots=True)

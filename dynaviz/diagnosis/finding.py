@@ -22,6 +22,7 @@ _OPTIONS = {
     "points in sensor frame": "--points-in sensor",
     "points in world frame": "--points-in world",
     "poses missing": "--poses small-gicp",
+    "poses drift": "--poses small-gicp",
 }
 
 

@@ -16,9 +16,10 @@ import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import all_finite
+from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
-from dynaviz.contracts.method import Context, Labeller, Labels, Method
+from dynaviz.contracts.method import AT_SENSOR, Context, Labeller, Labels, Method
 from dynaviz.contracts.metric import Figure, Labelled, Metric
 from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
@@ -162,11 +163,12 @@ def execute(
         DataError: for data that cannot be read.
     """
     listeners, total, clock, answer = tuple(listeners), len(run.sequence), Clock(), PackedBits()
-    counts, removed, not_finite = array("q"), 0, 0
+    counts, removed, not_finite, at_sensor = array("q"), 0, 0, 0
     labeller, method, threads = run.labeller, run.method, kernels.set_threads(run.threads)
     summary = run.summary or summarize(
         run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
     )
+    near, info = AtSensor(run.sequence.sensor), labeller.info
     if method:
         _warm_up(method, run, probe)
     clock.prepare(lambda: labeller.begin(_context(run, summary, probe)))
@@ -177,19 +179,22 @@ def execute(
         for listener in listeners:
             listener.observing(frame, scan)
         if method:
-            clock.timed(frame, method.observe, scan.without_truth())
+            clock.timed(frame, method.observe, near.hidden(scan)[0])
         for listener in listeners:
             listener.observed(frame)
         progress("observe", frame + 1, total)
 
     def label(frame: int, scan: Scan) -> None:
-        nonlocal removed, not_finite
-        labels = clock.timed(frame, labeller.label, scan.without_truth())
-        _check(labeller.info.name, labels, len(scan))
+        nonlocal removed, not_finite, at_sensor
+        seen, found = near.hidden(scan) if method else (scan.without_truth(), None)
+        labels = clock.timed(frame, labeller.label, seen)
+        _check(info.name, labels, len(scan))
+        labels = labels if found is None else unjudged(labels, found, info)
         answer.append(labels.dynamic)
         counts.append(len(scan))
         finite = all_finite(scan.points)
         removed, not_finite = removed + int((labels.dynamic & finite).sum()), not_finite + int((~finite).sum())
+        at_sensor += int(np.count_nonzero(labels.reasons == info.reasons.index(AT_SENSOR)))
         labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
@@ -215,7 +220,7 @@ def execute(
     )
     answers = RunAnswers(run.sequence, labels, run.folder, run.recording)
     instrumented = method is not None and probe is not SILENT
-    result = _result(run, summary, sections, runtime, answers, account, answer.sha256(), instrumented)
+    result = _result(run, summary, at_sensor, sections, runtime, answers, account, answer.sha256(), instrumented)
     figures = {path: figure for metric in run.metrics for path, figure in metric.figures().items()}
     for listener in listeners:
         listener.finish(result, figures)
@@ -260,6 +265,7 @@ def _sections(metrics: Iterable[Metric]) -> Sections:
 def _result(
     run: RunSpec,
     summary: SequenceSummary,
+    at_sensor: int,
     sections: Sections,
     runtime: Runtime,
     answers: RunAnswers,
@@ -271,7 +277,7 @@ def _result(
     return Result(
         method=name,
         parameters=dataclasses.asdict(run.params),
-        sequence=SequenceInfo(run.sequence.name, summary.digest, summary.frames, summary.points),
+        sequence=SequenceInfo(run.sequence.name, summary.digest, summary.frames, summary.points, at_sensor),
         sections=sections,
         runtime=runtime,
         online=run.online,
@@ -314,16 +320,16 @@ def _context(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
                 f"{summary.points:,} in {summary.frames:,} frames. Use fewer with --frames A:B or --stride N"
             )
         raw_map = np.empty((summary.points, 3), np.float32)
-        end = 0
+        end, near = 0, AtSensor(run.sequence.sensor)
         for scan in stream(run.sequence):
-            raw_map[end : end + len(scan)] = scan.points
+            raw_map[end : end + len(scan)] = near.hidden(scan)[0].points
             end += len(scan)
     return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
 def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:
     """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no frame's time."""
-    scan = run.sequence[0].without_truth()
+    scan, _ = AtSensor(run.sequence.sensor).hidden(run.sequence[0])
     copy = type(method)(run.params)
     copy_probe = SILENT if probe is SILENT else MemoryProbe()
     raw_map = scan.points if method.info.needs_map else None

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context, Method
-from dynaviz.contracts.scan import Scan, Sequence
+from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.contracts.sensors import Sensor
+from dynaviz.sources.carrier import estimate_carrier
 from dynaviz.sources.sensing import with_needed_facts
 
 
 def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
     """The sequence, with estimates in place of facts of the sensor that the method needs or uses and that are unknown.
 
+    What carries the sensor is estimated, too, so that no method sees it.
+
     Args:
         method, params: what will run.
-        sequence: what it will run on; only its first scan is read, if nothing is missing.
+        sequence: what it will run on; some of its scans are read.
 
     Raises:
         UsageError: if the method needs a fact that cannot be estimated.
@@ -26,4 +30,7 @@ def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
         raw_map = scan.points if method.info.needs_map else None
         method(params).begin(Context(Extent.of(scan), sensor, raw_map=raw_map))
 
-    return with_needed_facts(begin, sequence, method.info.uses)
+    known = with_needed_facts(begin, sequence, method.info.uses)
+    if known.sensor.carrier or not (carrier := estimate_carrier(known)):
+        return known
+    return select_frames(known, sensor=replace(known.sensor, carrier=carrier))

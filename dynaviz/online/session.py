@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from dynaviz.arrays import F32, F64, single
 from dynaviz.blocks.window import Window
+from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.attributes import far_origin
 from dynaviz.contracts.given import given_points, given_pose
 from dynaviz.contracts.method import Context, Labels, Live, Method, MethodInfo, Relabels
@@ -70,6 +71,7 @@ class LiveSession:
     def __init__(self, method: Method, sensor: Sensor, settings: Settings, probe: Probe = SILENT) -> None:
         self.settings, self.restarts = settings, 0
         self._method, self._sensor, self._probe = method, sensor, probe
+        self._near = AtSensor(sensor)
         self._kept: deque[Scan] = deque()
         self._count = 0
         self._origin: F64 | None = None  # subtracted from all positions
@@ -148,7 +150,10 @@ class LiveSession:
         Later scans show what earlier ones could not: that a car which stood drove off, or that space is empty.
         """
         scans, method = list(self._kept), self._method
-        labels = method.relabel(scans) if isinstance(method, Relabels) else [method.label(scan) for scan in scans]
+        seen = [self._near.hidden(scan) for scan in scans]
+        shown = [scan for scan, _ in seen]
+        labels = method.relabel(shown) if isinstance(method, Relabels) else [method.label(scan) for scan in shown]
+        labels = [unjudged(each, found, self.info) for each, (_, found) in zip(labels, seen, strict=True)]
         return [Revised(scan.index, scan.stamp_ns, each) for scan, each in zip(scans, labels, strict=True)]
 
     def _begin(self) -> None:
@@ -158,8 +163,9 @@ class LiveSession:
 
     def _learn(self, scan: Scan) -> Labels:
         self._window.follow(scan)
-        self._method.observe(scan)
-        return self._method.label(scan)
+        seen, found = self._near.hidden(scan)
+        self._method.observe(seen)
+        return unjudged(self._method.label(seen), found, self.info)
 
     def _forget(self, scan: Scan) -> None:
         if isinstance(self._method, Live):

@@ -108,7 +108,7 @@ def estimate_sensor(sequence: Sequence) -> Sensor:
     if not (rays := [each for each in rays if len(each.ranges) > 100]):
         return Sensor()
     rows = _rows(sequence, positions, rays)
-    heights = [height for each in rays if (height := _height(each)) is not None]
+    heights = [height for each in rays if (height := height_of(each)) is not None]
     every = np.concatenate([each.elevations for each in rays])
     ranges = np.concatenate([each.ranges for each in rays])
     low, high = _ends(every, ranges, 0.05 if rows is None else 0.02)
@@ -250,7 +250,7 @@ def _ends(elevations: F64, ranges: F64, stray: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _height(rays: ScanRays) -> float | None:
+def height_of(rays: ScanRays) -> float | None:
     """Distance of the sensor from the plane of the ground; None if there is none."""
     x, y, z = rays.ends.T
     around, lowest = np.hypot(x, y), np.radians(max(-float(np.percentile(rays.elevations, 0.5)), 1.0))

@@ -32,6 +32,7 @@ class Sensor:
         points_per_sweep: for sensors without rings.
         mounts: (x, y, z, roll, pitch, yaw) in metres and degrees of each lidar in the sensor frame (T_sensor_lidar),
             if several were merged into one scan.
+        carrier: cubes of 0.2 m in the sensor frame, by their indices, that are filled by what carries the sensor.
     """
 
     name: str = "unknown"
@@ -48,6 +49,7 @@ class Sensor:
     rate: float | None = None
     points_per_sweep: int | None = None
     mounts: tuple[tuple[float, ...], ...] = field(default=())
+    carrier: tuple[tuple[int, int, int], ...] = field(default=())
 
 
 def sensor_names() -> list[str]:
@@ -101,6 +103,8 @@ def _valid(key: str, value: Any) -> bool:
         return numbers(value, 2) and value[0] < value[1]
     if key == "elevations":
         return numbers(value)
+    if key == "carrier":
+        return isinstance(value, list) and all(numbers(row, 3) and all(type(x) is int for x in row) for row in value)
     if key == "mounts":
         return isinstance(value, list) and all(numbers(row, 6) for row in value)
     if key in ("rings", "points_per_sweep"):
