@@ -9,7 +9,7 @@ import dataclasses
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64, Bool
+from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.method import AT_SENSOR, Labels, MethodInfo
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
@@ -38,8 +38,8 @@ class AtSensor:
         with np.errstate(invalid="ignore"):
             squared = scan.squared_ranges()
             found: Bool = squared < self._nearest**2
-            near = np.flatnonzero((squared < self._reach**2) & ~found) if len(self._cubes) else ()
-        if len(near):
+        if len(self._cubes):
+            near = np.flatnonzero((squared < self._reach**2) & ~found)
             found[near] = np.isin(_keys(cubes_of(scan, near)), self._cubes)
         x, y, z = (scan.points[:, axis] == 0 for axis in range(3))
         zero = x & y & z
@@ -67,7 +67,7 @@ def unjudged(labels: Labels, found: Bool, info: MethodInfo) -> Labels:
     return dataclasses.replace(labels, dynamic=labels.dynamic & ~found, reasons=np.where(found, code, labels.reasons))
 
 
-def cubes_of(scan: Scan, rows: I64) -> I64:
+def cubes_of(scan: Scan, rows: Intp) -> I64:
     """(K, 3) int64: the cubes of edge ``CUBE`` in the sensor frame that contain some points of a scan, (K,) rows."""
     local: F64 = geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points[rows].astype(np.float64))
     return np.floor(local / CUBE).astype(np.int64)

@@ -80,7 +80,7 @@ def looks(
         Rows of the arguments.
     """
     rows = np.flatnonzero(usable)
-    where, frame = np.array([poses[row][:3, 3] for row in rows]).reshape(-1, 3), np.asarray(positions)[rows]
+    where, frame = np.array([poses[row][:3, 3] for row in rows.tolist()]).reshape(-1, 3), np.asarray(positions)[rows]
     for k in np.unique(np.linspace(0, max(len(rows) - 2, 0), number).astype(int)):
         distances = np.linalg.norm(where[k + 1 :] - where[k], axis=1)
         away = np.flatnonzero((distances >= AWAY) & (distances < 2 * AWAY))
