@@ -171,7 +171,7 @@ CHECKS = (
     Check("no return", no_return, 0, Confidence.CERTAIN,
           "up to {worst:,.0f} points of a scan are at the sensor itself or at exactly (0, 0, 0): rays without return, "
           "which block every other ray that starts there",
-          f"{_DROP}, or let methods ignore them: {{near}}"),
+          f"Nothing for runs: they leave these points unjudged. For other programs: {_DROP[0].lower()}{_DROP[1:]}"),
     Check("ego points", ego, 0.01, Confidence.CERTAIN,
           f"in up to {{worst:.0%}} of all directions something nearer than {NEAR} m, "
           "such as the sensor's carrier, blocks the rays",

@@ -296,7 +296,7 @@ def _removal_table(results: Sequence[Result], title: str | None) -> Table:
 
     slowed = ["* runtime includes recording of states"] if any(result.instrumented for result in results) else []
     note = "There is no ground truth, so it is unknown which points were removed rightly"
-    table = _plain_table(results, title, "\n".join([note, *slowed]))
+    table = _plain_table(results, title, "\n".join([note, *_at_sensor(results), *slowed]))
     for name in ("removed", "in %"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("main reasons", overflow="fold")
@@ -323,9 +323,16 @@ def _caption(results: Sequence[Result], scorings: Sequence[str]) -> str:
         "FP: static points removed, FN: dynamic points kept",
         *([f"scoring: {scorings[0]}"] if len(scorings) == 1 else []),
         *(f"{result.method}: {note}" for result in results if (note := result.unanswered)),
+        *_at_sensor(results),
         *(["* runtime includes recording of states"] if any(result.instrumented for result in results) else []),
     ]
     return "\n".join(lines)
+
+
+def _at_sensor(results: Sequence[Result]) -> list[str]:
+    """A line per sequence with points that no method sees."""
+    counts = {result.sequence.name: n for result in results if (n := result.sequence.at_sensor)}
+    return [f"{name}: {n:,} points at the sensor were left unjudged" for name, n in counts.items()]
 
 
 def _group(result: Result) -> tuple[str, str]:
