@@ -15,16 +15,13 @@ ROUNDED = 0.02  # metres around the box of a case, whose corners are rounded
 
 
 class SequenceInfo(Struct, frozen=True):
-    """What a run ran on; ``digest`` covers points, poses and labels of all frames.
-
-    ``at_sensor`` is the number of points that the method did not see, because they are at the sensor.
-    """
+    """What a run ran on; ``digest`` covers points, poses and labels of all frames."""
 
     name: str = ""
     digest: str = ""
     frames: int = 0
     points: int = 0
-    at_sensor: int = 0
+    at_sensor: int = 0  # points that the method did not see, because they are at the sensor
 
 
 class Runtime(Struct, frozen=True):
