@@ -60,8 +60,7 @@ class Source(Struct, frozen=True):
     Attributes:
         static_within_1_m: percent of the static points with a point of the map within 1 m.
         remarks: what a user should know before trusting the scores, one line each.
-        unanswered_frames: positions in the run of frames without labels.
-        unanswered_points: points of these frames, which are not scored.
+        unanswered_frames, unanswered_points: positions in the run of frames without labels; their points, not scored.
     """
 
     file: str = ""

@@ -192,7 +192,7 @@ def test_the_files_contain_the_labels(little_room: InMemory, tmp_path: Path) -> 
     with np.load(tmp_path / "labels.npz") as z:
         np.testing.assert_array_equal(np.unpackbits(z["dynamic"])[: z["points"].sum()], expected)
         np.testing.assert_array_equal(z["reasons"], expected)
-        assert z["reason_names"].tolist() == ["low", "high"]
+        assert z["reason_names"].tolist() == ["low", "high", "at_sensor"]
         assert z["frames"].tolist() == [10, 11, 12, 13, 14, 15]
         assert str(z["sequence_digest"]) == result.sequence.digest
         assert str(z["labels_sha256"]) == result.labels_sha256 == hashlib.sha256(z["dynamic"].tobytes()).hexdigest()
