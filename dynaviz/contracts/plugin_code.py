@@ -6,6 +6,7 @@ import ast
 import hashlib
 import importlib.util
 import re
+import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from dynaviz.contracts import registry
 
 SHARED = ("dynaviz.kernels", "dynaviz.blocks", "dynaviz.spatial")
 """Packages of dynaviz whose code may decide labels."""
+_parsing = threading.Lock()  # threads that parse at once share a counter in Python 3.11, which then raises SystemError
 
 
 class Plugin(Struct, frozen=True):
@@ -72,7 +74,9 @@ def _imports(module: str, file: Path) -> Iterator[str]:
     """Names of modules that a file may import; of ``from a import b``, both a and a.b."""
     text = file.read_text(encoding="utf-8")
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(ast.parse(text)):
+    with _parsing:
+        tree = ast.parse(text)
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

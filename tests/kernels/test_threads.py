@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import json
 import os
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import pytest
 from helpers.worlds import room
 
 from dynaviz import api
+from dynaviz.contracts import plugin_code, registry
 
 METHODS = ("octomap", "dufomap")  # both have parallel kernels
 THREADS = 8
@@ -95,6 +98,25 @@ def test_the_threading_layer_does_not_depend_on_the_order_of_imports(code: str) 
 
 def test_the_user_may_select_the_threading_layer() -> None:
     assert python(LAYER, NUMBA_THREADING_LAYER_PRIORITY="workqueue omp tbb") == "workqueue"
+
+
+def test_code_of_methods_is_read_in_threads() -> None:
+    """In Python 3.11, threads that parse at once fail if one of them waits while it builds the tree."""
+    names = [handle.name for handle in registry.handles("methods")]
+
+    def wait(*_: object) -> None:
+        time.sleep(0)
+
+    before = gc.get_threshold()
+    gc.callbacks.append(wait)
+    gc.set_threshold(50)
+    try:
+        with ThreadPoolExecutor(THREADS) as pool:
+            found = list(pool.map(lambda name: plugin_code.plugin.__wrapped__("methods", name), names))
+    finally:
+        gc.set_threshold(*before)
+        gc.callbacks.remove(wait)
+    assert found == [plugin_code.plugin("methods", name) for name in names]
 
 
 def test_recordings_in_threads(tmp_path: Path) -> None:
