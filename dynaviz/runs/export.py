@@ -39,10 +39,10 @@ def export_labels(
             written.
         UsageError: if the run does not state where its sequence came from.
     """
-    saved = open_run(run)
-    labels, opened, removed = saved.labeller, saved.sequence(sequence), 0
-    total = len(opened)
+    saved, removed = open_run(run), 0
     with atomic_folder(out) as folder:
+        labels, opened = saved.labeller, saved.sequence(sequence)
+        total = len(opened)
         summary = summarize(opened, lambda done: progress("checking", done, total))
         labels.check(opened.name, summary)
         for done, scan in enumerate(stream(opened), 1):
