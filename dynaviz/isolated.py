@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import shlex
 import signal
 import sys
 import tempfile
@@ -17,7 +16,7 @@ from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import IO
 
-READING = ("info", "compare", "report", "repair", "why")
+READING = ("info", "compare", "report", "why")
 """Commands that read recordings and end on their own."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
@@ -99,8 +98,4 @@ def _crash(number: int, words: Sequence[str]) -> str:
     name = signal.Signals(number).name
     if number == signal.SIGKILL:
         return f"{words[0]} was killed ({name}). Most likely the memory ran out."
-    line = f"{words[0]}: a library crashed ({name}). Most likely a file is damaged."
-    recordings = [word for word in words[1:] if word.endswith((".rrd", ".rrd.part"))]
-    if not recordings or words[0] == "repair":
-        return line
-    return f"{line} Save all other parts with: dynaviz repair {shlex.quote(recordings[0])}"
+    return f"{words[0]}: a library crashed ({name}). Most likely a file is damaged."

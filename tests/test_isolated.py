@@ -36,10 +36,7 @@ def test_a_recording_that_makes_rerun_abort_is_refused_in_one_line(tmp_path: Pat
     run = f"sys.argv = ['dynaviz', 'info', {str(recording)!r}]\nfrom dynaviz.__main__ import main\nmain()"
     done = subprocess.run([sys.executable, "-c", abort + run], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == (
-        "dynaviz: info: a library crashed (SIGABRT). Most likely a file is damaged. "
-        f"Save all other parts with: dynaviz repair '{recording}'\n"
-    )
+    assert done.stderr == ("dynaviz: info: a library crashed (SIGABRT). Most likely a file is damaged.\n")
 
 
 def test_the_last_words_of_a_crashing_library_are_left_out() -> None:
@@ -52,11 +49,6 @@ def test_the_last_words_of_a_crashing_library_are_left_out() -> None:
 def test_a_killed_command_reports_that_memory_may_have_run_out() -> None:
     code, _, err = outcome("os.kill(os.getpid(), signal.SIGKILL)")
     assert (code, err) == (2, "dynaviz: compare was killed (SIGKILL). Most likely the memory ran out.\n")
-
-
-def test_repair_is_not_advised_by_itself() -> None:
-    code, _, err = outcome("os.abort()", ("repair", "a.rrd"))
-    assert (code, err) == (2, "dynaviz: repair: a library crashed (SIGABRT). Most likely a file is damaged.\n")
 
 
 def test_exit_code_and_everything_printed_are_kept() -> None:

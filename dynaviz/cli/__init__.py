@@ -26,7 +26,6 @@ from dynaviz.cli import (
     info,
     list,
     live,
-    repair,
     report,
     run,
     score,
@@ -54,7 +53,7 @@ app = typer.Typer(
 )
 COMMANDS = (
     demo, clean, live, explore, view, why, compare, run, score, bench, tune, report, check, info, doctor, list,
-    simulate, convert, repair
+    simulate, convert
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)

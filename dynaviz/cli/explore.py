@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dynaviz.cli.options import run_in
+
 
 def add_to(app: typer.Typer) -> None:
     """Register the command."""
@@ -36,7 +38,7 @@ def explore(
     from dynaviz.explorer import explore as start
     from dynaviz.views.viewer import has_screen
 
-    with start(run, other, port=port) as server:
+    with start(run_in(run), None if other is None else run_in(other), port=port) as server:
         print(f"Explore at {server.url} until interrupted (Ctrl-C).", flush=True)
         if browser and has_screen():
             webbrowser.open(server.url)

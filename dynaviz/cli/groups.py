@@ -17,7 +17,7 @@ __all__ = ["GROUPS", "RENAMED", "CommandLineError", "Commands"]
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Clean": ("demo", "clean", "live"),
-    "Look": ("explore", "view", "why", "compare", "repair"),
+    "Look": ("explore", "view", "why", "compare"),
     "Evaluate": ("run", "score", "bench", "tune", "report", "check"),
     "Data": ("info", "doctor", "list", "simulate", "convert"),
 }
@@ -28,6 +28,7 @@ RENAMED = {
     "config": "list METHOD",
     "failures": "info RUN --failures",
     "implant": "simulate implant:SEQ FOLDER",
+    "repair": "info RECORDING",
     "rescore": "score RUN",
     "shot": "view RUN -o PICTURE.png",
     "download": "convert download:NAME FOLDER",

@@ -13,7 +13,7 @@ import typer
 
 from dynaviz.cli.console import print_json, progress, show
 from dynaviz.cli.failures import show_failures
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, refuse, takes
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, recording_in, refuse, takes
 from dynaviz.cli.unposed import open_posed_or_not, proposal
 from dynaviz.errors import UsageError
 
@@ -90,6 +90,7 @@ def info(
     elif suffix == ".rrd" or path.endswith(".rrd.part"):
         from dynaviz.views.read.reader import RunRecording, read
 
+        path = str(recording_in(Path(path)))
         recording = read(path)
         if print_json(recording.facts(), json):
             return

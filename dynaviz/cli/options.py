@@ -220,8 +220,25 @@ Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.", 
 
 
 def recording_in(path: Path) -> Path:
-    """The recording of a run, given the recording or the folder of the run."""
-    return path / "run.rrd" if path.is_dir() else path
+    """The recording of a run, given the recording or the folder of the run; repaired if it is damaged.
+
+    Raises:
+        DataError: for a recording of which nothing can be read.
+    """
+    file = path / "run.rrd" if path.is_dir() else path
+    if file.suffix == ".rrd" and not file.exists() and (part := file.with_name(f".{file.name}.part")).is_file():
+        file = part
+    if not file.name.endswith((".rrd", ".rrd.part")) or not file.is_file():
+        return file
+    from dynaviz.views.read.repair import repaired
+
+    return repaired(file)
+
+
+def run_in(path: Path) -> Path:
+    """The path of a run, or of what could be repaired of its recording if that is damaged."""
+    file = recording_in(path)
+    return file if file.is_file() and file not in (path, path / "run.rrd") else path
 
 
 def typed_command() -> str:

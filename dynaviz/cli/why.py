@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dynaviz.cli.console import progress, show
-from dynaviz.cli.options import Moved, Threads
+from dynaviz.cli.options import Moved, Threads, run_in
 
 
 def add_to(app: typer.Typer) -> None:
@@ -43,7 +43,7 @@ def why(
     from dynaviz.runs.explanation import why as explain
 
     with progress("replay") as report:
-        found = explain(run, frame, point, sequence=sequence, threads=threads, progress=report)
+        found = explain(run_in(run), frame, point, sequence=sequence, threads=threads, progress=report)
     show(found)
     if out:
         write_atomic(out, json.dumps(found.to_dict(), indent=1, allow_nan=False).encode())

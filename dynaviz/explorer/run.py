@@ -70,7 +70,7 @@ class ExploredRun:
         for frame, drawn in self._drawn.items():
             answered = len(self._answers[frame]) if frame in self._answers else 0
             if ((drawn.point < 0) | (drawn.point >= answered)).any():
-                hint = f"Save all other parts with: dynaviz repair {self.path}"
+                hint = f"Save all other parts with: dynaviz info {self.path}"
                 raise DataError(self.path, "contains points without an answer", at=f"frame {frame}", hint=hint)
 
     @property

@@ -35,7 +35,7 @@ OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["
          "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
 RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
 WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "list",
-                    "repair", "report", "view", "why"}  # fmt: skip
+                    "report", "view", "why"}  # fmt: skip
 
 
 class Seen(Exception):

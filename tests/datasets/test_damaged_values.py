@@ -113,7 +113,7 @@ def test_nuscenes_tables(tmp_path: Path, table: str, key: str, value: Any, probl
     assert "filename" in key or Path(caught.value.path).name == f"{table}.json"
 
 
-@pytest.mark.parametrize("command", ["info", "doctor", "run", "report", "view", "check", "repair"])
+@pytest.mark.parametrize("command", ["info", "doctor", "run", "report", "view", "check"])
 def test_a_name_longer_than_the_system_allows(tmp_path: Path, run_command: Command, command: str) -> None:
     name = tmp_path / ("x" * 5000)
     words = {"run": ["octomap", name], "check": [name, "--min", "SA=50"]}.get(command, [name])

@@ -213,7 +213,6 @@ COMMANDS = {
     "dynaviz info RECORDING": subject(recordings, "run.rrd", ("info", "@run.rrd")),
     "dynaviz info RECORDING --failures": subject(recordings, "run.rrd", ("info", "@run.rrd", "--failures")),
     "dynaviz compare": subject(recordings, "run.rrd", ("compare", "@run.rrd", "@other.rrd", "-o", ">both.rrd")),
-    "dynaviz repair": subject(recordings, "run.rrd", ("repair", "@run.rrd", "-o", ">repaired.rrd")),
     "dynaviz view": subject(recordings, "run.rrd", ("view", "@run.rrd")),
     "dynaviz view -o": subject(recordings, "run.rrd", ("view", "@run.rrd", "-o", ">picture.png")),
     "dynaviz explore": subject(recordings, "run.rrd", ("explore", "@run.rrd", "@other.rrd", "--no-browser")),

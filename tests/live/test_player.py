@@ -210,7 +210,7 @@ def test_a_file_of_a_killed_live_session_is_repaired(tmp_path: Path) -> None:
     assert (AnyRecording(whole).kind, AnyRecording(whole).span) == ("live", range(5))
     killed = tmp_path / "live-000001.rrd"
     killed.write_bytes(whole.read_bytes()[: whole.stat().st_size * 9 // 10])
-    with pytest.raises(DataError, match="dynaviz repair"):
+    with pytest.raises(DataError, match="dynaviz info"):
         AnyRecording(killed)
     salvaged = repair(killed, tmp_path / "repaired.rrd")
     assert salvaged.live

@@ -144,7 +144,7 @@ def test_refusals(runs: dict[str, Path], merged: dict[str, Path], tmp_path: Path
         ),
         ((a, torn), DataError, r"torn.*contains an unfinished run\. Run it again with: dynaviz run guess room"),
         ((torn, a), DataError, r"torn.*contains an unfinished run"),
-        ((cut, a), DataError, r"cut\.rrd: is incomplete.*dynaviz repair"),
+        ((cut, a), DataError, r"cut\.rrd: is incomplete.*dynaviz info"),
         ((a, merged["two"]), DataError, r"two\.rrd: contains a comparison, not a run"),
         ((a, tmp_path / "absent.rrd"), DataError, r"absent\.rrd: No such file"),
     ]

@@ -132,7 +132,7 @@ def test_a_killed_run_leaves_every_frame_but_the_last(tmp_path: Path) -> None:
     assert done.returncode == -signal.SIGKILL, done.stderr
     assert os.listdir(tmp_path) == [".run.rrd.part"]
     part = tmp_path / ".run.rrd.part"
-    with pytest.raises(DataError, match=r"is incomplete.*dynaviz repair"):
+    with pytest.raises(DataError, match=r"is incomplete.*dynaviz info"):
         RunRecording(part)
     frames: set[Any] = set()
     for chunk in RrdReader(part).stream().filter(content="/answers"):
@@ -173,7 +173,7 @@ def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: in
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     part = tmp_path / "out/.run.rrd.part"
     assert (done.returncode, done.stdout) == (code, ""), done.stderr
-    assert done.stderr.strip() == f"dynaviz: {word}. Salvage what was recorded with: dynaviz repair {part}."
+    assert done.stderr.strip() == f"dynaviz: {word}. Salvage what was recorded with: dynaviz info {part}."
     assert [path.name for path in part.parent.iterdir()] == [".run.rrd.part"]
     recording = RunRecording(part)
     assert len(list(recording.answers())) == 4
@@ -194,7 +194,7 @@ def test_on_a_full_disk_an_incomplete_recording_keeps_its_part_name(tmp_path: Pa
         files_end_at(size - missing),
     ):
         record(sequence, tmp_path / "run.rrd", "scores")
-    assert caught.value.__notes__ == [f"Salvage what was recorded with: dynaviz repair {tmp_path / '.run.rrd.part'}"]
+    assert caught.value.__notes__ == [f"Salvage what was recorded with: dynaviz info {tmp_path / '.run.rrd.part'}"]
     assert (tmp_path / "run.rrd").read_bytes() == b"of an earlier run"
     found = repair(tmp_path / ".run.rrd.part")
     assert found.answered <= found.observed <= found.frames
@@ -209,7 +209,7 @@ def test_on_a_full_disk_no_file_gets_its_final_name(tmp_path: Path, limit: int) 
     assert {path.name for path in (tmp_path / "out").iterdir()} <= {".run.rrd.part"}
 
 
-def test_unwritable_paths(tmp_path: Path, run_command: Command) -> None:
+def test_unwritable_paths(tmp_path: Path) -> None:
     whole = record(room(3, 200), tmp_path / "run.rrd", "scores")
     (tmp_path / "file").touch()
     for out in (tmp_path / "file/run.rrd", Path("/proc/dynaviz/run.rrd")):
@@ -217,5 +217,5 @@ def test_unwritable_paths(tmp_path: Path, run_command: Command) -> None:
             execute(guess_run(room(2, 100)), [recorder], recorder)
         with pytest.raises(DataError, match="cannot be written"):
             run_into(out, room(2, 100), recorded=False)
-        code, _, err = run_command("repair", whole, "-o", out)
-        assert (code, err.count("\n"), "cannot be written" in err) == (2, 1, True), err
+        with pytest.raises(DataError, match="cannot be written"):
+            repair(whole, out)

@@ -14,7 +14,7 @@ from helpers.worlds import InMemory, room
 
 from dynaviz.errors import DataError
 from dynaviz.views import paths
-from dynaviz.views.read.reader import RunRecording
+from dynaviz.views.read.reader import RunRecording, read
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -39,7 +39,7 @@ def cut(path: Path) -> None:
         (lambda path: path.write_bytes(b""), "is not a recording"),
         (lambda path: path.write_bytes(b"# .PCD v0.7"), "byte 0: is not a recording"),
         (foreign, "not from dynaviz"),
-        (cut, r"is incomplete.*dynaviz repair"),
+        (cut, r"is incomplete.*dynaviz info"),
     ],
     ids=["missing", "folder", "empty", "cloud", "foreign", "cut"],
 )
@@ -56,7 +56,6 @@ def test_recordings_of_other_versions(little_room: InMemory, tmp_path: Path, run
     says = {
         b"RRF1" + whole[4:]: "before 0.23",  # of such a rerun; its files cannot be made here
         whole[:5] + b"\xfe" + whole[6:-100]: "rerun 0.254",
-        whole[:-100]: "dynaviz repair",
         older(tmp_path): "older dynaviz and lacks title",
     }
     for content, word in says.items():
@@ -77,9 +76,11 @@ def older(folder: Path) -> bytes:
     return (folder / "old.rrd").read_bytes()
 
 
-def test_errors_name_the_part_of_a_killed_run(tmp_path: Path, run_command: Command) -> None:
+def test_the_part_of_a_killed_run_is_read(tmp_path: Path, run_command: Command) -> None:
     shutil.copy(record(room(3, 200), tmp_path / "whole.rrd", "scores"), tmp_path / ".run.rrd.part")
-    for words in (["info", tmp_path / "run.rrd"], ["view", tmp_path / ".run.rrd.part"]):
-        code, _, err = run_command(*words)
-        assert (code, err.count("\n")) == (2, 1)
-        assert f"dynaviz repair {tmp_path / '.run.rrd.part'}" in err
+    with pytest.raises(DataError, match=f"dynaviz info {tmp_path / '.run.rrd.part'}"):
+        read(tmp_path / "run.rrd")
+    for name in ("run.rrd", ".run.rrd.part"):
+        code, _, err = run_command("info", tmp_path / name)
+        assert (code, err.count("\n")) == (0, 1)
+        assert f"{tmp_path / '.run.rrd.part'}: is the recording of a run that did not finish." in err

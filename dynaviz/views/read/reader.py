@@ -27,7 +27,7 @@ from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
 from dynaviz.views import classes, paths, stored_ledgers
 from dynaviz.views.read import chunks
-from dynaviz.views.record.sink import of_part, part_of
+from dynaviz.views.record.sink import part_of
 
 MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 _HINT = "Give the run.rrd of a run"
@@ -62,6 +62,10 @@ class DrawnPoints:
     outcome: U8
     point: I64
     stands_for: I64
+
+
+class DamagedRecordingError(DataError):
+    """A recording is incomplete or damaged; ``repair`` saves all other parts."""
 
 
 class AnyRecording:
@@ -314,7 +318,7 @@ def open_store(path: Path) -> Any:
             head = file.read(8)
     except OSError as error:
         part = part_of(path)
-        hint = f"The run did not finish. Salvage its recording with: dynaviz repair {part}" if part.is_file() else _HINT
+        hint = f"The run did not finish. Salvage its recording with: dynaviz info {part}" if part.is_file() else _HINT
         raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
     if head[:4] not in MAGIC:
         raise DataError(path, "is not a recording", at="byte 0", hint=_HINT)
@@ -336,8 +340,8 @@ def viewable(path: Path) -> None:
     """
     open_store(path)
     if path.suffix != ".rrd":
-        hint = f"dynaviz repair {path}" if of_part(path) else f"mv {path} {path.with_suffix('.rrd')}"
-        raise DataError(path, "does not end in .rrd, so the viewer cannot open it", hint=f"Rename it with: {hint}")
+        hint = f"Rename it with: mv {path} {path.with_suffix('.rrd')}"
+        raise DataError(path, "does not end in .rrd, so the viewer cannot open it", hint=hint)
 
 
 def _broken(path: Path, head: bytes) -> DataError:
@@ -348,13 +352,13 @@ def _broken(path: Path, head: bytes) -> DataError:
     if there > tuple(map(int, here.split(".")[:2])):
         problem = f"was written by rerun {'.'.join(map(str, there))}, newer than the installed {here}"
         return DataError(path, problem, hint="Upgrade dynaviz")
-    hint = f"Salvage its frames with: dynaviz repair {path}"
-    return DataError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
+    hint = f"Salvage its frames with: dynaviz info {path}"
+    return DamagedRecordingError(path, "is incomplete: its run was killed, or the file is truncated", hint=hint)
 
 
-def _damaged(path: Path, problem: str, at: str | None = None) -> DataError:
+def _damaged(path: Path, problem: str, at: str | None = None) -> DamagedRecordingError:
     """The error for a recording of which a part is damaged."""
-    return DataError(path, problem, at=at, hint=f"Save all other parts with: dynaviz repair {path}")
+    return DamagedRecordingError(path, problem, at=at, hint=f"Save all other parts with: dynaviz info {path}")
 
 
 def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import contextlib
 import os
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +14,15 @@ from pathlib import Path
 from dynaviz.errors import DataError, UsageError
 from dynaviz.views import paths, viewer
 from dynaviz.views.read import chunks
-from dynaviz.views.read.reader import COMPARISON, KINDS, MAGIC, AnyRecording, RunRecording, open_store
+from dynaviz.views.read.reader import (
+    COMPARISON,
+    KINDS,
+    MAGIC,
+    AnyRecording,
+    DamagedRecordingError,
+    RunRecording,
+    open_store,
+)
 from dynaviz.views.record.sink import of_part
 
 _HINT = "Give the run.rrd of a run, the .run.rrd.part of a killed run, or a live-N.rrd"
@@ -80,6 +89,39 @@ def repair(broken: str | os.PathLike[str], out: str | os.PathLike[str] | None = 
             return SalvagedRecording(None, frames=found.frames, damaged=damaged)
         os.replace(salvaged, target)
     return replace(found, path=target, damaged=damaged)
+
+
+def repaired(recording: Path) -> Path:
+    """The recording itself, or if it is incomplete or damaged, what ``repair`` saves of it in ``*-repaired.rrd``.
+
+    A warning says what was saved. A repaired file that is newer than the recording is used again.
+
+    Raises:
+        DataError: for a file that is no recording, or of which nothing can be saved.
+    """
+    proper = of_part(recording)
+    try:
+        open_store(recording)
+        if proper is None:
+            return recording
+        problem = "is the recording of a run that did not finish"
+    except DamagedRecordingError as error:
+        problem = error.problem
+    name = proper or recording
+    target = name.with_name(f"{name.stem}-repaired.rrd")
+    if target.exists() and target.stat().st_mtime >= recording.stat().st_mtime:
+        warnings.warn(f"{recording}: {problem}. Reading {target}, repaired before", stacklevel=2)
+        return target
+    target.unlink(missing_ok=True)
+    found = repair(recording, target)
+    if found.path is None:
+        raise DataError(recording, f"{problem}, and nothing of it can be saved", hint="Run the method again")
+    damaged = f", without {found.damaged} damaged chunk{'s' * (found.damaged != 1)}" if found.damaged else ""
+    frames = f"{found.answered} of {found.frames} frames"
+    if not found.answered:
+        frames = f"states of {found.observed} of {found.frames} frames"
+    warnings.warn(f"{recording}: {problem}. Saved {frames}{damaged} in {target}", stacklevel=2)
+    return target
 
 
 def _check(broken: Path) -> None:

@@ -90,7 +90,7 @@ class Recorder(Listener):
             self._curves.write()
             self._sink.close()
             if error is not None:
-                error.add_note(f"Salvage what was recorded with: dynaviz repair {sink.part_of(self.path)}")
+                error.add_note(f"Salvage what was recorded with: dynaviz info {sink.part_of(self.path)}")
 
     def sha256(self) -> str:
         """Digest of the finished recording."""
