@@ -35,7 +35,7 @@ from dynaviz.cli import (
     why,
 )
 from dynaviz.cli.console import set_quiet
-from dynaviz.cli.groups import CommandLineError, Commands
+from dynaviz.cli.groups import Command, CommandLineError, Commands
 from dynaviz.errors import DataError, DynavizError, interrupted, on_command_line
 
 __all__ = ["CommandLineError", "app", "main"]
@@ -57,6 +57,8 @@ COMMANDS = (
 )  # fmt: skip
 for command in COMMANDS:
     command.add_to(app)
+for registered in app.registered_commands:
+    registered.cls = Command
 
 
 def _show_version(wanted: bool) -> None:

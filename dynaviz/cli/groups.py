@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from dynaviz.errors import UsageError
 
@@ -13,7 +13,7 @@ try:
 except ImportError:  # earlier versions of typer raise the exceptions of click
     from click import ClickException as CommandLineError  # type: ignore[assignment]
 
-__all__ = ["GROUPS", "RENAMED", "CommandLineError", "Commands"]
+__all__ = ["GROUPS", "RENAMED", "Command", "CommandLineError", "Commands"]
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Clean": ("demo", "clean", "live"),
@@ -23,6 +23,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """The commands by heading, in the order of the help."""
 
+FIRST = 5  # options of a command above its other ones
 RENAMED = {
     "board": "report FOLDER --format board",
     "config": "list METHOD",
@@ -35,6 +36,24 @@ RENAMED = {
     "export-labels": "convert RUN FOLDER --labels",
 }
 """Commands of earlier versions, and what to type instead."""
+
+
+class Command(TyperCommand):
+    """A command whose help lists the options that most people need before the others."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """List the arguments, the first ``FIRST`` options and the other options."""
+        listed: dict[str, list[Any]] = {"argument": [], "option": []}
+        for each in self.get_params(ctx):
+            if (row := each.get_help_record(ctx)) is not None:
+                listed[each.param_type_name].append(row)
+        options = listed["option"]
+        first = len(options) if len(options) <= FIRST + 2 else FIRST
+        parts = {"Arguments": listed["argument"], "Options": options[:first], "More options": options[first:]}
+        for heading, rows in parts.items():
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
 
 
 class Commands(TyperGroup):

@@ -159,6 +159,9 @@ RUN: dict[str, Any] = {
 }
 """Options of commands that run a method on a sequence, by field of ``RunOptions``."""
 
+COMMON = ("frames", "poses", "settings", "record", "sensor", "preset")
+"""Listed before the others in the help of a command."""
+
 DEFAULTS: dict[str, Any] = {
     "stride": 1, "refine_poses": False, "variant": "", "record": RecordModeOption.errors, "view": False, "workers": 1,
     "maps": True,
@@ -176,6 +179,7 @@ def takes(*tables: Mapping[str, Any], without: Collection[str] = ()) -> Callable
         without: options that the command sets itself.
     """
     wanted = {name: kind for table in tables for name, kind in table.items() if name not in without}
+    wanted = {name: wanted[name] for name in COMMON if name in wanted} | wanted
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
