@@ -19,8 +19,10 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 250_000  # wrong and correct points each in memory at once
-_BLOCKS = 4  # in a slab: each slab reads all frames that cross it
+_BLOCK = 250_000  # wrong points in memory at once
+# Blocks in a slab, which reads all frames that cross it, and in a tree of correct points: a search in four trees takes
+# twice the time of one in a tree of four times the size.
+_BLOCKS = 4
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -74,7 +76,7 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
     """Exact distances from each wrong point to the nearest correct one, as histograms.
 
     The world is divided into slabs along its longest side. Correct points are read from a box around the wrong points
-    of a slab, about ``block`` at a time, and each wrong point keeps its smallest distance.
+    of a slab, some blocks at a time, and each wrong point keeps its smallest distance.
 
     Returns:
         fine: counts in bins of 0.1 mm up to the limit, and one last bin for larger distances; all zero if there are no
@@ -92,7 +94,7 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
         for queries, of_frame in wrong.blocks(low, high, block):
             distance = np.full(len(queries), np.inf, np.float32)
             around = [column.astype(np.float64) for column in (queries.min(0), queries.max(0))]
-            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, block):
+            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, _BLOCKS * block):
                 np.minimum(distance, nearest_distance(queries, reference, LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
             fine += np.bincount(bins, minlength=len(fine))
