@@ -60,7 +60,8 @@ def normals(points: F32, asked: F32) -> list[F64 | None]:
 def _normal_at(points: F32, point: F32) -> F64 | None:
     if not np.isfinite(point).all():
         return None
-    away = np.abs(points - point).max(1)
+    x, y, z = (np.abs(points[:, axis] - point[axis]) for axis in range(3))  # much faster than reducing rows
+    away = np.maximum(np.maximum(x, y), z)
     for radius in SURFACES:
         if (normal := surface_normal(points[away <= radius].astype(np.float64))) is not None:
             return normal
