@@ -14,7 +14,7 @@ from dynaviz.contracts.scan import Scan, Sequence, SequenceView, base_of
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
-from dynaviz.diagnosis.drift import AWAY, check_drift, looks
+from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
@@ -26,7 +26,7 @@ from dynaviz.sources.datasets.in_memory import ArraySequence
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 
-__all__ = ["Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
+__all__ = ["DRIFT", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
 MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive frames in each stretch
 QUICK_PAIRS, QUICK_GAP = 3, 5  # pairs of frames of a quick check, and frames from one to the other

@@ -20,6 +20,7 @@ from dynaviz.diagnosis.trajectory import angle
 from dynaviz.diagnosis.views import ON_SURFACE, ScanView
 from dynaviz.spatial import geometry
 
+DRIFT = "poses drift"  # name of the finding
 AWAY, SHORTEST = 10.0, 3.0  # metres between the two scans of a pair: to most surfaces near a mover, and at least
 BACK, LATER = 5.0, 20  # metres between two looks at a place from the same position, and frames between them, at least
 POINTS = 6_000  # of a scan, at most, which are registered
@@ -104,4 +105,4 @@ def check_drift(views: Iterable[tuple[ScanView, ScanView]]) -> Iterator[Finding]
     )
     fix = "Estimate the poses from the scans: --poses small-gicp"
     confidence = Confidence.CERTAIN if len(found) > 1 else Confidence.LIKELY
-    yield Finding("poses drift", confidence, problem, fix, tuple(frames[:SHOWN]), len(frames))
+    yield Finding(DRIFT, confidence, problem, fix, tuple(frames[:SHOWN]), len(frames))

@@ -130,7 +130,7 @@ def test_properties_describe_the_run(little_room: InMemory, tmp_path: Path) -> N
     assert p["digest"] == result.sequence.digest
     assert p["points"] == sum(len(s) for s in little_room.scans)
     assert recording.parameters == {"height": 1.0, "note": "a|b"}
-    assert [r.name for r in recording.reasons] == ["outside", "band"]
+    assert [r.name for r in recording.reasons] == ["outside", "band", "at_sensor"]
     assert json.loads(p["environment_json"])["versions"]["rerun-sdk"]
     assert result.metrics == {"SA": 90.0, "DA": None}
     assert recording.facts()["command"] == "typed"
