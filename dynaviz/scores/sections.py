@@ -21,7 +21,7 @@ class SequenceInfo(Struct, frozen=True):
     digest: str = ""
     frames: int = 0
     points: int = 0
-    at_sensor: int = 0  # points that the method did not see, because they are at the sensor
+    at_sensor: int | None = None  # points that the method did not see; None in results of earlier versions
 
 
 class Runtime(Struct, frozen=True):
