@@ -1,76 +1,251 @@
-"""When places, such as quarter columns, had points above the ground and dynamic objects."""
+"""Places: quarters of the blocks of a grid, 4 x 4 x 8 voxels; their evidence, and what they inherit from objects.
+
+Place p is in block p >> 2. A scan visits the places that contain points of its objects. The visits of an object are
+divided into parts, squares seen from above.
+"""
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
+
+ONE = np.uint64(1)
+UNKNOWN = np.float32(-1.0)  # what a place inherits if nobody saw where it began or ended
 
 
 @njit(cache=True, nogil=True)
-def note(places, squares, within, up, now, seen, first, scans, viewed):
-    """Note which places have points in a scan, and which squares around them were seen at all.
-
-    Args:
-        places: (N,) int64, the place of each point.
-        squares: (all places / 4,) int32, the square that contains each four places.
-        within: (N,) bool: points that show that a square was seen.
-        up: (N,) bool: points that show that something is in a place.
-        now: number of this scan.
-        seen, first, scans: (all places,) int32: the last and the first scan with something, and their number. Modified.
-        viewed: (2, squares) int32: the first and the last scan in which each square was seen. Modified.
-    """
-    for i in range(len(places)):
-        place = places[i]
-        if within[i]:
-            square = squares[place >> 2]
-            viewed[0, square] = min(viewed[0, square], now)
-            viewed[1, square] = now
-        if up[i] and seen[place] != now:
-            seen[place], first[place] = now, min(first[place], now)
-            scans[place] += 1
+def of_voxels(voxels):
+    """(N,) int64: the place of each voxel; -1 for -1."""
+    found = np.full(len(voxels), -1)
+    for i in range(len(voxels)):
+        v = voxels[i]
+        if v >= 0:
+            found[i] = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
+    return found
 
 
 @njit(cache=True, nogil=True)
-def trails(objects, n, places, now, lately, before, movers, seen, dynamic, first):
-    """What was in the places of each of n objects, in earlier and later scans.
+def _slot(slots, keys, key):
+    """The slot of a key in a hash table of numbers, or the free slot for it; its size is a power of two."""
+    mask = len(slots) - 1
+    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(30)) & mask
+    while slots[s] >= 0 and keys[slots[s]] != key:
+        s = (s + 1) & mask
+    return s
+
+
+@njit(cache=True, nogil=True)
+def visit(voxels, objects, blocks, wide, now, up, stamps):
+    """The places that a scan visits, and the parts of objects in which they are.
 
     Args:
-        objects: (N,) int32, the object of each point, or -1.
-        places: (N,) int64, the quarter column of each point.
+        voxels: (N,) int64; objects: (N,) int32: the voxel and the object of each point, -1 for none.
+        blocks: (B, 3) int64, keys of the blocks.
+        wide: edge of a part, blocks.
         now: number of this scan.
-        lately, before: numbers of scans.
-        movers: (3, all places) int32: the last scan with a dynamic object in each place, the number of scans in which
-            that object was dynamic, and the first scan with one.
-        seen, dynamic, first: (all places,) int32: the last scan with points and with dynamic objects, over all scans,
-            and the first scan with points.
+        up: (B, 8) uint64: bits of the voxels that ever contained a point of an object. Modified.
+        stamps: (B, 4) int32: the last scan that visited each place. Modified.
 
     Returns:
-        (4, n) int64: points where a dynamic object was at most ``lately`` scans ago, the maximum number of scans in
-        which it was dynamic, points where the last object ever seen is dynamic, in this scan or later, and points where
-        something was more than ``before`` scans before any dynamic object.
+        places: (V,) int32; parts: (V,) int32: the part of each. A place with two objects is in that of its first point.
+        around: (P, 9) int32: for each part those of the same object next to it, and itself; -1 for none.
     """
-    found = np.zeros((n, 4), np.int64)
-    for i in range(len(objects)):
-        k, place = objects[i], places[i]
-        if k < 0:
+    places, owners, n = np.empty(len(voxels), np.int32), np.empty(len(voxels), np.int32), 0
+    for i in range(len(voxels)):
+        v = voxels[i]
+        if v < 0 or objects[i] < 0:
             continue
-        if movers[0, place] >= now - lately:
-            found[k, 0] += 1
-            found[k, 1] = max(found[k, 1], movers[1, place])
-        found[k, 2] += dynamic[place] >= now and seen[place] <= dynamic[place] + lately
-        found[k, 3] += first[place] < movers[2, place] - before
-    return found.T.copy()
+        block = v >> 9
+        up[block, v >> 6 & 7] |= ONE << np.uint64(v & 63)
+        quarter = (v >> 8 & 1) << 1 | v >> 5 & 1
+        if stamps[block, quarter] != now:
+            stamps[block, quarter] = now
+            places[n], owners[n] = block << 2 | quarter, objects[i]
+            n += 1
+    size = 64
+    while size < 2 * n:
+        size *= 2
+    slots, keys, parts, m = np.full(size, np.int32(-1)), np.empty(n, np.int64), np.empty(n, np.int32), 0
+    for k in range(n):
+        x, y = blocks[places[k] >> 2, 0] // wide + (1 << 17), blocks[places[k] >> 2, 1] // wide + (1 << 17)
+        key = np.int64(owners[k]) << 40 | x << 20 | y
+        s = _slot(slots, keys, key)
+        if slots[s] < 0:
+            slots[s], keys[m] = m, key
+            m += 1
+        parts[k] = slots[s]
+    around = np.empty((m, 9), np.int32)
+    for part in range(m):
+        for side in range(9):
+            key = keys[part] + ((np.int64(side // 3) - 1) << 20) + (side % 3 - 1)
+            around[part, side] = slots[_slot(slots, keys, key)]
+    return places[:n].copy(), parts, around
 
 
 @njit(cache=True, nogil=True)
-def leave(objects, moving, leaves, proven, places, now, last, proof, first):
-    """Mark the places of moving objects, (n,) bool, with this scan and their proof, (n,), or the maximum of several.
+def clearness(hits, passed, grazed, weights):
+    """The evidence that a voxel is empty at times, at most 1; below 0 if it was rather always occupied.
 
-    Only the points in ``leaves``, (N,) bool, leave a mark. ``first`` keeps the first scan with such an object in each
-    place.
+    Args:
+        hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit of their own.
+        weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence.
     """
-    for i in range(len(objects)):
-        k = objects[i]
-        if k >= 0 and moving[k] and leaves[i]:
-            place = places[i]
-            proof[place] = max(proof[place], proven[k]) if last[place] == now else proven[k]
-            last[place] = now
-            first[place] = min(first[place], now)
+    near, hit, votes = weights
+    clear, against = np.float64(passed) - grazed, near * grazed + hit * hits
+    if clear > against:
+        return min(clear / votes, 1.0) * (clear - against) / (clear + against)
+    return 0.1 * (clear - against) / (clear + against + 1.0)
+
+
+@njit(cache=True, nogil=True)
+def of_points(voxels, hits, passed, grazed, weights):
+    """(N,) float32: the evidence of each point's voxel; 0 without a voxel, or if no other scan touched it."""
+    found = np.zeros(len(voxels), np.float32)
+    for i in range(len(voxels)):
+        v = voxels[i]
+        if v >= 0:
+            h, p = hits[v >> 9, v & 511], passed[v >> 9, v & 511]
+            if h > 1 or p > 0:
+                found[i] = clearness(h, p, grazed[v >> 9, v & 511], weights)
+    return found
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def evidence(places, up, hits, passed, grazed, weights, few, prior, found):
+    """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
+
+    The evidence of a place is the mean over its voxels with points of objects, weighted with the scans that hit them;
+    less if there were few such hits; minus the prior.
+
+    Args:
+        up, hits, passed, grazed, weights: as in ``visit`` and ``clearness``.
+        few: hits for full evidence; prior: what evidence must exceed.
+    """
+    for k in prange(len(places)):
+        block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
+        total, summed = 0.0, 0.0
+        for w in range(x0, x0 + 4):
+            word = np.uint64(up[block, w]) >> np.uint64(8 * y0)
+            for bit in range(32):
+                if word >> np.uint64(bit) & ONE:
+                    v = w << 6 | 8 * y0 + bit
+                    h, p = hits[block, v], passed[block, v]
+                    if h > 1 or p > 0:
+                        summed += h * clearness(h, p, grazed[block, v], weights)
+                        total += h
+        found[places[k]] = (summed / total * min(total / few, 1.0) if total > 0 else 0.0) - prior
+
+
+@njit(cache=True, nogil=True)
+def note(places, touched, first, last, visits):
+    """Note visits (V,): how many scans had touched the block at the first and at the last one, (4 B,); and how many."""
+    for p in places:
+        if visits[p] == 0:
+            first[p] = touched[p >> 2]
+        last[p] = touched[p >> 2]
+        visits[p] += 1
+
+
+@njit(cache=True, nogil=True)
+def limits(places, touched, first, last, length, births, deaths):
+    """How many visits count as the birth and as the death of places (K,): none if unseen, all if both are.
+
+    Fills ``births`` and ``deaths``, (4 B,) int32.
+    """
+    for p in places:
+        begun, ended = first[p] > 1, last[p] < touched[p >> 2]
+        births[p] = length if begun else 0 if ended else 1 << 30
+        deaths[p] = length if ended else 0 if begun else 1 << 30
+
+
+@njit(cache=True, nogil=True)
+def ranks(places, number):
+    """The rank of each of all visits (V,) in the life of its place, from its beginning and from its end, (2, V) int32.
+
+    ``number``, (4 B,) int32, is zero before and after.
+    """
+    found = np.empty((2, len(places)), np.int32)
+    for k in range(len(places)):
+        found[0, k] = number[places[k]]
+        number[places[k]] += 1
+    for k in range(len(places)):
+        found[1, k] = number[places[k]] - 1 - found[0, k]
+    for k in range(len(places)):
+        number[places[k]] = 0
+    return found
+
+
+@njit(cache=True, nogil=True)
+def inherit(places, parts, around, rank, most, own, first, second, weights, source, now):
+    """Let the places of one scan inherit what its objects are: the mean over ``most`` visits, (4 B,), in ``first``.
+
+    Args:
+        places, parts, around: as from ``visit``.
+        rank: (V,) int32: how many visits of the place came before.
+        own: (4 B,) float32: evidence of places.
+        first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
+            modified.
+        weights: of what a place inherits; evidence for full certainty; weight of a place without any.
+        source: (4 B,) int32: the first scan from which a place inherits; modified to ``now``.
+    """
+    link, certain, least = weights
+    total, weight = np.zeros(len(around)), np.zeros(len(around))
+    for k in range(len(places)):
+        p = places[k]
+        f = min(max((own[p] + link * max(first[p], second[p])) / certain, -1.0), 1.0)
+        total[parts[k]] += f * (least + abs(f))
+        weight[parts[k]] += least + abs(f)
+    for k in range(len(places)):
+        p, r = places[k], rank[k]
+        if r >= most[p]:
+            continue
+        total_around, weight_around = 0.0, 0.0
+        for side in around[parts[k]]:
+            if side >= 0:
+                total_around += total[side]
+                weight_around += weight[side]
+        mean = total_around / weight_around
+        if r == 0:
+            source[p] = now
+        first[p] = mean if r == 0 else (first[p] * r + mean) / (r + 1)
+
+
+@njit(cache=True, nogil=True)
+def sweep(starts, part_starts, places, parts, around, rank, most, own, first, second, weights, source, back):
+    """``inherit`` for all scans, whose visits and parts are ``starts``, (F + 1,) each, in order; or backwards."""
+    scans = len(starts) - 1
+    for step in range(scans):
+        t = scans - 1 - step if back else step
+        of, part = slice(starts[t], starts[t + 1]), slice(part_starts[t], part_starts[t + 1])
+        scan = places[of], parts[of], around[part], rank[of]
+        inherit(*scan, most, own, first, second, weights, source, t)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def outcomes(voxels, places, height, low, own, born, left, link, empty, alone, highest, codes):
+    """(N,) uint8: the reason code of each point, without feet.
+
+    Args:
+        voxels, places: (N,) int64, -1 for none.
+        height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
+            points above the other are too high for a mover, unless infinite, unknown.
+        own, born, left: (4 B,) float32: evidence of places, and what they inherit at both ends; link: its weight.
+        empty: (N,) float32: evidence of the point's own voxel; alone: minimum for a point that is dynamic by itself.
+        codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
+            removed by the evidence of their place, by what it was born with, by what it was left with, alone.
+    """
+    out, near_ground, above, little, never, seen, came, gone, single = codes
+    found = np.empty(len(voxels), np.uint8)
+    for i in prange(len(voxels)):
+        p = places[i]
+        if p < 0:
+            found[i] = out
+        elif height[i] <= low:
+            found[i] = near_ground
+        elif height[i] > highest and height[i] < np.inf:
+            found[i] = above
+        elif own[p] + link * max(born[p], left[p]) > 0:
+            found[i] = seen if own[p] > 0 else came if born[p] >= left[p] else gone
+        elif empty[i] > alone:
+            found[i] = single
+        else:
+            found[i] = little if empty[i] > 0 else never
+    return found

@@ -97,12 +97,12 @@ class VoidGrid(BlockGrid):
         return kernels.as_readonly(goals, np.int64), kernels.as_readonly(starts, np.int64), places * self._per_metre
 
 
-def widened(extent: Extent, around: float) -> Extent:
-    """The extent, enlarged by ``around`` metres on all sides."""
+def widened(extent: Extent, around: float, shifts: I64 = SHIFTS) -> Extent:
+    """The extent, enlarged by ``around`` metres to both sides along some axes, of which ``shifts`` are those of keys."""
     if isinstance(extent, Window):
         return extent.widened(around)
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
     packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
-    for shift in SHIFTS:  # one axis at a time, so that no intermediate list is much longer than the result
+    for shift in shifts:  # one axis at a time, so that no intermediate list is much longer than the result
         packed = np.unique((packed[:, None] + (steps << shift)).ravel())
     return Extent(extent.low - around, extent.high + around, unpack(packed))

@@ -26,7 +26,7 @@ from dynaviz.sources.datasets.drives import OBJECTS, Drives
 from dynaviz.tasks.local import WorkerProcesses
 from dynaviz.testing import InMemory
 from dynaviz.views.read.reader import AnyRecording, RunRecording
-from dynaviz_methods.clear_grid import ClearGrid
+from dynaviz_methods.seethrough.clear_grid import ClearGrid
 
 SIZE = 12.0  # metres: the room lies in four tiles
 

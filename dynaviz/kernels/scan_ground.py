@@ -1,0 +1,336 @@
+"""The ground of one scan: the lowest layers of its points, as steep as the ground around them, or a bit more."""
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
+NEARLY = 1e-9  # metres: a surface that is lowered by less is not lowered
+BIN = 0.1  # metres: height of a layer among which the level under the sensor is the densest
+DEEPEST = 20.0  # metres below the sensor at which ground is expected
+BENEATH = 0.2  # metres below the sensor above which no ground is expected
+ATTEMPTS = 4  # at finding a layer with enough points
+FIT = 0.05  # metres: cells that fit worse count less, in inverse proportion
+
+
+@njit(cache=True, nogil=True)
+def cells_of(points, position, reach, edge):
+    """(N,) int32: the cell of each point in a raster around the sensor, -1 outside; and its first cell, (2,) int64.
+
+    The raster has 2 reach + 1 cells along x and y, numbered by x first; cell (i, j) spans [i, i + 1) * edge.
+    """
+    first = np.array([np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach])
+    wide, cells = 2 * reach + 1, np.full(len(points), np.int32(-1))
+    for i in range(len(points)):
+        if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
+            x, y = math.floor(points[i, 0] / edge) - first[0], math.floor(points[i, 1] / edge) - first[1]
+            if 0 <= x < wide and 0 <= y < wide:
+                cells[i] = np.int32(x) * wide + np.int32(y)
+    return cells, first
+
+
+@njit(cache=True, nogil=True)
+def _beneath(lowest, wide, near):
+    """Height of the ground under the sensor, metres from it: where most of the near cells have their lowest point."""
+    number, middle = np.zeros(round(DEEPEST / BIN), np.int64), wide // 2
+    for x in range(max(middle - near, 0), min(middle + near + 1, wide)):
+        for y in range(max(middle - near, 0), min(middle + near + 1, wide)):
+            z = lowest[x * wide + y]
+            if -DEEPEST <= z < -BENEATH:
+                number[np.int64((z + DEEPEST) / BIN)] += 1
+    best, most = 0, np.int64(0)
+    for k in range(1, len(number) - 1):
+        around = number[k - 1] + number[k] + number[k + 1]
+        if around > most:
+            best, most = k, around
+    return (best + 0.5) * BIN - DEEPEST if most else np.inf
+
+
+@njit(cache=True, nogil=True)
+def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
+    """The mean height of the lowest layer of points in each cell, and the number of its points.
+
+    A layer with less than a tenth of its cell's points, or a single one of several, is not the lowest: a few returns
+    below the ground. Nor is what a slope from the ground under the sensor cannot reach: a reflection.
+
+    Args:
+        heights: (N,) float32, metres above the sensor.
+        cells: (N,) int32, as from ``cells_of``; wide: cells along each axis; edge: of a cell, metres.
+        layer: height of a layer, metres.
+        steep: slope of the steepest ground, as seen from the sensor, metres per metre.
+        margin: metres that ground may be lower than that.
+        near: number of cells around the sensor among which the ground under it is sought.
+
+    Returns:
+        (wide, wide) float64, metres above the sensor, infinite without; and (wide, wide) int32.
+    """
+    n = wide * wide
+    low = np.full(n, np.inf)
+    for i in range(len(cells)):
+        if cells[i] >= 0:
+            low[cells[i]] = min(low[cells[i]], heights[i])
+    level, found, number = _beneath(low, wide, near), np.full(n, np.inf), np.zeros(n, np.int32)
+    if level == np.inf:
+        return found.reshape(wide, wide), number.reshape(wide, wide)
+    least, middle = np.empty(n), wide // 2
+    for x in range(wide):
+        for y in range(wide):
+            far = math.sqrt(float((x - middle) ** 2 + (y - middle) ** 2))
+            least[x * wide + y] = level - margin - steep * edge * far
+    total, inside, summed, rows = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64), len(cells)
+    open_rows = np.empty(rows, np.int32)
+    for i in range(rows):
+        open_rows[i] = i
+    for attempt in range(ATTEMPTS):
+        low[:] = np.inf
+        for k in range(rows):
+            i = open_rows[k]
+            c = cells[i]
+            if c >= 0 and heights[i] >= least[c]:
+                low[c] = min(low[c], heights[i])
+                total[c] += attempt == 0
+        for k in range(rows):
+            i = open_rows[k]
+            c = cells[i]
+            if c >= 0 and low[c] <= heights[i] < low[c] + layer:
+                inside[c] += 1
+                summed[c] += np.int64(np.float64(heights[i]) * 1e6)  # integers: any order
+        left = 0
+        for k in range(rows):
+            c = cells[open_rows[k]]
+            if c >= 0 and inside[c] > 0:
+                if 10 * inside[c] >= total[c] and (inside[c] > 1 or total[c] <= 1 or attempt == ATTEMPTS - 1):
+                    found[c], number[c] = summed[c] / (1e6 * inside[c]), inside[c]
+                else:
+                    open_rows[left] = open_rows[k]
+                    left += 1
+        for k in range(left):
+            c = cells[open_rows[k]]
+            if inside[c] > 0:
+                least[c] = low[c] + layer / 2
+                inside[c], summed[c] = 0, 0
+        rows = left
+    return found.reshape(wide, wide), number.reshape(wide, wide)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def pits(surface, deep):
+    """(X, Y) bool: cells that are reflections, not ground.
+
+    They are more than ``deep`` below over three quarters of the known cells among the 5 x 5 cells around them, or below
+    all but one of them: stray returns far below the ground have few known cells around. Unknown cells are infinite, and
+    not reflections.
+    """
+    rows, columns = surface.shape
+    found = np.zeros(surface.shape, np.bool_)
+    for x in prange(rows):
+        for y in range(columns):
+            if surface[x, y] == np.inf:
+                continue
+            around, level = 0, 0
+            for i in range(max(x - 2, 0), min(x + 3, rows)):
+                for j in range(max(y - 2, 0), min(y + 3, columns)):
+                    if surface[i, j] < np.inf:
+                        around += 1
+                        level += surface[i, j] <= surface[x, y] + deep
+            found[x, y] = 4 * level < around or level < FELLOWS
+    return found
+
+
+@njit(cache=True, nogil=True)
+def inclines(surface, first, wide, steep, most):
+    """(X, Y, 2) float64, metres: the mean rise of a surface (X, Y) from cell to cell around each cell, along x and y.
+
+    The mean is over the adjacent known cells in 3 x 3 squares, the cell being in the middle one. 0 without such cells.
+
+    Args:
+        surface: (X, Y) float64, metres; infinite where unknown.
+        first: (2,) int64, key of the first cell, from which squares are counted.
+        wide: edge of a square, cells.
+        steep: metres: adjacent cells whose heights differ by more are not both ground.
+        most: metres: maximum rise in the steepest direction.
+    """
+    rows, columns = surface.shape
+    west, south = first[0] // wide, first[1] // wide
+    squares = (first[0] + rows - 1) // wide - west + 3, (first[1] + columns - 1) // wide - south + 3
+    total, number = np.zeros((*squares, 2)), np.zeros((*squares, 2))  # with a border of one square
+    for x in range(rows):
+        for y in range(columns):
+            z, a, b = surface[x, y], (first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1
+            if x < rows - 1 and abs(surface[x + 1, y] - z) <= steep:  # not a number if both are unknown
+                total[a, b, 0] += surface[x + 1, y] - z
+                number[a, b, 0] += 1
+            if y < columns - 1 and abs(surface[x, y + 1] - z) <= steep:
+                total[a, b, 1] += surface[x, y + 1] - z
+                number[a, b, 1] += 1
+    mean, found = np.zeros(total.shape), np.empty((rows, columns, 2))
+    for a in range(1, squares[0] - 1):
+        for b in range(1, squares[1] - 1):
+            for axis in range(2):
+                around = number[a - 1 : a + 2, b - 1 : b + 2, axis].sum()
+                mean[a, b, axis] = total[a - 1 : a + 2, b - 1 : b + 2, axis].sum() / max(around, 1.0)
+            mean[a, b] *= most / max(most, math.sqrt(mean[a, b, 0] ** 2 + mean[a, b, 1] ** 2))
+    for x in range(rows):
+        for y in range(columns):
+            found[x, y] = mean[(first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def lower(surface, incline, step):
+    """Lower a surface (X, Y), in place, until no cell is more than ``step`` beyond the incline above any neighbour.
+
+    A diagonal neighbour allows √2 times as much. The incline between two cells is the mean of theirs, (X, Y, 2). None
+    may be steeper than ``step``: then no cell must be below its neighbour, and this ends.
+    """
+    rows, columns = surface.shape
+    slant, half, lowered = step * np.sqrt(2.0), incline / 2, True
+    while lowered:
+        lowered = False
+        for x in range(rows):
+            for y in range(columns):
+                before = z = surface[x, y]
+                u, v = half[x, y]
+                if x > 0:
+                    z = min(z, surface[x - 1, y] + step + u + half[x - 1, y, 0])
+                    if y > 0:
+                        there = half[x - 1, y - 1]
+                        z = min(z, surface[x - 1, y - 1] + slant + u + v + (there[0] + there[1]))
+                    if y < columns - 1:
+                        there = half[x - 1, y + 1]
+                        z = min(z, surface[x - 1, y + 1] + slant + u - v + there[0] - there[1])
+                if y > 0:
+                    z = min(z, surface[x, y - 1] + step + v + half[x, y - 1, 1])
+                if z < before - NEARLY:
+                    surface[x, y], lowered = z, True
+        for x in range(rows - 1, -1, -1):
+            for y in range(columns - 1, -1, -1):
+                before = z = surface[x, y]
+                u, v = half[x, y]
+                if x < rows - 1:
+                    z = min(z, surface[x + 1, y] + step - u - half[x + 1, y, 0])
+                    if y > 0:
+                        there = half[x + 1, y - 1]
+                        z = min(z, surface[x + 1, y - 1] + slant - u + v - there[0] + there[1])
+                    if y < columns - 1:
+                        there = half[x + 1, y + 1]
+                        z = min(z, surface[x + 1, y + 1] + slant - u - v - (there[0] + there[1]))
+                if y < columns - 1:
+                    z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
+                if z < before - NEARLY:
+                    surface[x, y], lowered = z, True
+
+
+@njit(cache=True, nogil=True)
+def filled(surface, weight, levels):
+    """Fill the unknown cells of a surface with the mean of ever larger squares around them: pull and push.
+
+    Args:
+        surface: (X, X) float64, metres; what is in cells without weight does not matter.
+        weight: (X, X) float64, from 0, unknown, to 1.
+        levels: number of times that squares are doubled.
+
+    Returns:
+        (X, X) float64, metres; infinite where even the largest squares have no weight.
+    """
+    size, offsets, sizes = surface.shape[0], np.zeros(levels + 2, np.int64), np.zeros(levels + 1, np.int64)
+    for k in range(levels + 1):
+        sizes[k], offsets[k + 1] = size, offsets[k] + size * size
+        size = (size + 1) // 2
+    z, w = np.zeros(offsets[-1]), np.zeros(offsets[-1])
+    for i in range(sizes[0] * sizes[0]):
+        w[i] = weight.flat[i]
+        z[i] = surface.flat[i] if w[i] > 0 else 0.0
+    for k in range(levels):
+        own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
+        for x in range(wide):
+            for y in range(wide):
+                i, j = own + x * wide + y, above + (x // 2) * half + y // 2
+                z[j] += w[i] * z[i]
+                w[j] += w[i]
+        for j in range(above, offsets[k + 2]):
+            if w[j] > 0:
+                z[j] /= w[j]
+            w[j] = min(w[j], 1.0)
+    for k in range(levels - 1, -1, -1):
+        own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
+        for x in range(wide):
+            for y in range(wide):
+                i = own + x * wide + y
+                if w[i] < 1:
+                    mean, total = _between(z, w, above, half, (x - 0.5) / 2, (y - 0.5) / 2)
+                    if total > 0:
+                        z[i] = w[i] * z[i] + (1 - w[i]) * mean
+                        w[i] = max(w[i], min(total, 1.0))
+    found = np.empty(surface.shape)
+    for i in range(sizes[0] * sizes[0]):
+        found.flat[i] = z[i] if w[i] > 0 else np.inf
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _between(z, w, first, wide, u, v):
+    """Weighted mean of the four cells around (u, v) of a square picture that begins at ``first``; and their weight."""
+    x, y = max(np.int64(math.floor(u)), 0), max(np.int64(math.floor(v)), 0)
+    mean, total = 0.0, 0.0
+    for i in range(2):
+        for j in range(2):
+            at = first + min(x + i, wide - 1) * wide + min(y + j, wide - 1)
+            share = abs(1 - i - min(max(u - x, 0.0), 1.0)) * abs(1 - j - min(max(v - y, 0.0), 1.0)) * w[at]
+            mean += share * z[at]
+            total += share
+    return (mean / total if total > 0 else 0.0), total
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def above(points, lift, first, surface, edge):
+    """(N,) float32, metres: height of points (N, 3) above a surface, interpolated between the centres of its cells.
+
+    Points outside get that of the border; points that are not finite, and all over unknown cells, are infinitely high.
+
+    Args:
+        lift: metres, added to the surface; first: (2,) int64, its first cell; edge: of a cell, metres.
+    """
+    found, wide = np.full(len(points), np.float32(np.inf)), surface.shape[0]
+    for i in prange(len(points)):
+        if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
+            u = min(max(points[i, 0] / edge - 0.5 - first[0], 0.0), wide - 1.0)
+            v = min(max(points[i, 1] / edge - 0.5 - first[1], 0.0), wide - 1.0)
+            x, y = min(np.int64(u), wide - 2), min(np.int64(v), wide - 2)
+            u, v = u - x, v - y
+            south = (1 - u) * surface[x, y] + u * surface[x + 1, y]
+            north = (1 - u) * surface[x, y + 1] + u * surface[x + 1, y + 1]
+            z = points[i, 2] - lift - ((1 - v) * south + v * north)
+            if math.isfinite(z):
+                found[i] = z
+    return found
+
+
+@njit(cache=True, nogil=True)
+def plane(x, y, z, weight, start, rounds):
+    """(3,) float64: the plane c + a x + b y through most points (K,) each: iterated least squares, which tend to L1.
+
+    Args:
+        x, y, z, weight: (K,) float64, metres, and without unit.
+        start: (3,) float64, the first guess of c, a and b.
+        rounds: number of iterations.
+    """
+    c, a, b = start
+    for _ in range(rounds):
+        m = np.zeros((3, 4))
+        m[0, 0], m[1, 1], m[2, 2] = 1e-6, 100.0, 100.0  # flat if nothing says otherwise
+        for k in range(len(x)):
+            w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), FIT)
+            row = (1.0, x[k], y[k], z[k])
+            for i in range(3):
+                for j in range(4):
+                    m[i, j] += w * row[i] * row[j]
+        for i in range(3):  # the matrix is positive definite: no pivots
+            for k in range(3):
+                if k != i:
+                    share = m[k, i] / m[i, i]
+                    for j in range(4):
+                        m[k, j] -= share * m[i, j]
+        c, a, b = m[0, 3] / m[0, 0], m[1, 3] / m[1, 1], m[2, 3] / m[2, 2]
+    return np.array([c, a, b])

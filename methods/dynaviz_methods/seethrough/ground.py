@@ -1,0 +1,149 @@
+"""The ground of each scan, from this scan alone, and the errors of poses that the grounds of several scans show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, Bool
+from dynaviz.contracts.scan import Scan
+
+EDGE = 0.8  # metres: edge of a cell
+REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
+NEAR = 20.0  # metres around the sensor among which the ground under it is sought
+LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
+STEEP = 0.2  # metres per metre: steepest ground, as seen from the sensor; anything steeper is an object, or a reflection
+PIT = 0.3  # metres: what is lower than that, and than most cells around, is a reflection
+SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
+AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
+SEEN = 0.05  # metres: a cell that is lowered by more is no ground
+FULL = 5  # points: cells with fewer count less
+LEVELS = 8  # the ground of unknown cells is that of squares of up to 2^LEVELS cells
+
+FIT_REACH = 40.0  # metres: ground up to here decides how a scan is levelled
+LEAST = 100  # cells: minimum overlap with the ground of earlier scans
+OFF = 0.1  # metres: poses whose ground agrees within this, up to 30 m away, stay as they are
+OTHER = 0.5  # metres: ground that differs by more, after levelling, is that of another floor
+WRAP = 1024  # cells along x and y after which the ground of earlier scans is forgotten
+ROUNDS = 5  # iterations of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The ground that one scan shows.
+
+    Attributes:
+        height: (X, X) float64, metres above the sensor, of square cells of ``EDGE``; infinite if no ground is known.
+        seen: (X, X) bool: cells in which the scan has points on the ground. number: (X, X) int32: how many.
+        first: (2,) int64: the first cell, counted from the world's origin.
+        z: metres, world frame: height of the sensor.
+    """
+
+    height: F64
+    seen: Bool
+    number: I32
+    first: I64
+    z: float
+
+    @classmethod
+    def of(cls, scan: Scan) -> Surface:
+        """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach."""
+        points, position = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
+        k, z, reach = kernels.scan_ground, float(scan.position[2]), _reach(scan)
+        cells, first = k.cells_of(points, position, reach, EDGE)
+        with np.errstate(invalid="ignore"):
+            heights = points[:, 2] - np.float32(z)
+        size = 2 * reach + 1, EDGE, LAYER
+        lowest, number = k.lowest_layers(heights, cells, *size, STEEP, PIT, math.ceil(NEAR / EDGE))
+        for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
+            lowest[k.pits(lowest, PIT)] = np.inf
+        surface = lowest.copy()
+        k.lower(surface, k.inclines(lowest, first, AROUND, STEEP * EDGE, SLOPE * EDGE), SLOPE * EDGE)
+        seen = (lowest < np.inf) & (lowest <= surface + SEEN)
+        weight = np.where(seen, np.minimum(number, FULL) / FULL, 0.0)
+        return cls(k.filled(surface, weight, LEVELS), seen, number, first, z)
+
+    def heights(self, points: F32) -> F32:
+        """(N,) float32, metres: height of points (N, 3), world frame, above the ground; infinite if unknown."""
+        where = self.z, self.first, self.height, EDGE
+        found: F32 = kernels.scan_ground.above(kernels.as_readonly(points, np.float32), *where)
+        return found
+
+
+def _reach(scan: Scan) -> int:
+    """Cells to each side of the sensor that contain all points, at most ``REACH``."""
+    with np.errstate(invalid="ignore"):
+        away = np.abs(scan.points[:, :2] - scan.position[:2].astype(np.float32))
+    inside = away[away < REACH * EDGE]
+    return min(math.ceil(inside.max(initial=EDGE) / EDGE) + 1, REACH)
+
+
+class Level:
+    """Finds out how much the pose of a scan lifts and tilts its ground, compared with that of the scans before it.
+
+    The error is a plane c + a dx + b dy above the world's horizontal, (3,) float64: metres, and metres per metre, with
+    dx and dy from the sensor. Subtracting it from z keeps rays straight. Poses whose ground agrees stay as they are.
+
+    Args:
+        limit: metres: beyond it, levelling starts again from the pose itself.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit = limit
+        self._weight, self._height = np.zeros((WRAP, WRAP)), np.zeros((WRAP, WRAP))
+        self._keys = np.full((WRAP, WRAP, 2), np.iinfo(np.int64).min)
+        self._last = np.zeros(2), np.zeros(3)
+
+    def error(self, surface: Surface, position: F64) -> F64:
+        """(3,) float64: the error of the pose of the next scan, whose sensor is at ``position``."""
+        found = self._fitted(surface, position)
+        if abs(found[0]) > self._limit:
+            self._weight[:], found = 0.0, np.zeros(3)
+        self._add(surface, position, found)
+        self._last = position[:2].copy(), found
+        return found
+
+    def _fitted(self, surface: Surface, position: F64) -> F64:
+        place, error = self._last
+        start = np.array([error[0] + error[1:] @ (position[:2] - place), *error[1:]])
+        at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
+        known, before = self._known(at)
+        known &= np.abs(z - start[0] - start[1] * dx - start[2] * dy - before) < OTHER
+        if known.sum() < LEAST:
+            return np.array([start[0], 0.0, 0.0])
+        weight = np.minimum(number[known], 2 * FULL).astype(np.float64)
+        fit = dx[known], dy[known], (z - before)[known], weight, start, ROUNDS
+        found: F64 = kernels.scan_ground.plane(*fit)
+        return found if abs(found[0]) + 30.0 * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
+
+    def _known(self, at: tuple[I64, I64]) -> tuple[Bool, F64]:
+        """Whether earlier scans saw the ground of cells, (K,) each along x and y; and its height, metres."""
+        x, y = at[0] % WRAP, at[1] % WRAP
+        known = (self._weight[x, y] > 0) & (self._keys[x, y, 0] == at[0]) & (self._keys[x, y, 1] == at[1])
+        return known, self._height[x, y]
+
+    def _add(self, surface: Surface, position: F64, error: F64) -> None:
+        """Add the levelled ground of a scan: means in which near ground counts most."""
+        at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
+        z = z - error[0] - error[1] * dx - error[2] * dy
+        known, before = self._known(at)
+        x, y = at[0] % WRAP, at[1] % WRAP
+        same = known & (np.abs(z - before) < OTHER)
+        old = np.where(same, self._weight[x, y], 0.0)
+        own = number / (1.0 + (dx * dx + dy * dy) / 100.0)
+        self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
+        self._weight[x, y] = old + own
+        self._keys[x, y, 0], self._keys[x, y, 1] = at
+
+
+def _cells(surface: Surface, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, I32]:
+    """The seen cells (K,) up to some metres away: their keys, dx and dy from the sensor, height, number of points."""
+    rows = np.nonzero(surface.seen)
+    at = rows[0] + surface.first[0], rows[1] + surface.first[1]
+    dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
+    near = dx * dx + dy * dy < reach * reach
+    z, number = surface.height[rows] + surface.z, surface.number[rows]
+    return (at[0][near], at[1][near]), dx[near], dy[near], z[near], number[near]

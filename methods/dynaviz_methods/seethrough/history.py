@@ -1,0 +1,176 @@
+"""The places that scans visited, and what they inherit from dynamic objects where their life begins or ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, I32, I64, U16
+from dynaviz.blocks.blocks import BlockGrid, Marks
+
+BIRTH = 4  # scans: length of the beginning and of the end of a place's life
+ROUNDS = 2  # sweeps in both directions
+WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
+CERTAIN = 0.5  # evidence for full certainty
+LEAST = 0.1  # weight of a place without evidence, against one that is certain
+FEW = 3.0  # hits for the full evidence of a place
+Rows = TypeVar("Rows", bound=NDArray[Any])
+
+
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """The places that one scan visited.
+
+    Attributes:
+        number: position of the scan.
+        places: (V,) int32; parts: (V,) int32, the part of each; around: (P, 9) int32: parts next to each part.
+    """
+
+    number: int
+    places: I32
+    parts: I32
+    around: I32
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What decides the labels of points, by place; all (4 B,), the last block being that of points without one.
+
+    Attributes:
+        own: float32: evidence of places; born, left: float32: what they inherit at their beginning and at their end.
+        came, went: int32: position of the first scan from which they inherit this, in each direction; -1 for none.
+    """
+
+    own: F32
+    born: F32
+    left: F32
+    came: I32
+    went: I32
+
+
+class History:
+    """The lives of places. A place begins with its first points and ends with its last.
+
+    Args:
+        grid: the grid of the places' blocks.
+        inherited: weight of what a place inherits.
+        prior: what its evidence must exceed.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence.
+        counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
+    """
+
+    def __init__(
+        self, grid: BlockGrid, inherited: float, prior: float, weights: tuple[float, ...], counts: tuple[U16, ...]
+    ) -> None:
+        rows, own = len(grid) + 1, grid.per_block
+        self._weights, self._counts, self._prior = weights, counts, prior
+        self.inherited = inherited
+        self._visits: dict[int, Visits] = {}
+        self._stamps, self._came = own(np.full((rows, 4), -1, np.int32), -1), own(np.full((rows, 4), -1, np.int32), -1)
+        self._up, self._touched = own(np.zeros((rows, 8), np.uint64)), own(np.zeros(rows, np.int32))
+        self._own, self._born = own(np.full((rows, 4), -prior, np.float32), -prior), own(np.zeros((rows, 4), np.float32))
+        self._first, self._last, self._number = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
+        self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
+        self._grid, self._now = grid, -1
+        grid.watch(self._block_came)
+
+    def _block_came(self, numbers: I32) -> None:
+        self._since[numbers] = self._now + 1
+
+    def add(self, number: int, voxels: I64, objects: I32, marks: Marks) -> None:
+        """Add the visits of a scan, and let its places inherit from what is known so far.
+
+        Args:
+            number: position of the scan.
+            voxels: (N,) int64, objects: (N,) int32: of each point, -1 for none.
+            marks: the voxels that its rays marked; counted before.
+        """
+        k, self._now = kernels.places, number
+        self._touched[marks.blocks] += 1
+        visits = Visits(number, *k.visit(voxels, objects, self._grid.blocks, WIDE, number, self._up, self._stamps))
+        self._visits[number] = visits
+        k.note(visits.places, self._touched, self._first.ravel(), self._last.ravel(), self._number.ravel())
+        self._weigh(visits.places, self._own)
+        rank = self._number.ravel()[visits.places] - 1
+        most = np.where(self._first.ravel() > 1, BIRTH, 1 << 30).astype(np.int32)
+        unknown = np.full(self._own.size, k.UNKNOWN, np.float32)
+        scan, state = (visits.places, visits.parts, visits.around, rank), (self._own, self._born)
+        k.inherit(*scan, most, *(of.ravel() for of in state), unknown, self._shares, self._came.ravel(), number)
+
+    @property
+    def _shares(self) -> tuple[float, float, float]:
+        return self.inherited, CERTAIN, LEAST
+
+    def _weigh(self, places: I32, found: F32) -> None:
+        evidence = self._up, *self._counts, self._weights, FEW, self._prior
+        kernels.places.evidence(places, *evidence, found.reshape(-1))
+
+    def so_far(self) -> Decision:
+        """What decides the labels of the last scan, by the scans so far."""
+        nothing = np.full(self._own.size, kernels.places.UNKNOWN, np.float32)
+        never = np.full(self._own.size, -1, np.int32)
+        return Decision(self._own.ravel(), self._born.ravel(), nothing, self._came.ravel(), never)
+
+    def decide(self) -> Decision:
+        """What decides the labels of all scans that were not forgotten."""
+        k, size = kernels.places, self._own.size
+        visits = [self._remaining(each) for each in self._visits.values()]
+        starts, part_starts = (np.cumsum([0, *map(len, of)]) for of in ([v.places for v in visits], [v.around for v in visits]))
+        places, parts, around = (
+            np.concatenate([empty, *(getattr(v, name) for v in visits)])
+            for name, empty in (
+                ("places", np.empty(0, np.int32)),
+                ("parts", np.empty(0, np.int32)),
+                ("around", np.empty((0, 9), np.int32)),
+            )
+        )
+        existing = np.unique(places)
+        own = np.full(size, -self._prior, np.float32)
+        self._weigh(existing, own)
+        births, deaths = np.zeros(size, np.int32), np.zeros(size, np.int32)
+        k.limits(existing, self._touched, self._first.ravel(), self._last.ravel(), BIRTH, births, deaths)
+        forward, backward = k.ranks(places, np.zeros(size, np.int32))
+        born, left = (np.where(most == 0, k.UNKNOWN, np.float32(0)) for most in (births, deaths))
+        came, went = np.full(size, -1, np.int32), np.full(size, -1, np.int32)
+        for _ in range(ROUNDS):
+            of = starts, part_starts, places, parts, around
+            k.sweep(*of, forward, births, own, born, left, self._shares, came, False)
+            k.sweep(*of, backward, deaths, own, left, born, self._shares, went, True)
+        return Decision(own, born, left, came, went)
+
+    def _remaining(self, visits: Visits) -> Visits:
+        """Visits of places whose blocks did not go since."""
+        here = self._since[visits.places >> 2] <= visits.number
+        if here.all():
+            return visits
+        return Visits(visits.number, visits.places[here], visits.parts[here], visits.around)
+
+    def forget(self, number: int) -> None:
+        """Drop the visits of a scan."""
+        self._visits.pop(number, None)
+
+    def move(self, grid: BlockGrid, to: I64, counts: tuple[U16, ...]) -> None:
+        """Go on in another grid, in which block k of the old one is block ``to[k]``.
+
+        Args:
+            grid: it contains all blocks of the old one.
+            to: (B,) int64; counts: the counts of the new grid.
+        """
+        for name, state in vars(self).items():
+            if isinstance(state, np.ndarray):
+                setattr(self, name, moved(state, to, len(grid) + 1))
+        for number, each in self._visits.items():
+            places = (to[each.places >> 2] << 2 | each.places & 3).astype(np.int32)
+            self._visits[number] = Visits(number, places, each.parts, each.around)
+        self._grid, self._counts = grid, counts
+
+
+def moved(state: Rows, to: I64, rows: int) -> Rows:
+    """State with one row per block, and an empty last row, in a grid in which block k is block ``to[k]``."""
+    found: Rows = np.repeat(state[-1:], rows, 0)
+    found[to] = state[:-1]
+    return found

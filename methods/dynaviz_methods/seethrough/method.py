@@ -1,0 +1,396 @@
+"""SeeThrough: what rays pass through is dynamic, and so is what came or left together with it.
+
+    for each scan
+        ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits, as
+                steep as the ground around; where it shows that the pose is lifted or tilted against the ground of earlier
+                scans by more than 10 cm, level the scan
+        hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
+        clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
+        object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
+    voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
+                evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or 0.1 (c - a) / (c + a + 1)
+    place:      u = mean evidence of its voxels with points of objects, minus ``prior``; 4 x 4 x 8 voxels
+    part:       the places of one object, seen in one scan, around a square of 2.4 m:
+                m = their mean certainty, f / 0.5 from -1 to 1, in which the certain ones count most
+    birth:      B = mean of m over the first 4 scans with points in the place; death: D over the last 4; no B or D for
+                what was there as soon, or as long, as rays reached it; both over all scans if neither was seen
+                f = u + inherit max(B, D); dynamic if f > 0. Sweep forward in time, then backward, twice
+    point:      dynamic if f > 0 in its place, or if the evidence of its own voxel exceeds 0.7
+    foot:       a low point next to dynamic ones is dynamic, too, if it is 4 cm above the scan's other low points around,
+                or if the evidence of its voxel exceeds 0.4
+
+A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
+from dynaviz.blocks.blocks import VOXELS, Marks, voxels_of
+from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
+from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
+from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
+from dynaviz.contracts.scan import Scan
+from dynaviz.kernels.keys import REACH
+from dynaviz.spatial.grid import SHIFTS
+from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
+from dynaviz_methods.lookups import known
+from dynaviz_methods.seethrough.clear_grid import ClearGrid
+from dynaviz_methods.seethrough.ground import PIT, Level, Surface
+from dynaviz_methods.seethrough.history import Decision, History, moved
+from dynaviz_methods.voids import widened
+
+TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
+HIGHEST = 4.5  # metres above the ground, which no mover exceeds
+ALONE = 0.7  # evidence of a voxel whose points are dynamic by themselves
+EMPTY = 0.4  # evidence of a voxel with points of a foot
+STANDS_OUT = 0.04  # metres above the other low points around: or the height of a foot
+UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
+GROUND = 3.2, 3  # metres: edge of the cells in which low points are compared; minimum number of them
+LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
+OBJECT = 30.0  # metres
+
+
+@dataclass(frozen=True)
+class SeeThroughParams:
+    """Parameters of SeeThrough.
+
+    Attributes:
+        resolution: edge of a voxel, metres.
+        guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
+        votes: number of clear scans for the full evidence of a voxel.
+        near: weight of a crossing near a hit, against one clear crossing.
+        hit: weight of a hit, against one clear crossing.
+        prior: evidence that a place must exceed, from 0 to less than 1.
+        inherit: weight of what a place inherits where it begins or ends.
+        ground_height: points up to this above the ground are low, metres.
+        gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
+    """
+
+    resolution: float = 0.1
+    guard: float = 0.3
+    votes: int = 3
+    near: float = 0.3
+    hit: float = 0.12
+    prior: float = 0.1
+    inherit: float = 0.5
+    ground_height: float = 0.15
+    gap: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("resolution", "gap"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
+        if self.gap < self.resolution / 32:  # the keys of its cells have five bits more than voxel keys
+            raise ValueError(f"gap = {self.gap}: give at least resolution / 32 = {self.resolution / 32:g} m")
+        if not 0 <= self.guard <= 7 * self.resolution * 1.001:
+            raise ValueError(f"guard = {self.guard}: give metres from 0 to 7 voxels of {self.resolution} m")
+        if not 1 <= self.votes <= 65535:
+            raise ValueError(f"votes = {self.votes}: give a number of scans from 1 to 65535")
+        for name in ("near", "hit", "inherit"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} = {getattr(self, name)}: give a weight of at least 0")
+        if not 0 <= self.prior < 1:
+            raise ValueError(f"prior = {self.prior}: give evidence from 0 to less than 1")
+        if not np.isfinite(self.ground_height):
+            raise ValueError(f"ground_height = {self.ground_height}: give metres")
+
+
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, BY_ITSELF, WAITED, HIGH = range(10)
+REASONS = (
+    Reason("never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND),
+    Reason("too_little_clear", "kept: too little of its place was seen clear", Cause.STANDING),
+    Reason("low", "kept: near the ground, and not under a dynamic object", Cause.TAKEN_FOR_GROUND),
+    Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the origin", Cause.OUT_OF_RANGE),
+    Reason("seen_through", "removed: its place was seen clear", Cause.SHARED_CELL),
+    Reason("followed", "removed: its place began as part of a dynamic object", Cause.SHARED_CELL),
+    Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
+    Reason("alone", "removed: its voxel was seen clear, but its place was not", Cause.SPARSE_RINGS),
+    Reason("waited", "removed: its place ended as part of a dynamic object", Cause.SHARED_CELL),
+    Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
+)
+BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED, BY_ITSELF)
+REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, BY_ITSELF, WAITED))  # (R,) bool, by code
+STATES = (
+    State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
+    State("passed", Voxels, "Voxels with points that this scan's rays crossed near its hits: no evidence"),
+    State(
+        "objects",
+        PointClasses,
+        "Points by the scans so far: low, static, dynamic, of a place that inherits, foot, alone",
+        legend=("static", "low", "dynamic", "followed", "foot", "alone"),
+    ),
+    State("low", Mask, "Points near the ground: removed only under a dynamic object"),
+)
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0], np.uint8)  # reason code to class of the legend
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What one scan shows.
+
+    Attributes:
+        number: its position.
+        scan: levelled; height: (N,) float32, metres above the ground, infinite if unknown.
+        voxels, places: (N,) int64, -1 for none.
+        tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``; before: (3,) the position.
+    """
+
+    number: int
+    scan: Scan
+    height: F32
+    voxels: I64
+    places: I64
+    tilt: F64
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What decided the labels of the scan that was judged last."""
+
+    measured: Measured
+    decision: Decision
+    empty: F32
+    reasons: U8
+
+
+class SeeThrough:
+    """SeeThrough; in online mode it labels each scan by the scans so far."""
+
+    info: ClassVar[MethodInfo] = MethodInfo(
+        "seethrough", "SeeThrough", "dynaviz, 2026", REASONS, STATES, uses=("elevation",)
+    )
+    Params: ClassVar[type[Any]] = SeeThroughParams
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def begin(self, context: Context) -> None:
+        """Allocate the map where points will lie."""
+        p, self._probe = self.params, context.probe
+        self._extent: Extent | None = context.extent
+        self._sensor = context.sensor
+        self._grid = ClearGrid(context.extent, p.resolution, context.sensor)
+        rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
+        self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
+        self._weights = float(p.near), float(p.hit), float(p.votes)
+        self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
+        self._level = Level(LIFTED[self._grid.rolls] - 0.1)
+        if self._grid.rolls:
+            self._extent = None
+        self._observed = 0
+        self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
+        self._decided: tuple[int, Decision] = -1, self._history.so_far()
+        self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
+        self._tilts: dict[int, F64] = {}  # by position
+        self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
+
+    def observe(self, scan: Scan) -> None:
+        """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
+        p, surface = self.params, Surface.of(scan)
+        tilt = self._level.error(surface, scan.position)
+        if tilt.any() and self._extent is not None:
+            self._widen()
+        now = self._number[scan.index] = self._observed
+        self._tilts[now], self._observed = tilt, now + 1
+        measured = self._measured = self._measure(scan, surface)
+        marks = self._grid.mark_once(measured.scan, measured.voxels)
+        near = self._grid.near(marks, round(p.guard / p.resolution))
+        bits = marks.bits
+        if now >= kernels.clearance.MOST:
+            bits = kernels.clearance.countable(marks.blocks, bits, *self._counts[:2])
+        kernels.clearance.count(marks.blocks, bits, near, *self._counts)
+        chosen = (measured.voxels >= 0) & (measured.height > p.ground_height) & ~_high(measured.height)
+        objects, _ = kernels.objects.connect(measured.scan.points, chosen, p.gap, TALL * p.gap)
+        self._history.add(now, measured.voxels, objects, marks)
+        self._show(measured, marks, near)
+
+    def label(self, scan: Scan) -> Labels:
+        """Label the points of a scan; decided when it is labelled for the first time.
+
+        A scan that was observed last is labelled by the scans so far, unless another one was labelled since.
+        """
+        if scan.index not in self._reasons:
+            number, measured = self._number[scan.index], self._measured
+            if measured is None or measured.number != number:
+                measured = self._measure(scan, Surface.of(scan))
+            at, decision = self._decided
+            if at != self._observed:
+                online = number + 1 == self._observed
+                decision = self._history.so_far() if online else self._history.decide()
+                if not online:
+                    self._decided = self._observed, decision
+            self._reasons[scan.index] = pack_codes(self._outcomes(measured, decision))
+        reasons = unpack_codes(self._reasons[scan.index], len(scan))
+        return Labels(any_of(reasons, REMOVED), reasons)
+
+    def forget(self, index: int) -> None:
+        """Drop what is stored about a scan."""
+        number = self._number.pop(index, -1)
+        self._reasons.pop(index, None)
+        self._tilts.pop(number, None)
+        self._history.forget(number)
+
+    def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
+        """Label scans again by all that is known, as if none had been labelled; the stored labels stay."""
+        stored, decided = self._reasons, self._decided
+        self._reasons, self._decided = {}, (self._observed, self._history.decide())
+        try:
+            return [self.label(scan) for scan in scans]
+        finally:
+            self._reasons, self._decided = stored, decided
+
+    def _measure(self, scan: Scan, surface: Surface) -> Measured:
+        """The height, voxel and place of each point of an observed scan."""
+        number = self._number[scan.index]
+        levelled = _levelled(scan, self._tilts[number])
+        voxels = self._grid.locate(levelled.points)
+        places = kernels.places.of_voxels(voxels)
+        return Measured(number, levelled, surface.heights(scan.points), voxels, places, self._tilts[number])
+
+    def _widen(self) -> None:
+        """Go on in a grid with room for levelled scans, above and below all points."""
+        assert self._extent is not None
+        extent, old = self._extent, _packed(self._grid.blocks)
+        self._extent = None
+        self._grid = ClearGrid(widened(extent, LIFTED[0], SHIFTS[2:]), self.params.resolution, self._sensor)
+        to = np.searchsorted(_packed(self._grid.blocks), old)
+        self._counts = tuple(moved(of, to, len(self._grid) + 1) for of in self._counts)
+        self._history.move(self._grid, to, self._counts)
+
+    def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
+        """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,); NaN for voxel -1."""
+        hits, passed, grazed = (known(of[voxels >> 9, voxels & 511], voxels) for of in self._counts)
+        return hits, passed, passed - grazed
+
+    def _outcomes(self, measured: Measured, decision: Decision) -> U8:
+        """Reason code of each point of an observed scan, (N,) uint8."""
+        empty = kernels.places.of_points(measured.voxels, *self._counts, self._weights)
+        of_points = measured.voxels, measured.places, measured.height, np.float32(self.params.ground_height)
+        of_places = decision.own, decision.born, decision.left, float(self.params.inherit)
+        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, ALONE, HIGHEST, BY_PLACE)
+        under = self._under(measured, reasons)
+        if under.any():
+            stands_out = measured.height - self._ground(measured, under, under) > np.float32(STANDS_OUT)
+            reasons[under & (stands_out | (empty > np.float32(EMPTY)))] = FOOT
+        self._judged = Judged(measured, decision, empty, reasons)
+        return reasons
+
+    def _under(self, measured: Measured, reasons: U8) -> Bool:
+        """(N,) bool: low points in or next to the cells of dynamic points that are not low."""
+        chosen, low = any_of(reasons, REMOVED) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
+        size = UNDER * self.params.resolution
+        under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, size)
+        return under
+
+    def _ground(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
+        """(N,) float32, metres: mean height of the other low points around the wanted points (N,); 0 if unknown."""
+        low = (measured.voxels >= 0) & (measured.height <= self.params.ground_height) & (measured.height > -PIT)
+        level: F32 = kernels.squares.local_level(
+            measured.scan.points, low & ~under, wanted, measured.height, *GROUND
+        )
+        return level
+
+    def halo(self) -> Halo:
+        """The size of an object, and of what it inherits from."""
+        return Halo(OBJECT)
+
+    def evidence(self, asked: Asked) -> Evidence:
+        """How often scans hit, passed and saw clear the points' voxels; the evidence of their places; what they inherit."""
+        number = self._number.get(asked.scan.index, -1)
+        scan = _levelled(asked.scan, self._tilts[number]) if number in self._tilts else asked.scan
+        voxels = self._grid.locate(scan.points)[asked.rows]
+        hits, passed, clear = self._scans(voxels)
+        quantities = [Quantity(name, of, total=True) for name, of in (("hit", hits), ("passed", passed), ("clear", clear))]
+        judged, rules = getattr(self, "_judged", None), ()
+        if judged is not None and judged.measured.scan.index == asked.scan.index:
+            decision, places = judged.decision, judged.measured.places[asked.rows]
+            own, born, left = (known(of[places], places) for of in (decision.own, decision.born, decision.left))
+            came, went = (known(np.where(of[places] < 0, np.nan, of[places]), places) for of in (decision.came, decision.went))
+            of_places = ("place", own), ("born", born), ("left", left), ("born in", came), ("left in", went)
+            quantities += [Quantity(name, of) for name, of in of_places]
+            rules = self._rules(judged, asked.rows, own, np.maximum(born, left))
+        return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
+
+    def _rules(self, judged: Judged, rows: I64, own: F64, inherited: F64) -> tuple[Rule, ...]:
+        """The rules that remove points, for the points in some rows."""
+        measured, p = judged.measured, self.params
+        empty, height = known(judged.empty[rows], measured.voxels[rows]), measured.height[rows]
+        up = (
+            Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m"),
+            Term("more than 4.5 m above the ground", _high(height), "<", 1),
+        )
+        place = Term("evidence of its place, with what it inherits", own + p.inherit * inherited, ">", 0)
+        under = self._under(measured, judged.reasons)
+        wanted = np.zeros(len(under), np.bool_)
+        wanted[rows] = measured.voxels[rows] >= 0
+        stands = height - self._ground(measured, under, wanted)[rows]
+        near = Term("low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1)
+        name = "evidence of its voxel"
+        return (
+            Rule("place", (*up, place)),
+            Rule("alone", (*up, Term(name, empty, ">", float(np.float32(ALONE))))),
+            Rule("foot", (near, Term("height above the low points around", stands, ">", float(np.float32(STANDS_OUT)), "m"))),
+            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(EMPTY))))),
+        )
+
+    def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
+        wants, emit = self._probe.wants, self._probe.emit
+        for name, among in (("clear", ~near), ("passed", near)):
+            if wants(name):
+                through = marks.bits[:, :8] & ~marks.bits[:, 8:]
+                voxels = voxels_of(marks.blocks, through & among.view(np.int64))
+                voxels = voxels[self._counts[0].ravel()[voxels] > 0]
+                count = self._scans(voxels)[2].astype(np.float32) if name == "clear" else None
+                emit(name, Voxels(self._shown(voxels, measured), self._grid.resolution, count))
+        if wants("objects"):
+            emit("objects", PointClasses(CLASS[self._outcomes(measured, self._history.so_far())]))
+        if wants("low"):
+            emit("low", Mask(measured.height <= self.params.ground_height))
+
+    def _shown(self, voxels: I64, measured: Measured) -> I32:
+        """(K, 3) int32: indices of voxels, raised and tilted like the points of a scan that was levelled."""
+        keys = self._grid.keys(voxels)
+        if measured.tilt.any():
+            size, (x, y) = self._grid.resolution, measured.scan.position[:2]
+            c, a, b = measured.tilt
+            lift = c + a * ((keys[:, 0] + 0.5) * size - x) + b * ((keys[:, 1] + 0.5) * size - y)
+            keys = keys + np.outer(np.round(lift / size), (0, 0, 1)).astype(np.int32)
+        return keys
+
+
+def _packed(blocks: I64) -> I64:
+    """(B,) int64: keys of blocks (B, 3), in their order."""
+    packed: I64 = ((blocks.astype(np.int64) + REACH) << SHIFTS).sum(1)
+    return packed
+
+
+def _high(height: F32) -> Bool:
+    """(N,) bool: points too high above the ground for a mover, from their heights in metres; infinite is unknown."""
+    high: Bool = (height > HIGHEST) & (height < np.inf)
+    return high
+
+
+def _levelled(scan: Scan, tilt: F64) -> Scan:
+    """A scan without an error of its pose, (3,), as from ``Level``."""
+    if not tilt.any():
+        return replace(scan, points=kernels.as_readonly(scan.points, np.float32))
+    x, y = scan.position[:2].tolist()
+    c, a, b = tilt.tolist()
+
+    def lowered(xyz: Any) -> Any:
+        found = xyz.copy()
+        found[:, 2] -= (c + a * (xyz[:, 0] - x) + b * (xyz[:, 1] - y)).astype(xyz.dtype)
+        return found
+
+    shear = np.eye(4)
+    shear[2] = -a, -b, 1.0, a * x + b * y - c
+    return replace(scan, points=lowered(scan.points), T_world_sensor=shear @ scan.T_world_sensor, origins=lowered(scan.origins))
