@@ -21,8 +21,9 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
-from dynaviz_methods import ground_height, judgement, seethrough, sky, staying, trails
-from dynaviz_methods.seethrough import ALONE, FOOT, REMOVED, WAITED, SeeThrough, SeeThroughParams
+from dynaviz_methods import sky
+from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, ground, history, method
+from dynaviz_methods.seethrough.method import BY_ITSELF, FOOT
 
 CHOSEN = (
     "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
@@ -31,56 +32,47 @@ CHOSEN = (
 PARTS = {  # constants to change, and reasons whose points are kept
     "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
-    "feet above the map's ground, not the scan's": ({"seethrough.LEAST": 1 << 30}, ()),
-    "no lone voxels": ({}, (ALONE,)),
-    "no waiting rule": ({}, (WAITED,)),
-    "waiting objects may be hit again": ({"judgement.LEFT": -1e9}, ()),
-    "single rays show that objects waited": ({"judgement.LEAVES": -1.0}, ()),
-    "no following": ({"judgement.PROOF": 1 << 30}, ()),
-    "followed objects may be hit again": ({"judgement.STAYS": 1.0, "judgement.STAYS_SURE": 1.0}, ()),
-    "what was long dynamic follows like anything else": ({"judgement.SURE": 1 << 30}, ()),
-    "what was there before may follow": ({"trails.BEFORE": trails.NEVER}, ()),
-    "objects with what stays": ({"staying.MANY": 1 << 30}, ()),
-    "nothing stays because it was there from the beginning": ({"staying.SINCE": 2.0}, ()),
-    "nothing is kept because something always is there": ({"staying.ALWAYS": 2.0}, ()),
-    "dynamic objects as a whole": (
-        {"seethrough.FIRM": 1e30, "seethrough.UNTOUCHED": -1.0, "staying.MANY": 1 << 30, "staying.ALWAYS": 2.0},
-        (),
-    ),
-    "places far away may be empty": ({"seethrough.FAR": 1e9}, ()),
-    "objects that waited as a whole": ({"seethrough.UNTOUCHED": -1.0}, ()),
-    "the map's ground near the sensor, not the scan's": ({"ground_height.NEAR": 0.0}, ()),
-    "the map's ground far away, not the scan's": ({"ground_height.SWAY": 0.0}, ()),
-    "feet up to 0.8 m away": ({"seethrough.UNDER": 4}, ()),
-    "neither following nor waiting": ({"judgement.PROOF": 1 << 30}, (WAITED,)),
-    "no limit of height": ({"seethrough.HIGHEST": 1e9}, ()),
-    "no objects: lone voxels only": ({"judgement.FEW": 1 << 30}, (WAITED,)),
-    "ground twice as steep": ({"ground_height.SLOPE": 0.2}, ()),
+    "no lone voxels": ({}, (BY_ITSELF,)),
+    "poses as they are": ({"ground.OFF": 1e9}, ()),
+    "birth and death of 2 scans": ({"history.BIRTH": 2}, ()),
+    "birth and death of 8 scans": ({"history.BIRTH": 8}, ()),
+    "one round": ({"history.ROUNDS": 1}, ()),
+    "parts half as wide": ({"history.WIDE": 1}, ()),
+    "parts twice as wide": ({"history.WIDE": 6}, ()),
+    "all places count alike": ({"history.LEAST": 1e3}, ()),
+    "certain at half the evidence": ({"history.CERTAIN": 0.25}, ()),
+    "certain at twice the evidence": ({"history.CERTAIN": 1.0}, ()),
+    "no limit of height": ({"method.HIGHEST": 1e9}, ()),
+    "feet up to 0.8 m away": ({"method.UNDER": 4}, ()),
+    "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
+    "pits are ground": ({"ground.PIT": 1e9}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
     "rays into the sky pass the points next to it": ({"sky.AROUND": 0}, ()),
-    "pits are ground": ({"ground_height.PIT": 1e9}, ()),
 }
 PARAMETERS = {
-    "guard": (0.0, 0.2, 0.4),
+    "guard": (0.2, 0.4),
     "resolution": (0.15, 0.2),
     "votes": (2, 5),
-    "share": (0.25, 0.45),
-    "ground_height": (-100.0, 0.1, 0.3),
+    "near": (0.15, 0.6),
+    "hit": (0.06, 0.24),
+    "prior": (0.05, 0.2),
+    "inherit": (0.25, 1.0),
+    "ground_height": (0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {of.__name__.rpartition(".")[2]: of for of in (seethrough, judgement, staying, ground_height, trails, sky)}
+MODULES = {of.__name__.rpartition(".")[2]: of for of in (ground, history, method, sky)}
 
 
 def scores(
     scans: list[Scan], sensor: Sensor, params: SeeThroughParams, kept: tuple[int, ...] = ()
 ) -> tuple[float, float]:
     """SA and DA, percent; points with the reasons ``kept`` are not removed."""
-    method = SeeThrough(params)
-    method.begin(Context(Extent.of(*scans), sensor))
+    running = SeeThrough(params)
+    running.begin(Context(Extent.of(*scans), sensor))
     for scan in scans:
-        method.observe(scan.without_truth())
+        running.observe(scan.without_truth())
     removed = REMOVED & ~np.isin(np.arange(len(REMOVED)), kept)
-    answers = np.concatenate([removed[method.label(scan.without_truth()).reasons] for scan in scans])
+    answers = np.concatenate([removed[running.label(scan.without_truth()).reasons] for scan in scans])
     truth = np.concatenate([scan.labels for scan in scans])
     return 100 * (~answers[truth == Label.STATIC]).mean(), 100 * answers[truth == Label.DYNAMIC].mean()
 

@@ -118,26 +118,3 @@ def count(blocks, bits, near, hits, passed, grazed):
                 _add(passed, blocks[r], w, through)
             if grazing:
                 _add(grazed, blocks[r], w, grazing)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def order(blocks, bits, near, ever, between, after):
-    """Note the order in which voxels are hit and seen clear, one bit per voxel.
-
-    Args:
-        blocks, bits, near: as for ``count``.
-        ever: (all blocks + 1, 8) uint64, voxels that were ever hit. Modified.
-        between: as ``ever``: voxels hit, then seen clear, then hit again. Modified.
-        after: as ``ever``: voxels hit, and seen clear since their last hit. Modified.
-    """
-    for r in prange(len(blocks)):
-        b = blocks[r]
-        for w in range(8):
-            hit = np.uint64(bits[r, 8 + w])
-            free = np.uint64(bits[r, w]) & ~hit & ~near[r, w] & ever[b, w]
-            if hit:
-                between[b, w] |= hit & after[b, w]
-                after[b, w] &= ~hit
-                ever[b, w] |= hit
-            if free:
-                after[b, w] |= free

@@ -1,4 +1,4 @@
-"""Objects of one scan: points in adjacent cells, and the evidence of their voxels."""
+"""Objects of one scan: points in adjacent cells."""
 
 import math
 
@@ -7,7 +7,6 @@ from numba import njit, prange
 
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
-ONE = np.uint64(1)
 # Each array expression in a parallel kernel wakes threads, which may take 0.1 ms: write it in a function of its own.
 PARTS = 4  # into which points are divided, for threads
 FEW = 8192  # points: up to so many are one part
@@ -183,175 +182,9 @@ def connect(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
-def _shares(objects, n):
-    """Rows (K,) of the points of n objects, the parts of these rows, and sums (parts, n, 7) of zeros."""
-    rows, ends = _divided(objects >= 0)
-    return rows, ends, np.zeros((len(ends) - 1, n, 7), np.int64)
-
-
-@njit(cache=True, nogil=True)
-def _total(sums):
-    """(7, n) int64: the sums of all parts, (parts, n, 7)."""
-    return sums.sum(0).T.copy()
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _weighed(voxel, hits, passed, grazed, votes):
-    """The evidence of a voxel with points: whether it votes, its vote, the evidence against it, whether seen clear."""
-    block, place = voxel >> 9, voxel & 511
-    hit, near = np.int64(hits[block, place]), np.int64(grazed[block, place])
-    crossed, against = np.int64(passed[block, place]), hit + 3 * near
-    seen = crossed - near
-    vote = 1000 * min(seen, votes) * min(3 * seen, against) // against if seen else np.int64(0)
-    return hit > 1 or crossed > 0, vote, against, seen > 0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_evidence(sums, rows, objects, voxels, hits, passed, grazed, between, after, votes):
-    """Add the evidence of the points in some rows to the sums (n, 7) int64 of their objects."""
-    for i in rows:
-        own, block, place = sums[objects[i]], voxels[i] >> 9, voxels[i] & 511
-        counts, vote, against, clear = _weighed(voxels[i], hits, passed, grazed, votes)
-        own[0] += 1
-        own[1] += counts
-        own[2] += vote
-        own[6] += against
-        if clear:
-            own[3] += 1
-            own[4] += np.int64(between[block, place >> 6] >> np.uint64(place & 63) & ONE)
-            own[5] += np.int64(after[block, place >> 6] >> np.uint64(place & 63) & ONE)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def evidence(objects, n, voxels, hits, passed, grazed, between, after, votes):
-    """Sum the evidence over the points of each of n objects.
-
-    A voxel that was hit once and crossed by no other scan does not vote. The vote of the others, in thousandths of a
-    scan, is the number of scans that saw it clear, at most ``votes``, times the ratio of that number to the evidence
-    against it, at most 1. Evidence against it is each scan that crossed it near a hit, and a third of each scan that
-    hit it, because a dynamic object makes hits as well. All sums are integers, so the order of points does not matter.
-
-    Args:
-        objects: (N,) int32, the object of each point, or -1.
-        voxels: (N,) int64, the voxel of each point; points of objects must have one.
-        hits, passed, grazed: (blocks, 512) uint16, number of scans that hit each voxel, crossed it without a hit, and
-            crossed it near one. The others that crossed it saw it clear.
-        between, after: (blocks, 8) uint64, bits of the voxels seen clear between two hits, and after the last hit.
-        votes: maximum vote of a voxel, scans.
-
-    Returns:
-        (7, n) int64: points, voting points, sum of votes, points in voxels that were ever seen clear, between two hits,
-        and after the last hit, and the evidence against votes, thirds of a scan.
-    """
-    rows, ends, sums = _shares(objects, n)
-    if len(sums) == 1:
-        _add_evidence(sums[0], rows, objects, voxels, hits, passed, grazed, between, after, votes)
-    else:
-        for part in prange(len(sums)):
-            own = rows[ends[part] : ends[part + 1]]
-            _add_evidence(sums[part], own, objects, voxels, hits, passed, grazed, between, after, votes)
-    return _total(sums)
-
-
-@njit(cache=True, nogil=True)
-def read(voxels, counts):
-    """(N,) int32: counts (blocks, 512) of voxels (N,); voxel -1 reads the last block."""
-    found = np.empty(len(voxels), np.int32)
-    for i in range(len(voxels)):
-        found[i] = counts[voxels[i] >> 9, voxels[i] & 511]
-    return found
-
-
-@njit(cache=True, nogil=True)
-def spread(verdict, objects):
-    """(N,) uint8: the verdict (n,) on each point's object, (N,) int32; 0 for points without one, -1."""
-    found = np.empty(len(objects), np.uint8)
-    for i in range(len(objects)):
-        found[i] = verdict[objects[i]] if objects[i] >= 0 else 0
-    return found
-
-
-@njit(cache=True, nogil=True)
 def look_up(codes, table):
     """(N,) bool: the entries of a table, bool, at codes (N,) uint8."""
     found = np.empty(len(codes), np.bool_)
     for i in range(len(codes)):
         found[i] = table[codes[i]]
-    return found
-
-
-@njit(cache=True, nogil=True)
-def surroundings(points, size, tall, voxels, hits, passed, grazed, votes):
-    """The evidence around each point: in its cell and in the 26 cells around it.
-
-    Args:
-        points: (N, 3) float32, metres; finite.
-        size, tall: edge of a cell in x and y, and in z, metres.
-        voxels, hits, passed, grazed, votes: as in ``evidence``.
-
-    Returns:
-        (N,) int32: the cell of each point.
-        Three arrays (C,) float64, by cell: mean vote of the points around it that vote, from 0 to 1; and of all points
-        around it, the mean evidence against votes, scans, and the share in voxels that were ever seen clear.
-    """
-    mine, cells, slots = cells_of(points, np.ones(len(points), np.bool_), size, tall)
-    sums = np.zeros((len(cells), 5), np.int64)
-    for i in range(len(points)):
-        counts, vote, against, clear = _weighed(voxels[i], hits, passed, grazed, votes)
-        own = sums[mine[i]]
-        own[0] += 1
-        own[1] += counts
-        own[2] += vote
-        own[3] += against
-        own[4] += clear
-    mean_vote, mean_against, touched = np.empty(len(cells)), np.empty(len(cells)), np.empty(len(cells))
-    total = np.empty(5, np.int64)
-    for c in range(len(cells)):
-        total[:] = 0
-        for j in range(27):
-            key = cells[c] + ((j // 9 - 1) << X_SHIFT) + ((j // 3 % 3 - 1) << Y_SHIFT) + (j % 3 - 1)
-            other = slots[_slot(slots, cells, key)]
-            if other >= 0:
-                for k in range(5):
-                    total[k] += sums[other, k]
-        mean_vote[c] = total[2] / (1000 * votes * max(total[1], 1))
-        mean_against[c] = total[3] / (3 * total[0])
-        touched[c] = total[4] / total[0]
-    return mine, mean_vote, mean_against, touched
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, verdict, low, high, hits, passed, grazed, votes, codes):
-    """(N,) uint8: the reason code of each point; low points get that of all low points.
-
-    Args:
-        voxels: (N,) int64, the voxel of each point, -1 for none.
-        verdict: (N,) uint8, the code that the point's object has for it, or 0.
-        low, high: (N,) bool.
-        hits, passed, grazed: (blocks, 512) uint16, as in ``evidence``.
-        votes: number of scans that must have seen a voxel clear for its points to be alone.
-        codes: seven reason codes: of points never clear, of those too little clear, high, settled, alone, low and out
-            of reach. A later one overrules an earlier one, but high points are not alone; verdicts other than settled
-            overrule the first five.
-    """
-    never, little, above, settled, alone, near_ground, out = codes
-    found = np.empty(len(voxels), np.uint8)
-    for i in prange(len(voxels)):
-        block, place = voxels[i] >> 9, voxels[i] & 511
-        if voxels[i] < 0:
-            found[i] = out
-        elif low[i]:
-            found[i] = near_ground
-        elif verdict[i] != 0 and verdict[i] != settled:
-            found[i] = verdict[i]
-        else:
-            seen = np.int64(passed[block, place]) - np.int64(grazed[block, place])
-            if high[i]:
-                found[i] = above
-            elif seen >= votes and 2 * seen > np.int64(hits[block, place]) + np.int64(passed[block, place]):
-                found[i] = alone
-            elif verdict[i] != 0:
-                found[i] = settled
-            else:
-                found[i] = little if seen > 0 else never
     return found

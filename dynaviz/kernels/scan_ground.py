@@ -20,7 +20,9 @@ def cells_of(points, position, reach, edge):
 
     The raster has 2 reach + 1 cells along x and y, numbered by x first; cell (i, j) spans [i, i + 1) * edge.
     """
-    first = np.array([np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach])
+    first = np.array(
+        [np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach]
+    )
     wide, cells = 2 * reach + 1, np.full(len(points), np.int32(-1))
     for i in range(len(points)):
         if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
@@ -272,7 +274,7 @@ def filled(surface, weight, levels):
 @njit(cache=True, nogil=True)
 def _between(z, w, first, wide, u, v):
     """Weighted mean of the four cells around (u, v) of a square picture that begins at ``first``; and their weight."""
-    x, y = max(np.int64(math.floor(u)), 0), max(np.int64(math.floor(v)), 0)
+    x, y = np.int64(math.floor(max(u, 0.0))), np.int64(math.floor(max(v, 0.0)))
     mean, total = 0.0, 0.0
     for i in range(2):
         for j in range(2):
@@ -316,7 +318,7 @@ def plane(x, y, z, weight, start, rounds):
         start: (3,) float64, the first guess of c, a and b.
         rounds: number of iterations.
     """
-    c, a, b = start
+    c, a, b = start[0], start[1], start[2]
     for _ in range(rounds):
         m = np.zeros((3, 4))
         m[0, 0], m[1, 1], m[2, 2] = 1e-6, 100.0, 100.0  # flat if nothing says otherwise

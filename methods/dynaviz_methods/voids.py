@@ -98,7 +98,7 @@ class VoidGrid(BlockGrid):
 
 
 def widened(extent: Extent, around: float, shifts: I64 = SHIFTS) -> Extent:
-    """The extent, enlarged by ``around`` metres to both sides along some axes, of which ``shifts`` are those of keys."""
+    """The extent, enlarged by ``around`` metres to both sides along the axes that have some shifts in packed keys."""
     if isinstance(extent, Window):
         return extent.widened(around)
     steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)

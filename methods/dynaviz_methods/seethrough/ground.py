@@ -15,7 +15,9 @@ EDGE = 0.8  # metres: edge of a cell
 REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
 NEAR = 20.0  # metres around the sensor among which the ground under it is sought
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
-STEEP = 0.2  # metres per metre: steepest ground, as seen from the sensor; anything steeper is an object, or a reflection
+STEEP = (
+    0.2  # metres per metre: steepest ground, as seen from the sensor; anything steeper is an object, or a reflection
+)
 PIT = 0.3  # metres: what is lower than that, and than most cells around, is a reflection
 SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
 AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
@@ -78,7 +80,7 @@ def _reach(scan: Scan) -> int:
     with np.errstate(invalid="ignore"):
         away = np.abs(scan.points[:, :2] - scan.position[:2].astype(np.float32))
     inside = away[away < REACH * EDGE]
-    return min(math.ceil(inside.max(initial=EDGE) / EDGE) + 1, REACH)
+    return min(math.ceil(float(inside.max(initial=EDGE)) / EDGE) + 1, REACH)
 
 
 class Level:
@@ -108,7 +110,8 @@ class Level:
 
     def _fitted(self, surface: Surface, position: F64) -> F64:
         place, error = self._last
-        start = np.array([error[0] + error[1:] @ (position[:2] - place), *error[1:]])
+        dx, dy = position[:2] - place
+        start = np.array([error[0] + error[1] * dx + error[2] * dy, error[1], error[2]])
         at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
         known, before = self._known(at)
         known &= np.abs(z - start[0] - start[1] * dx - start[2] * dy - before) < OTHER

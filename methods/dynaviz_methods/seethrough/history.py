@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight aro
 CERTAIN = 0.5  # evidence for full certainty
 LEAST = 0.1  # weight of a place without evidence, against one that is certain
 FEW = 3.0  # hits for the full evidence of a place
-Rows = TypeVar("Rows", bound=NDArray[Any])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +71,13 @@ class History:
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = own(np.full((rows, 4), -1, np.int32), -1), own(np.full((rows, 4), -1, np.int32), -1)
         self._up, self._touched = own(np.zeros((rows, 8), np.uint64)), own(np.zeros(rows, np.int32))
-        self._own, self._born = own(np.full((rows, 4), -prior, np.float32), -prior), own(np.zeros((rows, 4), np.float32))
+        self._own, self._born = (
+            own(np.full((rows, 4), -prior, np.float32), -prior),
+            own(np.zeros((rows, 4), np.float32)),
+        )
         self._first, self._last, self._number = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
+        self._most, self._never = np.zeros((rows, 4), np.int32), np.full((rows, 4), np.int32(-1))
+        self._unknown = np.full((rows, 4), kernels.places.UNKNOWN)
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1
         grid.watch(self._block_came)
@@ -96,10 +100,17 @@ class History:
         k.note(visits.places, self._touched, self._first.ravel(), self._last.ravel(), self._number.ravel())
         self._weigh(visits.places, self._own)
         rank = self._number.ravel()[visits.places] - 1
-        most = np.where(self._first.ravel() > 1, BIRTH, 1 << 30).astype(np.int32)
-        unknown = np.full(self._own.size, k.UNKNOWN, np.float32)
+        self._most.ravel()[visits.places] = np.where(self._first.ravel()[visits.places] > 1, BIRTH, 1 << 30)
         scan, state = (visits.places, visits.parts, visits.around, rank), (self._own, self._born)
-        k.inherit(*scan, most, *(of.ravel() for of in state), unknown, self._shares, self._came.ravel(), number)
+        k.inherit(
+            *scan,
+            self._most.ravel(),
+            *(of.ravel() for of in state),
+            self._unknown.ravel(),
+            self._shares,
+            self._came.ravel(),
+            number,
+        )
 
     @property
     def _shares(self) -> tuple[float, float, float]:
@@ -111,15 +122,15 @@ class History:
 
     def so_far(self) -> Decision:
         """What decides the labels of the last scan, by the scans so far."""
-        nothing = np.full(self._own.size, kernels.places.UNKNOWN, np.float32)
-        never = np.full(self._own.size, -1, np.int32)
-        return Decision(self._own.ravel(), self._born.ravel(), nothing, self._came.ravel(), never)
+        return Decision(*(of.ravel() for of in (self._own, self._born, self._unknown, self._came, self._never)))
 
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""
         k, size = kernels.places, self._own.size
         visits = [self._remaining(each) for each in self._visits.values()]
-        starts, part_starts = (np.cumsum([0, *map(len, of)]) for of in ([v.places for v in visits], [v.around for v in visits]))
+        starts, part_starts = (
+            np.cumsum([0, *map(len, of)]) for of in ([v.places for v in visits], [v.around for v in visits])
+        )
         places, parts, around = (
             np.concatenate([empty, *(getattr(v, name) for v in visits)])
             for name, empty in (
@@ -169,8 +180,8 @@ class History:
         self._grid, self._counts = grid, counts
 
 
-def moved(state: Rows, to: I64, rows: int) -> Rows:
+def moved(state: NDArray[Any], to: I64, rows: int) -> NDArray[Any]:
     """State with one row per block, and an empty last row, in a grid in which block k is block ``to[k]``."""
-    found: Rows = np.repeat(state[-1:], rows, 0)
+    found = np.repeat(state[-1:], rows, 0)
     found[to] = state[:-1]
     return found

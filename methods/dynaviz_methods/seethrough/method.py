@@ -1,9 +1,8 @@
 """SeeThrough: what rays pass through is dynamic, and so is what came or left together with it.
 
     for each scan
-        ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits, as
-                steep as the ground around; where it shows that the pose is lifted or tilted against the ground of earlier
-                scans by more than 10 cm, level the scan
+        ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
+                as steep as the ground around; level the scan if it is more than 10 cm off the ground of earlier ones
         hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
@@ -12,12 +11,12 @@
     place:      u = mean evidence of its voxels with points of objects, minus ``prior``; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
                 m = their mean certainty, f / 0.5 from -1 to 1, in which the certain ones count most
-    birth:      B = mean of m over the first 4 scans with points in the place; death: D over the last 4; no B or D for
-                what was there as soon, or as long, as rays reached it; both over all scans if neither was seen
+    birth:      B = mean of m over the first 4 scans with points in the place; death: D over the last 4; no B or D
+                for what was there as soon, or as long, as rays reached it; over all scans if neither was seen
                 f = u + inherit max(B, D); dynamic if f > 0. Sweep forward in time, then backward, twice
     point:      dynamic if f > 0 in its place, or if the evidence of its own voxel exceeds 0.7
-    foot:       a low point next to dynamic ones is dynamic, too, if it is 4 cm above the scan's other low points around,
-                or if the evidence of its voxel exceeds 0.4
+    foot:       a low point next to dynamic ones is dynamic, too, if it is 4 cm above the scan's other low points
+                around, or if the evidence of its voxel exceeds 0.4
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D.
@@ -187,6 +186,7 @@ class SeeThrough:
         if self._grid.rolls:
             self._extent = None
         self._observed = 0
+        self._judged: Judged | None = None
         self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
         self._decided: tuple[int, Decision] = -1, self._history.so_far()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
@@ -294,9 +294,7 @@ class SeeThrough:
     def _ground(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
         """(N,) float32, metres: mean height of the other low points around the wanted points (N,); 0 if unknown."""
         low = (measured.voxels >= 0) & (measured.height <= self.params.ground_height) & (measured.height > -PIT)
-        level: F32 = kernels.squares.local_level(
-            measured.scan.points, low & ~under, wanted, measured.height, *GROUND
-        )
+        level: F32 = kernels.squares.local_level(measured.scan.points, low & ~under, wanted, measured.height, *GROUND)
         return level
 
     def halo(self) -> Halo:
@@ -304,17 +302,22 @@ class SeeThrough:
         return Halo(OBJECT)
 
     def evidence(self, asked: Asked) -> Evidence:
-        """How often scans hit, passed and saw clear the points' voxels; the evidence of their places; what they inherit."""
+        """How often scans hit, passed and saw clear the points' voxels; what their places show and inherit."""
         number = self._number.get(asked.scan.index, -1)
         scan = _levelled(asked.scan, self._tilts[number]) if number in self._tilts else asked.scan
         voxels = self._grid.locate(scan.points)[asked.rows]
         hits, passed, clear = self._scans(voxels)
-        quantities = [Quantity(name, of, total=True) for name, of in (("hit", hits), ("passed", passed), ("clear", clear))]
-        judged, rules = getattr(self, "_judged", None), ()
+        quantities = [
+            Quantity(name, of, total=True) for name, of in (("hit", hits), ("passed", passed), ("clear", clear))
+        ]
+        judged = self._judged
+        rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
             decision, places = judged.decision, judged.measured.places[asked.rows]
             own, born, left = (known(of[places], places) for of in (decision.own, decision.born, decision.left))
-            came, went = (known(np.where(of[places] < 0, np.nan, of[places]), places) for of in (decision.came, decision.went))
+            came, went = (
+                known(np.where(of[places] < 0, np.nan, of[places]), places) for of in (decision.came, decision.went)
+            )
             of_places = ("place", own), ("born", born), ("left", left), ("born in", came), ("left in", went)
             quantities += [Quantity(name, of) for name, of in of_places]
             rules = self._rules(judged, asked.rows, own, np.maximum(born, left))
@@ -332,13 +335,14 @@ class SeeThrough:
         under = self._under(measured, judged.reasons)
         wanted = np.zeros(len(under), np.bool_)
         wanted[rows] = measured.voxels[rows] >= 0
-        stands = height - self._ground(measured, under, wanted)[rows]
+        level = height - self._ground(measured, under, wanted)[rows]
+        stands = Term("height above the low points around", level, ">", float(np.float32(STANDS_OUT)), "m")
         near = Term("low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1)
         name = "evidence of its voxel"
         return (
             Rule("place", (*up, place)),
             Rule("alone", (*up, Term(name, empty, ">", float(np.float32(ALONE))))),
-            Rule("foot", (near, Term("height above the low points around", stands, ">", float(np.float32(STANDS_OUT)), "m"))),
+            Rule("foot", (near, stands)),
             Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(EMPTY))))),
         )
 
@@ -393,4 +397,6 @@ def _levelled(scan: Scan, tilt: F64) -> Scan:
 
     shear = np.eye(4)
     shear[2] = -a, -b, 1.0, a * x + b * y - c
-    return replace(scan, points=lowered(scan.points), T_world_sensor=shear @ scan.T_world_sensor, origins=lowered(scan.origins))
+    return replace(
+        scan, points=lowered(scan.points), T_world_sensor=shear @ scan.T_world_sensor, origins=lowered(scan.origins)
+    )
