@@ -41,13 +41,17 @@ def truck(y: float) -> np.ndarray:
     return points[(points[:, 1] > y) & (points[:, 1] < y + 3) & (points[:, 2] > 0.3) & (points[:, 2] < 4)]
 
 
+def above(points: np.ndarray, z: float) -> np.ndarray:
+    return points[points[:, 2] > z]
+
+
 def scan(frame: int, *things: np.ndarray) -> Scan:
     return Scan(frame, np.concatenate(things).astype(np.float32), pose(0.0, 0.0, 2.0))
 
 
 @pytest.mark.parametrize("sensor", [SENSOR, None])
-def test_a_truck_in_front_of_the_sky_is_wholly_removed_if_the_field_of_view_is_known(sensor: Sensor | None) -> None:
-    scans = [scan(k, ground(), truck(y)) for k, y in enumerate(np.linspace(-9.0, 6.0, 12))]
+def test_what_is_in_front_of_the_sky_alone_is_removed_if_the_field_of_view_is_known(sensor: Sensor | None) -> None:
+    scans = [scan(k, ground(), above(truck(y), 2.2)) for k, y in enumerate(np.linspace(-9.0, 6.0, 12))]
     method = SeeThrough(SeeThroughParams())
     method.begin(Context(Extent.of(*scans), sensor or Sensor()))
     for each in scans:
@@ -55,7 +59,7 @@ def test_a_truck_in_front_of_the_sky_is_wholly_removed_if_the_field_of_view_is_k
     removed = method.label(scans[6]).dynamic
     high = scans[6].points[:, 2] > 2.2
     assert removed[: len(ground())].mean() < 0.01
-    assert (removed[high].mean() > 0.9) == bool(sensor)
+    assert removed[high].mean() > 0.9 if sensor else not removed[high].any()
 
 
 def test_rays_into_the_sky_cross_voxels_but_hit_none() -> None:
