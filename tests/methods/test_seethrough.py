@@ -19,7 +19,7 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams, history
 from dynaviz_methods.seethrough.clear_grid import RUNS, ClearGrid, _distinct, _runs
-from dynaviz_methods.seethrough.ground import Surface
+from dynaviz_methods.seethrough.ground import ScanGround
 from dynaviz_methods.seethrough.method import FOLLOWED_ON, FOOT, HIGH, LOW, OUT_OF_REACH, SEEN_THROUGH, WAITED
 
 pytestmark = pytest.mark.boundscheck
@@ -133,7 +133,7 @@ def test_errors_of_poses_in_height_and_tilt_do_no_harm(lift: float, slope: float
 
 def ground_of(points: np.ndarray, height: float = 1.8) -> np.ndarray:
     scan = Scan(0, points.astype(np.float32), pose(0.0, 0.0, height))
-    return Surface.of(scan).heights(scan.points)
+    return ScanGround.of(scan).heights(scan.points)
 
 
 def test_reflections_below_the_road_are_not_its_ground() -> None:

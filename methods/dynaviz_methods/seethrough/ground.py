@@ -34,7 +34,7 @@ ROUNDS = 5  # iterations of a fit
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class ScanGround:
     """The ground that one scan shows.
 
     Attributes:
@@ -51,7 +51,7 @@ class Surface:
     z: float
 
     @classmethod
-    def of(cls, scan: Scan) -> Surface:
+    def of(cls, scan: Scan) -> ScanGround:
         """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach."""
         points, position = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
         k, z, reach = kernels.scan_ground, float(scan.position[2]), _reach(scan)
@@ -99,7 +99,7 @@ class Level:
         self._keys = np.full((WRAP, WRAP, 2), np.iinfo(np.int64).min)
         self._last = np.zeros(2), np.zeros(3)
 
-    def error(self, surface: Surface, position: F64) -> F64:
+    def error(self, surface: ScanGround, position: F64) -> F64:
         """(3,) float64: the error of the pose of the next scan, whose sensor is at ``position``."""
         found = self._fitted(surface, position)
         if abs(found[0]) > self._limit:
@@ -108,7 +108,7 @@ class Level:
         self._last = position[:2].copy(), found
         return found
 
-    def _fitted(self, surface: Surface, position: F64) -> F64:
+    def _fitted(self, surface: ScanGround, position: F64) -> F64:
         place, error = self._last
         dx, dy = position[:2] - place
         start = np.array([error[0] + error[1] * dx + error[2] * dy, error[1], error[2]])
@@ -128,7 +128,7 @@ class Level:
         known = (self._weight[x, y] > 0) & (self._keys[x, y, 0] == at[0]) & (self._keys[x, y, 1] == at[1])
         return known, self._height[x, y]
 
-    def _add(self, surface: Surface, position: F64, error: F64) -> None:
+    def _add(self, surface: ScanGround, position: F64, error: F64) -> None:
         """Add the levelled ground of a scan: means in which near ground counts most."""
         at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
         z = z - error[0] - error[1] * dx - error[2] * dy
@@ -142,7 +142,7 @@ class Level:
         self._keys[x, y, 0], self._keys[x, y, 1] = at
 
 
-def _cells(surface: Surface, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, I32]:
+def _cells(surface: ScanGround, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, I32]:
     """The seen cells (K,) up to some metres away: their keys, dx and dy from the sensor, height, number of points."""
     rows = np.nonzero(surface.seen)
     at = rows[0] + surface.first[0], rows[1] + surface.first[1]

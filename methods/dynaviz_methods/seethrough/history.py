@@ -122,7 +122,8 @@ class History:
 
     def so_far(self) -> Decision:
         """What decides the labels of the last scan, by the scans so far."""
-        return Decision(*(of.ravel() for of in (self._own, self._born, self._unknown, self._came, self._never)))
+        of_places = self._own.ravel(), self._born.ravel(), self._unknown.ravel()
+        return Decision(*of_places, self._came.ravel(), self._never.ravel())
 
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""

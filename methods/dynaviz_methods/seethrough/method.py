@@ -43,7 +43,7 @@ from dynaviz.spatial.grid import SHIFTS
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
-from dynaviz_methods.seethrough.ground import PIT, Level, Surface
+from dynaviz_methods.seethrough.ground import PIT, Level, ScanGround
 from dynaviz_methods.seethrough.history import Decision, History, moved
 from dynaviz_methods.voids import widened
 
@@ -195,7 +195,7 @@ class SeeThrough:
 
     def observe(self, scan: Scan) -> None:
         """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
-        p, surface = self.params, Surface.of(scan)
+        p, surface = self.params, ScanGround.of(scan)
         tilt = self._level.error(surface, scan.position)
         if tilt.any() and self._extent is not None:
             self._widen()
@@ -221,7 +221,7 @@ class SeeThrough:
         if scan.index not in self._reasons:
             number, measured = self._number[scan.index], self._measured
             if measured is None or measured.number != number:
-                measured = self._measure(scan, Surface.of(scan))
+                measured = self._measure(scan, ScanGround.of(scan))
             at, decision = self._decided
             if at != self._observed:
                 online = number + 1 == self._observed
@@ -248,7 +248,7 @@ class SeeThrough:
         finally:
             self._reasons, self._decided = stored, decided
 
-    def _measure(self, scan: Scan, surface: Surface) -> Measured:
+    def _measure(self, scan: Scan, surface: ScanGround) -> Measured:
         """The height, voxel and place of each point of an observed scan."""
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
