@@ -108,5 +108,5 @@ def test_the_command_line_and_python_name_options_in_their_own_way(
         np.save(tmp_path / f"scans/{k:06d}.npy", POINTS.astype(np.float32))
     with pytest.raises(DataError, match=r"Estimate them with poses=.small-gicp., or give poses=FILE"):
         dv.open(tmp_path / "scans")
-    _, _, err = run_command("info", tmp_path / "scans")
+    _, _, err = run_command("run", "octomap", tmp_path / "scans", "-o", tmp_path / "out")
     assert "Estimate them with --poses small-gicp, or give --poses FILE" in err

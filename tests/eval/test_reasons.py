@@ -43,7 +43,7 @@ def test_costs_add_up_to_the_missing_percentage_points(info, make_labelled):
     assert sum(c["DA"] for c in cost.values()) == pytest.approx(100 - total.DA)
 
 
-@pytest.mark.parametrize("code", [2, 255])  # the legend has 0 and 1
+@pytest.mark.parametrize("code", [3, 255])  # the legend has 0 to 2
 def test_an_undeclared_code_shows_as_a_number(info, make_labelled, code):
     metric = ReasonsMetric(info)
     metric.update(make_labelled(0, points=np.zeros((1, 3)), labels=[1], dynamic=[False], reasons=[code]))

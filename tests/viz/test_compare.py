@@ -194,7 +194,7 @@ def test_json(runs: dict[str, Path], tmp_path: Path) -> None:
     plain = json.loads((tmp_path / "c.json").read_text())
     assert (plain["schema"], plain["kind"]) == (1, "comparison")
     assert list(plain) == ["schema", "kind", "sequence", "interval", "verdicts", "runs", "pairs"]
-    assert list(plain["sequence"]) == ["name", "digest", "frames", "points"]
+    assert list(plain["sequence"]) == ["name", "digest", "frames", "points", "at_sensor"]
     assert plain["interval"]["block"] == 2
     assert list(plain["runs"][0]) == [
         "letter", "name", "path", "sha256", "method", "title", "mode", "scoring", "online", "seed", "parameters",
