@@ -1,4 +1,4 @@
-# make demo: install into .venv and run everything on a simulated street.   make test: run the tests.   make check: all the checks.
+# make demo: install into .venv and run everything on a simulated street.   make test: run the tests.   make check: all the checks, about an hour.
 PYTHON ?= python3
 BIN := .venv/bin
 ALL_CORES := -n auto --dist worksteal
@@ -6,14 +6,17 @@ PIP = $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
 # pip writes no bytecode here, to install in half the time. If Python may not write it either, every process compiles its imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test smoke browser lint types boundscheck coverage fuzz mutants docs check clean
+.PHONY: demo test slow smoke browser lint types boundscheck coverage fuzz mutants docs check clean
 .DELETE_ON_ERROR:
 
 demo: .venv/.user
 	$(BIN)/dynaviz demo
 
 test: .venv/.dev
-	$(BIN)/pytest $(ALL_CORES)
+	$(BIN)/pytest $(ALL_CORES) -m "not slow"
+
+slow: .venv/.dev  # the tests that take long and rarely fail: the notebook, the wheel, a cluster, many kills
+	$(BIN)/pytest -q $(ALL_CORES) -m slow
 
 SMOKE := $(addprefix tests/,io kernels/test_threads.py odometry/test_refine.py spatial test_platforms.py)
 smoke: BIN := build/smoke/bin
@@ -53,7 +56,7 @@ mutants: .venv/.dev  # change the evaluation in one place at a time; list the ch
 docs: .venv/.dev  # write the site to build/site; warnings are errors
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-check: lint types test browser fuzz boundscheck docs
+check: lint types test slow browser fuzz boundscheck docs
 
 .venv/.venv:
 	@$(PYTHON) -c 'import sys; sys.exit("dynaviz needs Python 3.11 or newer: make PYTHON=python3.11 ..." if sys.version_info < (3, 11) else 0)'

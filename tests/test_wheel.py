@@ -54,6 +54,7 @@ def command(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Command:
     return call
 
 
+@pytest.mark.slow
 def test_it_holds_the_three_packages_and_no_other(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.partition("/")[0] for name in names if ".dist-info/" not in name}
@@ -62,6 +63,7 @@ def test_it_holds_the_three_packages_and_no_other(wheel: Path) -> None:
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
+@pytest.mark.slow
 def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
     where = command("python", "-c", "import dynaviz, dynaviz_eval, dynaviz_methods as m; print(dynaviz.__file__, m)")
     assert str(CHECKOUT) not in where
@@ -78,6 +80,7 @@ def test_it_runs_outside_the_checkout(command: Command, tmp_path: Path) -> None:
     command("dynaviz", "report", "run", "-o", "report.html", **uncompiled)
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_once(command: Command) -> None:
     pack = "import numpy as np; from dynaviz.spatial.grid import pack; print(pack(np.ones((1, 3), np.float32), 0.5))"
     first, again = (command("python", "-c", pack) for _ in range(2))

@@ -29,6 +29,7 @@ def cluster(toy: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[obj
             yield local
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(cluster, rooms: list[Path], tmp_path: Path) -> None:
     gate, out = tmp_path / "gate", tmp_path / "out"
     reported: set[str] = set()

@@ -10,6 +10,7 @@ NOTEBOOK = Path(__file__).resolve().parents[2] / "docs/notebooks/first_run.ipynb
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of Jupyter's own
+@pytest.mark.slow
 def test_it_runs_and_shows_a_picture(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     nbformat = pytest.importorskip("nbformat", reason="needs Jupyter's client: pip install -e '.[dev]'")
     nbclient = pytest.importorskip("nbclient", reason="needs Jupyter's client: pip install -e '.[dev]'")

@@ -35,6 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_it_runs_and_is_scored_as_any_other(python: Python, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = python("-c", MAIN, "run", "seldom", folder, "-o", out, "--record", "scores", "--set", "min_scans=2")
@@ -62,6 +63,7 @@ def test_it_runs_and_is_scored_as_any_other(python: Python, folder: Path, tmp_pa
     assert result["reasons"]["false_negative"]["often_seen"] == counts["dynamic_kept"]
 
 
+@pytest.mark.slow
 def test_damaged_data_are_told_in_a_line(python: Python, folder: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.mkdir()
@@ -74,6 +76,7 @@ def test_damaged_data_are_told_in_a_line(python: Python, folder: Path, tmp_path:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_its_own_test_passes(python: Python) -> None:
     done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:dash", TEMPLATE / "test_template.py")
     assert not done.returncode, done.stdout

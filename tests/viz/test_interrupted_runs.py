@@ -46,6 +46,7 @@ def check_answers(recording: RunRecording, scans: list[Any]) -> None:
     assert [drawn.frame for drawn in recording.drawn()][:frame] == list(range(frame))  # the last may be half drawn
 
 
+@pytest.mark.slow
 def test_twenty_kills_at_random_moments(tmp_path: Path) -> None:
     moments = random.Random(4)
     steps = [moments.randint(0, 3 * FRAMES) for _ in range(8)] + [
