@@ -42,8 +42,6 @@ STATES = {  # the state in a method's picture, and its frame: 24 unless another 
     "freedom": ("levels", 24),
     "beautymap": ("removed", 24),
 }
-CASES = 4  # failure cases on the page of a method
-OF_A_CASE = ("kind", "cost", "cause", "what", "frames", "moved", "range", "low", "high", "reasons")  # for its sentence
 HALF = (760, 620)  # pixels of each half of a method's picture
 CASE = (760, 480)  # pixels of the picture of a case
 GAP = 8  # white pixels between the halves
@@ -100,7 +98,6 @@ def of_method(name: str, sequence: Path, folder: Path, drawn: bool) -> dict[str,
         "static": counts["static_kept"] + counts["static_removed"],
         "dynamic": counts["dynamic_removed"] + counts["dynamic_kept"],
         "causes": found["causes"],
-        "cases": [{key: case[key] for key in OF_A_CASE} for case in found["cases"][:CASES]],
         "state": state,
         "frame": frame,
     }
@@ -129,7 +126,7 @@ def of_demo(folder: Path) -> None:
 
 
 def overview(measured: dict[str, Any]) -> None:
-    """Collect the states from the pictures of all methods in docs/states.jpg, for methods/README.md."""
+    """Collect the states from the pictures of all methods in docs/states.jpg, for docs/methods/index.md."""
     tiles = []
     for name in generate.methods():
         both = np.asarray(cv2.imread(str(DOCS / f"pictures/{name}.jpg")), np.uint8)

@@ -10,8 +10,9 @@ A page marks each part with a pair of comments:
     <!-- end -->
 
 The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), one of TABLES on any page, or the path
-of a file in the repository, which is quoted in full. Text outside the markers is never touched. A built-in method
-without a page gets one with every section. ``docs/draw.py`` measures the numbers in ``failures`` and draws its picture.
+of a file in the repository, which is quoted in full. On a page of several methods, a section names its method, as in
+``parameters:octomap_gf``. Text outside the markers is never touched. A built-in method without a page gets one with
+every section. ``docs/draw.py`` measures the numbers in ``failures`` and draws its picture.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ from typing import Any, get_type_hints
 from griffe import Docstring, DocstringSectionAttributes
 
 from dynaviz.contracts import registry
-from dynaviz_eval.attribution import sentence
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 PICTURES = "../pictures"
 BLOCK = re.compile(r"^<!-- generated: (\S+) -->\n.*?^<!-- end -->$", re.M | re.S)
 COMMAND = "python docs/generate.py"
+SHARED_PAGES = {"octomap_g": "octomap", "octomap_gf": "octomap"}
+LEAST_COST = 0.005  # percent; cheaper causes are not listed
 
 
 def pages() -> dict[Path, str]:
@@ -58,7 +60,7 @@ def stale() -> list[Path]:
 
 def page(name: str) -> Path:
     """The page of a method."""
-    return DOCS / f"methods/{name}.md"
+    return DOCS / f"methods/{SHARED_PAGES.get(name, name)}.md"
 
 
 def new_page(kind: Any) -> str:
@@ -72,14 +74,15 @@ def filled(text: str, path: Path) -> str:
 
     Args:
         text: the page in Markdown.
-        path: its file, which decides which method the sections describe.
+        path: its file, which decides which method the sections describe unless they name one.
     """
-    kind = methods().get(path.stem) if path.parent == DOCS / "methods" else None
 
     def block(found: re.Match[str]) -> str:
         name = found[1]
-        if kind is not None and name in SECTIONS:
-            content = SECTIONS[name](kind)
+        section, _, method = name.partition(":")
+        kind = methods().get(method or path.stem) if path.parent == DOCS / "methods" else None
+        if kind is not None and section in SECTIONS:
+            content = SECTIONS[section](kind)
         elif name in TABLES:
             content = TABLES[name]()
         elif (ROOT / name).is_file():
@@ -126,7 +129,7 @@ def overview() -> str:
         scores = measured.get(name, {}).get("metrics", {})
         rows.append(
             (
-                f"[{kind.info.title}]({name}.md)",
+                f"[{kind.info.title}]({page(name).name})",
                 f"`{name}`",
                 kind.info.paper,
                 "yes" if kind.info.needs_map else "no",
@@ -135,32 +138,6 @@ def overview() -> str:
             )
         )
     return table(("method", "name", "paper", "prior map", "parameters", "SA", "DA", "AA"), rows)
-
-
-def all_states() -> str:
-    """All methods with the states they can show."""
-    rows = (
-        (
-            f"`{name}`",
-            kind.info.title,
-            kind.info.paper,
-            "yes" if kind.info.needs_map else "no",
-            len(dataclasses.fields(kind.Params)),
-            ", ".join(f"`{state.name}`" for state in kind.info.emits),
-        )
-        for name, kind in methods().items()
-    )
-    return table(("name", "title", "paper", "prior map", "parameters", "states"), rows)
-
-
-def all_reasons() -> str:
-    """The reasons of all methods; methods that share a reason share a row."""
-    users: dict[tuple[str, str], list[str]] = {}
-    for name, kind in methods().items():
-        for reason in kind.info.reasons:
-            users.setdefault((reason.name, reason.meaning), []).append(f"`{name}`")
-    rows = ((f"`{reason}`", ", ".join(names), meaning) for (reason, meaning), names in users.items())
-    return table(("reason", "methods", "meaning"), rows)
 
 
 def protocols() -> str:
@@ -181,7 +158,7 @@ def protocols() -> str:
     return table(("protocol", "name", "counts", "leaves out", "combines", "scores", "source"), rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {each.__name__: each for each in (overview, all_states, all_reasons, protocols)}
+TABLES: dict[str, Callable[[], str]] = {each.__name__: each for each in (overview, protocols)}
 
 
 def facts(kind: Any) -> str:
@@ -211,11 +188,7 @@ def parameters(kind: Any) -> str:
         (f"`{field.name}`", f"`{field.default}`", named(hints[field.name]), meanings.get(field.name, ""))
         for field in dataclasses.fields(kind.Params)
     )
-    return (
-        table(("parameter", "default", "type", "meaning"), rows)
-        + "\n\nSet a parameter with `--set KEY=VALUE`, a preset or a file; "
-        + f"`dynaviz list {kind.info.name}` prints the values in effect."
-    )
+    return table(("parameter", "default", "type", "meaning"), rows)
 
 
 def named(hint: Any) -> str:
@@ -225,8 +198,8 @@ def named(hint: Any) -> str:
 
 def states(kind: Any) -> str:
     """The states that a recording shows."""
-    rows = ((f"`{state.name}`", state.kind.__name__, state.meaning) for state in kind.info.emits)
-    return table(("state", "drawn as", "meaning"), rows)
+    rows = ((f"`{state.name}`", state.meaning) for state in kind.info.emits)
+    return table(("state", "meaning"), rows)
 
 
 def reasons(kind: Any) -> str:
@@ -236,36 +209,24 @@ def reasons(kind: Any) -> str:
 
 
 def failures(kind: Any) -> str:
-    """Picture, wrong points by cause, and the costliest cases on the scene of docs/draw.py."""
+    """Picture, and wrong points by cause, on the scene of docs/draw.py."""
     name, known = kind.info.name, measurements()
     if name not in known["methods"]:
         return ""
     run, sides = known["methods"][name], (("false_positive", "removed", "SA"), ("false_negative", "kept", "DA"))
     totals = {"SA": run["static"], "DA": run["dynamic"]}
     causes = [
-        (word, cause, f"{counted['points']:,}", f"{100 * counted['points'] / totals[score]:.2f} % {score}")
+        (word, cause, f"{cost:.2f} % {score}")
         for kind_, word, score in sides
         for cause, counted in run["causes"].get(kind_, {}).items()
+        if (cost := 100 * counted["points"] / totals[score]) >= LEAST_COST
     ]
-    meanings = {reason.name: reason.meaning for reason in kind.info.reasons}
-
-    def meaning(case: dict[str, Any]) -> str:
-        """Of the most frequent reason that the method still gives."""
-        return next(meanings[name] for name in case["reasons"] if name in meanings)
-
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
-    cases = "\n".join(
-        f"{position}. -{case['cost']:.2f} % {'SA' if case['kind'] == 'false_positive' else 'DA'}: "
-        f"{sentence(case, meaning(case))}"
-        for position, case in enumerate(run["cases"], 1)
-    )
     return (
         f"Scores on `{known['scene']}`, {known['frames']} frames, default parameters: {scores}.\n\n"
         f"![Map of {kind.info.title} with its wrong points, and a state]({PICTURES}/{name}.jpg)\n\n"
-        f"Left: the map of the run. Grey and blue points are right, orange points are dynamic but kept, yellow points "
-        f"are static but removed. Right: the state `{run['state']}` in frame {run['frame']}.\n\n"
-        + table(("wrongly", "cause", "points", "cost"), causes)
-        + f"\n\nThe costliest failure cases:\n\n{cases}"
+        f"Left: the map, with kept dynamic points in orange and removed static points in yellow. "
+        f"Right: the state `{run['state']}` in frame {run['frame']}.\n\n" + table(("wrongly", "cause", "cost"), causes)
     )
 
 

@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parent.parent
 BROUGHT = {  # files outside docs/, and the pages they become
     "README.md": "readme.md",
     "recordings/README.md": "recordings.md",
-    "methods/README.md": "methods/notes.md",
     "eval/README.md": "evaluation.md",
     "benchmarks/README.md": "benchmarks.md",
     "CHANGELOG.md": "changes.md",
@@ -32,7 +31,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     fence = {"name": "math", "class": "math", "format": lambda source, *_, **__: convert(source, display="block")}
     config.mdx_configs["pymdownx.superfences"] = {"custom_fences": [fence]}
     entry = next(item["Methods"] for item in config.nav or [] if "Methods" in item)
-    entry[1:1] = [f"methods/{name}.md" for name in generate.methods()]
+    entry[1:1] = dict.fromkeys(f"methods/{generate.page(name).name}" for name in generate.methods())
     return config
 
 
@@ -41,8 +40,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source, page in BROUGHT.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text(encoding="utf-8")))
     for name, kind in generate.methods().items():
-        if files.get_file_from_path(f"methods/{name}.md") is None:
-            files.append(File.generated(config, f"methods/{name}.md", content=generate.new_page(kind)))
+        page = f"methods/{generate.page(name).name}"
+        if files.get_file_from_path(page) is None:
+            files.append(File.generated(config, page, content=generate.new_page(kind)))
     return files
 
 
