@@ -2,68 +2,74 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts.attributes import origin_of
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, base_of
 from dynaviz.sources.datasets.lidars import Lidars
+from dynaviz.sources.datasets.pose_matching import moved
 from dynaviz.sources.odometry.pose_table import write_pose_rows
-from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
+from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime, Trajectory
 
 PER_SWEEP = 5
 """Poses of a sweep whose points have times: the first and last, and between them, so that straight lines follow."""
-
-
-@runtime_checkable
-class HasTrajectory(Protocol):
-    """A sequence that knows the pose of its sensor at any time."""
-
-    @property
-    def trajectory(self) -> PosesOverTime:
-        """T_world_sensor over time, in the world frame of the scans."""
-        ...
 
 
 class UsedPoses:
     """Collects the poses of scans, to write them as a file that ``--poses`` reads.
 
     Args:
-        sequence: the scans are its frames, in order. Scans of several lidars have no common trajectory.
+        sequence: the scans are its frames, in order. The poses of several lidars have a column with their number.
     """
 
     def __init__(self, sequence: Sequence) -> None:
-        self._sequence, self._scans, self._times = sequence, list[tuple[int, int | None, F64]](), list[I64]()
+        self._sequence, base = sequence, base_of(sequence)
+        self._lidar = base.order[:, 0] if isinstance(base, Lidars) else None
+        self._scans = defaultdict[int, list[tuple[int, int | None, F64]]](list)
+        self._times = defaultdict[int, list[I64]](list)
 
     def add(self, scan: Scan) -> None:
         """Add the pose of a scan."""
-        self._scans.append((scan.index, scan.stamp_ns, scan.T_world_sensor))
+        lidar = 0 if self._lidar is None else int(self._lidar[scan.index])
+        self._scans[lidar].append((scan.index, scan.stamp_ns, scan.T_world_sensor))
         if scan.stamp_ns is None:
             return
-        self._times.append(np.array([scan.stamp_ns]))
+        times = self._times[lidar]
+        times.append(np.array([scan.stamp_ns]))
         if scan.times is not None and len(finite := scan.times[np.isfinite(scan.times)]):
             first, last = (round(float(t) * 1e9) for t in (finite.min(), finite.max()))
             # Times of points are rounded to float32, within 10 ns in a sweep: the table reaches as far on both sides.
-            self._times.append(scan.stamp_ns + np.linspace(first - 100, last + 100, PER_SWEEP).astype(np.int64))
+            times.append(scan.stamp_ns + np.linspace(first - 100, last + 100, PER_SWEEP).astype(np.int64))
 
     def write(self, file: Path) -> bool:
         """Write the table; False if there is none to write."""
+        origin, known = origin_of(self._sequence), self._known()
+        rows, lidars = list[tuple[int, F64]](), list[int]()
+        for lidar in sorted(known or self._scans):
+            if known:
+                times = np.unique(np.concatenate(self._times.get(lidar, self._times[0])))
+                own = list(zip(times.tolist(), Moved(known[lidar], origin).at(times), strict=True))
+            else:
+                own = [(index, moved(T[None], origin)[0]) for index, _, T in self._scans[lidar]]
+            rows += own
+            lidars += [lidar] * len(own)
+        if rows:
+            write_pose_rows(file, rows, bool(known), lidars if len(set(lidars)) > 1 else None)
+        return bool(rows)
+
+    def _known(self) -> Mapping[int, PosesOverTime]:
+        """The poses over time of each lidar; empty if scans of one have no stamps, or the same."""
+        at = {k: {stamp: T for _, stamp, T in scans if stamp is not None} for k, scans in self._scans.items()}
+        if any(len(at[k]) < len(scans) for k, scans in self._scans.items()):
+            return {}
         whole: Sequence = self._sequence
         while isinstance(whole, SequenceSlice):
             whole = whole.whole
-        if isinstance(whole, Lidars) or not self._scans:
-            return False
-        origin = origin_of(self._sequence)
-        indices, stamps, poses = zip(*self._scans, strict=True)
-        if None in stamps or len(set(stamps)) < len(stamps):
-            moved = np.array(poses)
-            moved[:, :3, 3] += origin
-            write_pose_rows(file, zip(indices, moved, strict=True), by_stamp=False)
-            return True
-        known: PosesOverTime = whole.trajectory if isinstance(whole, HasTrajectory) else Trajectory.of(stamps, poses)
-        times = np.unique(np.concatenate(self._times))
-        write_pose_rows(file, zip(times.tolist(), Moved(known, origin).at(times), strict=True), by_stamp=True)
-        return True
+        if isinstance(whole, HasTrajectories) and (found := whole.trajectories):
+            return found
+        return {k: Trajectory.of(list(poses), list(poses.values())) for k, poses in at.items()}

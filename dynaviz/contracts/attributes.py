@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.contracts.scan import Sequence, SequenceSlice, SequenceView
 
 Attributes = Mapping[str, NDArray[Any]]
@@ -50,8 +50,11 @@ class HasOrigin(Protocol):
 class HasCoordinates(Protocol):
     """A sequence whose source states the coordinates of points in the world frame, so that maps can repeat them."""
 
-    def coordinates(self, position: int) -> F64 | None:
-        """(N, 3) float64, metres, as in the source: with ``origin``; None if the source has other coordinates."""
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """(N, 3), metres, in the world of the source: with ``origin``, and float64 if the source is.
+
+        None if the points of the scan tell as much.
+        """
         ...
 
 
@@ -100,8 +103,8 @@ def unposed_of(sequence: Sequence) -> Iterator[Unposed]:
         yield from unposed_of(sequence.whole)
 
 
-def coordinates_of(sequence: Sequence, position: int) -> F64 | None:
-    """(N, 3) float64, metres: coordinates of a frame as in its source; None if they follow from its points."""
+def coordinates_of(sequence: Sequence, position: int) -> F32 | F64 | None:
+    """(N, 3), metres: coordinates of a frame as in its source, in its type; None if they follow from its points."""
     if isinstance(sequence, SequenceSlice):
         return coordinates_of(sequence.whole, sequence.positions[position])
     return sequence.coordinates(position) if isinstance(sequence, HasCoordinates) else None

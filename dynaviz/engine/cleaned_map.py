@@ -113,7 +113,8 @@ def write_maps(
         DataError: for data that cannot be read, or files that cannot be written.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
-    fields, origin = _dtypes(sequence), origin_of(sequence)
+    fields, origin, given = _dtypes(sequence), origin_of(sequence), coordinates_of(sequence, 0)
+    double = given is not None and given.dtype == np.float64
     like, stamp = las_file_of(sequence), sequence[0].stamp_ns
     timed = stamp is not None and "gps_time" not in fields
     absolute = stamp is not None and stamp >= GPS_EPOCH * 10**9  # otherwise the clock does not tell the date
@@ -122,13 +123,13 @@ def write_maps(
     conform = _Conform(fields)
     reasons = itertools.repeat(None) if judgement.reasons is None else judgement.reasons
     with contextlib.ExitStack() as stack:
-        maps = [_Map(stack, file, fields, origin, head, clock) for file in files]
+        maps = [_Map(stack, file, fields, origin, head, clock, double) for file in files]
         for position, codes in zip(range(len(sequence)), reasons, strict=False):
             scan = sequence[position]
             seen(scan)
             xyz = coordinates_of(sequence, position)
             points = _Points(
-                xyz=scan.points.astype(np.float64) + origin if xyz is None else xyz,
+                xyz=scan.points.astype(np.float64) + origin if xyz is None else xyz.astype(np.float64),
                 finite=all_finite(scan.points),
                 attributes=conform(attributes_of(sequence, position), len(scan), position),
                 dynamic=judgement.labels[position],
@@ -254,6 +255,7 @@ class _Map:
         origin: F64,
         head: LasHead,
         clock: Callable[[I64], F64] | None,
+        double: bool,
     ) -> None:
         self._file, self._origin, self._voxels = file, origin, KeySet()
         self._clock = clock if (file.suffix or file.path.suffix).lower() in LAS else None
@@ -262,7 +264,7 @@ class _Map:
             warnings.warn(f"{file.path}: the marks replace the attribute {' and '.join(replaced)}", stacklevel=4)
         own = {**fields, **({"gps_time": np.dtype(np.float64)} if self._clock else {}), **marks}
         self._account = dict.fromkeys(PointAccount.__struct_fields__, 0)
-        self._writer = stack.enter_context(_writer(file, own, origin, head))
+        self._writer = stack.enter_context(_writer(file, own, origin, head, double))
         self.written = WrittenMap(file.path, 0, tuple(own))
 
     @property
@@ -319,7 +321,9 @@ class _Map:
         return new
 
 
-def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead) -> MapWriter:
+def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead, double: bool) -> MapWriter:
     if file.tile_size is not None:
-        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix, head)
-    return TiledMap(file.path, fields, origin) if file.tiled else open_map(file.path, fields, origin, head)
+        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix, head, double)
+    if file.tiled:
+        return TiledMap(file.path, fields, origin, double=double)
+    return open_map(file.path, fields, origin, head, double)

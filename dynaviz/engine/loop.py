@@ -33,7 +33,7 @@ from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.result import RecordMode, Result, environment
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 from dynaviz.sources.opening import provenance
-from dynaviz.sources.origin import Origin, PoseFinding
+from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
 
@@ -57,7 +57,6 @@ class RunSpec:
         command: what the user typed, for the record.
         scoring: how labels are assigned to points: ``mask`` or ``nn`` (``eval/README.md``).
         pose_findings: what is likely wrong with the poses of the sequence, for the result.
-        origin: where the sequence came from; None for that of the sequence itself.
         record: how much the recording contains; None without one.
         folder: for the files of the run; None if it writes none.
         recording: its file; None if there is none.
@@ -76,7 +75,6 @@ class RunSpec:
     threads: int | None = None
     command: str = ""
     scoring: str = "mask"
-    origin: Origin | None = None
     record: RecordMode | None = None
     folder: Path | None = None
     recording: Path | None = None
@@ -294,7 +292,7 @@ def _result(
         pose_noise=summary.pose_noise,
         pose_refinement=getattr(base_of(run.sequence), "refinement", None),
         pose_findings=run.pose_findings,
-        origin=run.origin or provenance(run.sequence),
+        origin=provenance(run.sequence),
         plugin=plugin("methods", name) if hasattr(run.labeller, "Params") else None,
         account=account,
         answers=answers,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.errors import DataError
 from dynaviz.io.las import read_las_fields
 from dynaviz.io.npy import open_npy
@@ -52,8 +52,14 @@ def without_axes(fields: Mapping[str, NDArray[Any]]) -> Fields:
 
 def coordinates(fields: Mapping[str, NDArray[Any]]) -> F64:
     """(N, 3) float64, metres."""
+    return given_coordinates(fields).astype(np.float64)
+
+
+def given_coordinates(fields: Mapping[str, NDArray[Any]]) -> F32 | F64:
+    """(N, 3), metres: float32 if it holds the types of the file, otherwise float64."""
+    dtype = np.result_type(np.float32, *(fields[axis].dtype for axis in AXES))
     with np.errstate(invalid="ignore"):  # signalling NaNs become quiet
-        return np.column_stack([fields[axis].astype(np.float64) for axis in AXES])
+        return np.column_stack([fields[axis].astype(dtype) for axis in AXES])
 
 
 def columns_of(rows: NDArray[Any]) -> Fields:

@@ -25,17 +25,23 @@ class MapTiles(TiledMap):
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
-        fields, origin: as for ``dynaviz.io.maps.open_map``.
+        fields, origin, head, double: as for ``dynaviz.io.maps.open_map``.
         size: edge of a tile, metres.
         suffix: of the files, which selects their format.
-        head: for the headers of LAS and LAZ files.
     """
 
     def __init__(
-        self, folder: Path, fields: Dtypes, origin: F64, size: float, suffix: str, head: LasHead | None = None
+        self,
+        folder: Path,
+        fields: Dtypes,
+        origin: F64,
+        size: float,
+        suffix: str,
+        head: LasHead | None = None,
+        double: bool = False,
     ) -> None:
-        super().__init__(folder, fields, origin, size)
-        self._fields, self._origin, self._suffix, self._head = fields, origin, suffix, head
+        super().__init__(folder, fields, origin, size, double)
+        self._fields, self._suffix, self._where = fields, suffix, (origin, head, double)
 
     def _finish(self) -> None:
         for old in (self._folder / INDEX, *self._folder.glob(f"tile_*{self._suffix}")):
@@ -48,7 +54,7 @@ class MapTiles(TiledMap):
         """Write the file of a tile; its entry in the index."""
         name, points = f"tile_{column}_{row}{self._suffix}", 0
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        with open_map(self._folder / name, self._fields, self._origin, self._head) as writer, spool.open("rb") as file:
+        with open_map(self._folder / name, self._fields, *self._where) as writer, spool.open("rb") as file:
             while len(rows := np.fromfile(file, self._row, _ROWS)):
                 xyz = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
                 writer.append(xyz, {field: rows[field] for field in self._fields})

@@ -1,8 +1,8 @@
 """Write maps piece by piece, with attributes: PCD, PLY, LAS, LAZ, NPZ, and Autoware's divided maps.
 
 A writer is a context manager; its file appears only when the ``with`` block succeeds. Every writer stores attributes
-bit by bit. Coordinates are float64 in maps far from zero, otherwise float32; LAS stores multiples of 0.1 mm, or of the
-scale of the file that was cleaned.
+bit by bit. Coordinates are float64 in maps far from zero and in those of float64 sources, otherwise float32; LAS stores
+multiples of 0.1 mm, or of the scale of the file that was cleaned.
 """
 
 from __future__ import annotations
@@ -49,21 +49,22 @@ class MapWriter(Protocol):
         ...
 
 
-def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None) -> MapWriter:
+def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None, double: bool = False) -> MapWriter:
     """A writer for a map; the suffix selects the format.
 
     Args:
         path: the file.
         fields: dtypes of the attributes by name: integers or floats.
-        origin: (3,) float64, metres: where the map is. Coordinates are float32 if it is zero.
+        origin: (3,) float64, metres: where the map is. Coordinates are float64 unless it is zero.
         head: for the header of LAS and LAZ files.
+        double: write float64 also if the origin is zero.
 
     Raises:
         UsageError: for an unknown suffix.
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     writer = _writer(path)
-    return LasMap(path, fields, origin, head) if writer is LasMap else writer(path, fields, origin)
+    return LasMap(path, fields, origin, head) if writer is LasMap else writer(path, row_dtype(fields, origin, double))
 
 
 def check_map_path(path: Path) -> None:
@@ -72,16 +73,16 @@ def check_map_path(path: Path) -> None:
         import_laspy(path)
 
 
-def _writer(path: Path) -> Callable[[Path, Dtypes, F64], MapWriter]:
+def _writer(path: Path) -> Callable[..., MapWriter]:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise UsageError(f"{path}: unknown map format. Give a file that ends in {', '.join(sorted(_WRITERS))}")
     return writer
 
 
-def row_dtype(fields: Dtypes, origin: F64) -> np.dtype[Any]:
-    """A point of a map: x, y, z and the attributes, little-endian and without padding."""
-    axis = np.dtype("<f8" if np.any(origin) else "<f4")
+def row_dtype(fields: Dtypes, origin: F64, double: bool = False) -> np.dtype[Any]:
+    """A point of a map, of the arguments of ``open_map``: x, y, z and the attributes, little-endian, no padding."""
+    axis = np.dtype("<f8" if double or np.any(origin) else "<f4")
     columns = {name: np.dtype(np.uint8) if dtype.kind == "b" else dtype for name, dtype in fields.items()}
     return np.dtype([(name, axis) for name in "xyz"] + [(name, d.newbyteorder("<")) for name, d in columns.items()])
 
@@ -108,8 +109,8 @@ def header_names(row: np.dtype[Any]) -> dict[str, str]:
 class PcdMap:
     """Writes a binary PCD file."""
 
-    def __init__(self, path: Path, fields: Dtypes, origin: F64) -> None:
-        self._row = row_dtype(fields, origin)
+    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
+        self._row = row
         self._names = header_names(self._row)
         self._writer = PcdWriter(path, {self._names[n]: self._row[n] for n in self._names}, np.eye(4))
 
@@ -129,10 +130,9 @@ class PcdMap:
 class PlyMap:
     """Writes a binary PLY file. PLY has no 64-bit integers: such attributes are left out with a warning."""
 
-    def __init__(self, path: Path, fields: Dtypes, origin: F64) -> None:
-        row = row_dtype(fields, origin)
+    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
         stored = [name for name in row.names or () if row[name].str[1:] in _PLY_TYPES]
-        if missing := [name for name in fields if name not in stored]:
+        if missing := [name for name in row.names or () if name not in stored]:
             problem = f"PLY cannot store {row[missing[0]]}; the map has no {', '.join(missing)}"
             warnings.warn(f"{path}: {problem}. Write PCD, LAZ or NPZ to keep them", stacklevel=2)
         self._row = np.dtype([(name, row[name]) for name in stored])
@@ -165,8 +165,8 @@ class PlyMap:
 class NpzMap:
     """Writes an NPZ file: ``points`` (N, 3), and an array of N values for each attribute."""
 
-    def __init__(self, path: Path, fields: Dtypes, origin: F64) -> None:
-        self._path, self._row, self._points = path, row_dtype(fields, origin), 0
+    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
+        self._path, self._row, self._points = path, row, 0
         self._stack = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -212,15 +212,15 @@ class TiledMap:
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
-        fields, origin: as for ``open_map``.
+        fields, origin, double: as for ``open_map``.
         size: edge of a tile, metres.
     """
 
     METADATA = "pointcloud_map_metadata.yaml"
     TILES = "pointcloud_map.pcd"  # a folder in divided maps, a file otherwise
 
-    def __init__(self, folder: Path, fields: Dtypes, origin: F64, size: float = 20.0) -> None:
-        self._folder, self._row, self._size = folder, row_dtype(fields, origin), size
+    def __init__(self, folder: Path, fields: Dtypes, origin: F64, size: float = 20.0, double: bool = False) -> None:
+        self._folder, self._row, self._size = folder, row_dtype(fields, origin, double), size
         self._spools: dict[tuple[int, int], Path] = {}
         self._stack = contextlib.ExitStack()
 
@@ -263,7 +263,7 @@ class TiledMap:
             temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
 
-_WRITERS: dict[str, Callable[[Path, Dtypes, F64], MapWriter]] = {
+_WRITERS: dict[str, Callable[..., MapWriter]] = {
     ".pcd": PcdMap,
     ".ply": PlyMap,
     **dict.fromkeys(LAS, LasMap),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64
+from dynaviz.arrays import F64, I64, Intp
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 from dynaviz.io.text import read_table
@@ -43,6 +43,7 @@ class PoseFile:
         poses: (K, 4, 4) float64, metres.
         stamps: (K,) int64, nanoseconds; None if the file has none.
         numbers: (K,) int64, scan number of each pose; None if the file has none.
+        lidar: (K,) int64, number of the lidar of each pose; None if the file has none.
     """
 
     path: Path
@@ -50,9 +51,16 @@ class PoseFile:
     poses: F64
     stamps: I64 | None = None
     numbers: I64 | None = None
+    lidar: I64 | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
+
+    @property
+    def lidars(self) -> dict[int, Intp]:
+        """Rows of each lidar, by its number; all rows as those of lidar 0 if the file does not tell lidars apart."""
+        lidar = np.zeros(len(self), np.int64) if self.lidar is None else self.lidar
+        return {number: np.flatnonzero(lidar == number) for number in np.unique(lidar).tolist()}
 
 
 def read_poses(path: str | os.PathLike[str]) -> PoseFile:
@@ -150,7 +158,8 @@ def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:
     )
     stamps = None if time is None else _stamps(path, rows, time[0], _SCALES.get(time[1]))
     numbers = None if index is None else _numbers(path, rows, index)
-    return PoseFile(path, "CSV", poses, stamps, numbers)
+    lidar = _numbers(path, rows, names.index("lidar")) if "lidar" in names else None
+    return PoseFile(path, "CSV", poses, stamps, numbers, lidar)
 
 
 def _floats(path: Path, rows: Rows, columns: range | list[int]) -> F64:

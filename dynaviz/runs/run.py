@@ -107,12 +107,10 @@ class Run:
             UsageError: for a run of data in memory, or of an earlier version, without ``at``.
             DataError: for data that cannot be read.
         """
-        origin = self.result.origin
-        if isinstance(at, Sequence):
-            return at
-        if at is None and isinstance(self.result.answers, RunAnswers):
-            in_memory: Sequence = self.result.answers.sequence
-            return in_memory
+        origin, answers = self.result.origin, self.result.answers
+        found = answers.sequence if at is None and isinstance(answers, RunAnswers) else at
+        if isinstance(found, Sequence):
+            return found
         if origin is None:
             if at is None:
                 raise UsageError(f"{self.path}: the run does not state where its sequence came from. {ELSEWHERE}")

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from dynaviz.arrays import F64, all_finite
-from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.attributes import coordinates_of, origin_of
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
 from dynaviz.io.pcd import read_pcd
@@ -50,9 +50,9 @@ class RunAnswers:
         """As ``Answers``; only finite points."""
         origin, parts = origin_of(self.sequence), [np.empty((0, 3))]
         for position in range(len(self.sequence)):
-            points = self.sequence[position].points
+            points, given = self.sequence[position].points, coordinates_of(self.sequence, position)
             kept = ~self.labels[position] & all_finite(points)
-            parts.append(points[kept].astype(np.float64) + origin)
+            parts.append(points[kept].astype(np.float64) + origin if given is None else given[kept].astype(np.float64))
         return np.concatenate(parts)
 
 

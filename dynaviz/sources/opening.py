@@ -111,9 +111,13 @@ def open_source(
 def refined(sequence: Sequence, folder: Path | None, progress: Progress = silent) -> OpenedSequence:
     """The sequence with refined poses, which are kept in the folder."""
     better = refine(sequence, folder, progress)
-    origin = msgspec.structs.replace(provenance(sequence), refined=True)
-    estimated = next((each.estimated for each in _layers(sequence) if isinstance(each, OpenedSequence)), None)
-    return OpenedSequence(better, range(len(better)), better.sensor, better.name, origin, estimated)
+    return _known(better, sequence, msgspec.structs.replace(provenance(sequence), refined=True))
+
+
+def _known(found: Sequence, opened: Sequence, origin: Origin) -> OpenedSequence:
+    """All frames of a sequence, with the estimated poses of the opened one that it was made of."""
+    estimated = next((each.estimated for each in _layers(opened) if isinstance(each, OpenedSequence)), None)
+    return OpenedSequence(found, range(len(found)), found.sensor, found.name, origin, estimated)
 
 
 def provenance(sequence: Sequence) -> Origin:
@@ -193,10 +197,7 @@ def _reselected(
     if late := [name for name in names if getattr(options, name) is not None]:
         raise UsageError(f"{', '.join(late)}: the sequence is already open. Give this to dynaviz.open")
     chosen = _selected(sequence, options)
-    if options.refine_poses:
-        return refined(chosen, folder, progress)
-    estimated = next((each.estimated for each in _layers(chosen) if isinstance(each, OpenedSequence)), None)
-    return OpenedSequence(chosen, range(len(chosen)), chosen.sensor, chosen.name, provenance(chosen), estimated)
+    return refined(chosen, folder, progress) if options.refine_poses else _known(chosen, chosen, provenance(chosen))
 
 
 def _places(source: Source) -> list[str]:

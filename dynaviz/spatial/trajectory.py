@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +34,16 @@ class PosesOverTime(Protocol):
 
     def at(self, times: ArrayLike) -> F64:
         """(N, 4, 4) float64, metres: the poses at (N,) int64 nanoseconds."""
+        ...
+
+
+@runtime_checkable
+class HasTrajectories(Protocol):
+    """A sequence that knows the poses of its sensors at any time."""
+
+    @property
+    def trajectories(self) -> Mapping[int, PosesOverTime]:
+        """T_world_sensor over time of each lidar by its number, in the world frame of the scans; 0 for a single one."""
         ...
 
 

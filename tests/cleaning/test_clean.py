@@ -101,6 +101,26 @@ def test_the_map_has_the_kept_points_with_their_attributes(tmp_path: Path) -> No
     assert 0 < cleaned.removals.removed < 600
 
 
+@pytest.mark.parametrize("suffix", [".pcd", ".ply", ".npz"])
+@pytest.mark.parametrize("points_in", ["sensor", "world"])
+def test_double_coordinates_stay_double(tmp_path: Path, suffix: str, points_in: str) -> None:
+    """Coordinates with more digits than float32 has, some metres from zero."""
+    folder, placed = tmp_path / "scans", []
+    folder.mkdir()
+    for scan in SCANS:
+        T = scan.T_world_sensor
+        placed.append(scan.points.astype(np.float64) + 1e-9)
+        xyz = placed[-1] if points_in == "world" else geometry.apply(geometry.inverse(T), placed[-1])
+        np.save(folder / f"{scan.index:06d}.npy", xyz)
+    np.savetxt(folder / "poses.txt", [scan.T_world_sensor[:3].ravel() for scan in SCANS])
+    cleaned = clean(folder, tmp_path / f"map{suffix}", points_in=points_in)
+    found = read_fields(tmp_path / f"map{suffix}")
+    assert found["x"].dtype == np.float64
+    kept = np.concatenate([xyz[~cleaned.result.labels[k]] for k, xyz in enumerate(placed)])
+    np.testing.assert_allclose(coordinates(found), kept, rtol=0, atol=0 if points_in == "world" else 1e-14)
+    np.testing.assert_array_equal(coordinates(found), cleaned.result.static_map())
+
+
 def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
     cleaned = clean(write_scans(tmp_path / "drive"), tmp_path / "map.ply")
     page = (tmp_path / "map_run/summary.md").read_text()

@@ -12,8 +12,10 @@ from helpers.bags import START, BagWriter
 from helpers.scan_folders import write_tum_poses
 
 import dynaviz as dv
+from dynaviz.errors import DataError
 from dynaviz.io.fields import read_fields
 from dynaviz.io.gps_time import adjusted_gps_time, leap_offset
+from dynaviz.io.poses import read_poses
 from dynaviz.spatial import geometry
 from dynaviz.testing.world import crossing
 
@@ -118,6 +120,36 @@ def test_a_map_of_a_bag_has_gps_time_and_can_be_cleaned_again(tmp_path: Path) ->
     kept = read_fields(tmp_path / "again.laz")
     assert kept["gps_time"].dtype == np.float64
     assert "ring" in kept
+
+
+@pytest.mark.filterwarnings("ignore:.*no TF from")
+def test_a_map_of_two_lidars_can_be_cleaned_again(tmp_path: Path) -> None:
+    """Rays start at the lidar that measured them, in the second pass as well."""
+    mounts = {"/low": 0.0, "/high": 1.0}  # metres above the vehicle
+    with BagWriter(tmp_path / "drive") as bag:
+        for k, scan in enumerate(SCANS):
+            T = scan.T_world_sensor
+            for topic, height in mounts.items():
+                xyz = geometry.transform(geometry.inverse(T), scan.points) - np.array([0, 0, height])
+                bag.cloud(k / 10, {axis: xyz[:, n].astype("f4") for n, axis in enumerate("xyz")}, topic=topic)
+            bag.odometry(k / 10, T)
+    extrinsic = ";".join(f"{topic}=0,0,{height},0,0,0" for topic, height in mounts.items())
+    first = dv.clean(f"{bag.path}#/low,/high", tmp_path / "map.laz", extrinsic=extrinsic, **OPTIONS)
+    assert first.trajectory is not None
+    given = read_poses(first.trajectory)
+    for number, height in enumerate(mounts.values()):
+        expected = [scan.T_world_sensor[:3, 3] + [0, 0, height] for scan in SCANS]
+        np.testing.assert_allclose(given.poses[given.lidars[number], :3, 3], expected, atol=1e-6)
+    assert set(np.unique(read_fields(tmp_path / "map.laz")["lidar"])) == {0, 1}
+    again = dv.open(tmp_path / "map.laz", poses=first.trajectory)
+    for scan, once in zip(again, SCANS, strict=True):
+        assert set(np.round(scan.origins[:, 2] - once.T_world_sensor[2, 3], 5)) == set(mounts.values())
+    for name in ("again", "and_again"):
+        cleaned = dv.clean(tmp_path / "map.laz", tmp_path / f"{name}.laz", poses=first.trajectory, **OPTIONS)
+        assert cleaned.account.unposed_kept == cleaned.account.unposed_left_out == 0
+        first = cleaned
+    with pytest.raises(DataError, match="has the poses of 2 lidars"):
+        dv.open(f"{bag.path}#/low", poses=first.trajectory)
 
 
 def test_gps_time_counts_leap_seconds() -> None:

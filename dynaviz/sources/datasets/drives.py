@@ -11,8 +11,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, origin_of, unposed_of
+from dynaviz.arrays import F32, F64
+from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, coordinates_of, origin_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
@@ -68,6 +68,11 @@ class Drives:
         """Those of the drive's frame."""
         drive, row = self._place(position)
         return attributes_of(self.drives[drive], row)
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """Those of the drive's frame."""
+        drive, row = self._place(position)
+        return coordinates_of(self.drives[drive], row)
 
     def unposed(self) -> Iterator[Unposed]:
         """Those of all drives."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dynaviz.arrays import F64, single
+from dynaviz.arrays import F32, F64, single
 from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.given import SCANS, given_points, given_pose, given_poses
 from dynaviz.contracts.scan import Scan, Sequence
@@ -101,6 +101,14 @@ class ArraySequence:
         cloud = self.clouds[position]
         names = ["intensity", *(f"column_{k}" for k in range(4, cloud.shape[1]))]
         return {name: cloud[:, k] for k, name in zip(range(3, cloud.shape[1]), names, strict=False)}
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """(N, 3), metres, in the world; None for float32 in the sensor frame."""
+        xyz = self.clouds[position][:, :3]
+        xyz = xyz.astype(np.result_type(np.float32, xyz.dtype), copy=False)
+        if self.points_in == "world":
+            return xyz
+        return None if xyz.dtype == np.float32 else geometry.apply(self.poses[position], xyz) + self.origin
 
     def __getitem__(self, position: int) -> Scan:
         xyz, T_world_sensor = self.clouds[position][:, :3], self.poses[position]

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64
-from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, origin_of, unposed_of
+from dynaviz.arrays import F32, F64, I64
+from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, coordinates_of, origin_of, unposed_of
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
 from dynaviz.sources.datasets.pose_matching import NO_POSES
+from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime
+
+LIDAR = "lidar"
+"""Attribute of points, and column of poses: number of the lidar, in the order of the names in the path."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,26 @@ class Lidars:
         return len(self.order)
 
     def attributes(self, position: int) -> Attributes:
+        """Those of the lidar's frame, and the number of the lidar."""
+        lidar, row = self.order[position].tolist()
+        found = attributes_of(self.lidars[lidar], row)
+        points = len(next(iter(found.values()))) if found else len(self.lidars[lidar][row])
+        return {**found, LIDAR: np.full(points, lidar, np.uint8)}
+
+    @property
+    def trajectories(self) -> dict[int, PosesOverTime]:
+        """T_world_sensor over time of each lidar; only of those that know it."""
+        return {
+            number: Moved(own, origin_of(lidar) - self.origin)
+            for number, lidar in enumerate(self.lidars)
+            if isinstance(lidar, HasTrajectories)
+            for own in lidar.trajectories.values()
+        }
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
         """Those of the lidar's frame."""
         lidar, row = self.order[position].tolist()
-        return attributes_of(self.lidars[lidar], row)
+        return coordinates_of(self.lidars[lidar], row)
 
     def unposed(self) -> Iterator[Unposed]:
         """Those of all lidars."""

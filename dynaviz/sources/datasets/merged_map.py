@@ -11,16 +11,17 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F64, I64, single
+from dynaviz.arrays import F32, F64, I64, Bool, single
 from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.fields import coordinates, read_fields, without_axes
+from dynaviz.io.fields import coordinates, given_coordinates, read_fields, without_axes
 from dynaviz.io.gps_time import leap_offset
 from dynaviz.io.poses import read_poses
+from dynaviz.sources.datasets.lidars import LIDAR
 from dynaviz.sources.datasets.pose_matching import parse_points_in
-from dynaviz.spatial.trajectory import Moved, Trajectory
+from dynaviz.spatial.trajectory import Moved, PosesOverTime, Trajectory
 
 SUFFIXES = (".las", ".laz", ".pcd", ".ply")
 TIMES = ("gps_time", "GpsTime", "time", "timestamp", "t", "stamp")
@@ -39,7 +40,8 @@ class MergedMapSequence:
     """A merged map (.las .laz .pcd .ply) whose points have times, and a trajectory given with ``--poses``.
 
     Points are in the world frame. They are split into scans of 0.1 s; each ray starts where the sensor was at the time
-    of its point. Points outside the time span of the trajectory are in no scan.
+    of its point, and of its lidar if points and poses state it. Points outside the time span of the trajectory are in
+    no scan.
     """
 
     layout: ClassVar[str] = "survey.laz, .las, .pcd or .ply with a time per point, and --poses TRAJECTORY"
@@ -49,7 +51,7 @@ class MergedMapSequence:
     fields: dict[str, NDArray[Any]]
     bounds: I64
     times: I64
-    trajectory: Moved
+    trajectories: dict[int, PosesOverTime]
     facts: dict[str, str]
     origin: F64
     sensor: Sensor = field(default_factory=Sensor)
@@ -81,11 +83,16 @@ class MergedMapSequence:
         file = read_poses(poses)
         if file.stamps is None:
             raise DataError(poses, "has no times, so it cannot split a merged map", hint=_HINT)
-        trajectory = Trajectory.of(file.stamps, file.poses)
-        times = _nanoseconds(fields[name], trajectory)
-        inside = (times >= trajectory.times[0]) & (times <= trajectory.times[-1])
+        if len(file.lidars) > 1 and LIDAR not in fields:
+            problem = f"has no field {LIDAR}, but the poses are those of {len(file.lidars)} lidars"
+            raise DataError(path, problem, hint="Give the poses of one lidar, without the column lidar")
+        paths = {k: Trajectory.of(file.stamps[rows], file.poses[rows]) for k, rows in file.lidars.items()}
+        times = _nanoseconds(fields[name], Trajectory.of(file.stamps, file.poses))
+        inside = np.zeros(len(times), np.bool_)
+        for lidar, each in paths.items():
+            inside |= _of_lidar(fields, lidar, len(paths)) & (times >= each.times[0]) & (times <= each.times[-1])
         if not inside.any():
-            spans = [f"{t.min() / 1e9:.1f} to {t.max() / 1e9:.1f} s" for t in (times, trajectory.times)]
+            spans = [f"{t.min() / 1e9:.1f} to {t.max() / 1e9:.1f} s" for t in (times, file.stamps)]
             problem = f"points and poses do not overlap in time: points from {spans[0]}, poses from {spans[1]}"
             raise DataError(path, problem, hint=_HINT)
         order = np.flatnonzero(inside)[np.argsort(times[inside], kind="stable")]
@@ -93,7 +100,7 @@ class MergedMapSequence:
         outside = np.flatnonzero(~inside)
         numbers = (times - times[0]) // PERIOD
         bounds = np.append(np.flatnonzero(np.diff(numbers, prepend=-1)), len(times))
-        origin = far_origin(trajectory.poses[0, :3, 3])
+        origin = far_origin(file.poses[0, :3, 3])
         facts = {
             "poses": f"{Path(poses).name} ({file.kind}), by stamp",
             "points in": "world frame",
@@ -101,7 +108,8 @@ class MergedMapSequence:
         }
         rows = np.concatenate([order, outside])
         sorted_fields = {key: array[rows] for key, array in fields.items()}
-        return cls(path, sorted_fields, bounds, times, Moved(trajectory, -origin), facts, origin)
+        moved: dict[int, PosesOverTime] = {lidar: Moved(each, -origin) for lidar, each in paths.items()}
+        return cls(path, sorted_fields, bounds, times, moved, facts, origin)
 
     @property
     def name(self) -> str:
@@ -128,9 +136,9 @@ class MergedMapSequence:
         """All fields of the file besides the coordinates."""
         return self._attributes(self._rows(position))
 
-    def coordinates(self, position: int) -> F64:
-        """(N, 3) float64, metres: coordinates in the file."""
-        return self._coordinates(self._rows(position))
+    def coordinates(self, position: int) -> F32 | F64:
+        """(N, 3), metres: coordinates in the file."""
+        return given_coordinates(self._fields(self._rows(position)))
 
     def unposed(self) -> Iterator[Unposed]:
         """The points outside the time span of the trajectory."""
@@ -139,25 +147,37 @@ class MergedMapSequence:
         yield Unposed(len(xyz), xyz, self._attributes(rows))
 
     def _attributes(self, rows: slice) -> Attributes:
-        return {name: array[rows] for name, array in without_axes(self.fields).items()}
+        return without_axes(self._fields(rows))
 
     def _coordinates(self, rows: slice) -> F64:
-        return coordinates({name: array[rows] for name, array in self.fields.items()})
+        return coordinates(self._fields(rows))
+
+    def _fields(self, rows: slice) -> dict[str, NDArray[Any]]:
+        return {name: array[rows] for name, array in self.fields.items()}
 
     def __getitem__(self, position: int) -> Scan:
         rows = self._rows(position)
         times = self.times[rows]
         middle = int(times[0] + (times[-1] - times[0]) // 2)
         ticks, of = np.unique(times // TICK, return_inverse=True)
-        origins = self.trajectory.at(ticks * TICK)[of, :3, 3]
+        origins = np.empty((len(of), 3))
+        for lidar, trajectory in self.trajectories.items():
+            own = _of_lidar(self._fields(rows), lidar, len(self.trajectories))
+            origins[own] = trajectory.at(ticks * TICK)[of[own], :3, 3]
         return Scan(
             index=range(len(self))[position],
             points=self._points[rows],
-            T_world_sensor=self.trajectory.at([middle])[0],
+            T_world_sensor=next(iter(self.trajectories.values())).at([middle])[0],
             stamp_ns=middle,
             origins=origins,
             times=((times - middle) * 1e-9).astype(np.float32),
         )
+
+
+def _of_lidar(fields: dict[str, NDArray[Any]], lidar: int, lidars: int) -> Bool:
+    """(N,) bool: points of a lidar; all of them if there is only one."""
+    of: Bool = fields[LIDAR] == lidar if lidars > 1 else np.ones(len(fields["x"]), np.bool_)
+    return of
 
 
 def _vary(values: NDArray[Any]) -> bool:

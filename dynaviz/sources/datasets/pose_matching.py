@@ -79,6 +79,8 @@ def match_poses(file: Path, scans: Path, stamps: I64 | None, numbers: I64) -> Ma
         DataError: if the poses cannot be read or match no scan.
     """
     poses = read_poses(file)
+    if (several := len(poses.lidars)) > 1:
+        raise DataError(file, f"has the poses of {several} lidars", hint="Give those of one, or the merged map of all")
     if stamps is not None and poses.stamps is not None and (len(poses) > 1 or len(stamps) == 1):
         return _by_stamp(poses, scans, stamps)
     if poses.numbers is not None:

@@ -148,6 +148,11 @@ class RosBagSequence:
         """False: bags have no ground truth."""
         return False
 
+    @property
+    def trajectories(self) -> dict[int, PosesOverTime]:
+        """The trajectory, as that of the only lidar."""
+        return {0: self.trajectory}
+
     def __len__(self) -> int:
         return len(self.positions)
 

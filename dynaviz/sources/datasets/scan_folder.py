@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
-from dynaviz.io.fields import coordinates, read_fields, without_axes
+from dynaviz.io.fields import coordinates, given_coordinates, read_fields, without_axes
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.points import read_points
@@ -160,9 +160,18 @@ class ScanFolderSequence:
         """All fields of the file besides the coordinates, as they are in the file."""
         return self._attributes(self.scans[position])
 
-    def coordinates(self, position: int) -> F64 | None:
-        """(N, 3) float64, metres: coordinates in the file; None if they are in the sensor frame."""
-        return self._coordinates(self.scans[position]) if self.points_in == "world" else None
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """(N, 3), metres, in the world; None for float32 in the sensor frame."""
+        if self.points_in == "world":
+            return self._given(self.scans[position])
+        if self._given_type == np.float32:
+            return None
+        return geometry.apply(self.matched.poses[position], self._given(self.scans[position])) + self.origin
+
+    @cached_property
+    def _given_type(self) -> np.dtype[Any]:
+        """The type of the coordinates in the first file."""
+        return self._given(self.scans[0]).dtype
 
     @property
     def las_file(self) -> Path | None:
@@ -174,7 +183,7 @@ class ScanFolderSequence:
         """The points of scans without a pose."""
         for path in self.skipped:
             if self.points_in == "world":
-                xyz = self._coordinates(path)
+                xyz = self._given(path).astype(np.float64)
                 yield Unposed(len(xyz), xyz, self._attributes(path))
             else:
                 yield Unposed(len(self._points(path)))
@@ -184,10 +193,11 @@ class ScanFolderSequence:
             return velodyne_attributes(read_velodyne(path, len(self.columns)), self.columns)
         return without_axes(read_fields(path))
 
-    def _coordinates(self, path: Path) -> F64:
+    def _given(self, path: Path) -> F32 | F64:
+        """(N, 3), metres: coordinates in the file."""
         if self.columns:
-            return read_velodyne(path, len(self.columns))[:, :3].astype(np.float64)
-        return coordinates(read_fields(path))
+            return read_velodyne(path, len(self.columns))[:, :3]
+        return given_coordinates(read_fields(path))
 
     def _points(self, path: Path) -> F32:
         """(N, 3) float32, metres, in the file's frame, or in the world moved by the origin."""

@@ -10,6 +10,7 @@ import numpy as np
 from dynaviz.arrays import F64, I64
 from dynaviz.contracts.scan import Scan
 from dynaviz.io.atomic import write_atomic
+from dynaviz.sources.datasets.lidars import LIDAR
 from dynaviz.spatial.motion import smoothed
 from dynaviz.spatial.trajectory import Trajectory
 
@@ -39,18 +40,22 @@ def write_pose_table(file: Path, frames: Iterable[Scan], poses: F64, moments: I6
     write_pose_rows(file, rows, by_stamp)
 
 
-def write_pose_rows(file: Path, rows: Iterable[tuple[int, F64]], by_stamp: bool) -> None:
+def write_pose_rows(
+    file: Path, rows: Iterable[tuple[int, F64]], by_stamp: bool, lidars: Iterable[int] | None = None
+) -> None:
     """Write poses, each with its stamp in nanoseconds or the number of its frame.
 
     Args:
         file: CSV file.
         rows: stamp or number, and T_world_sensor, (4, 4) float64, metres.
         by_stamp: whether the numbers are stamps.
+        lidars: number of the lidar of each row; None if there is only one.
     """
-    matrix = ",".join(f"T{row}{column}" for row in range(3) for column in range(4))
-    lines = [f"{number},{','.join(f'{x:.17g}' for x in T[:3].ravel())}" for number, T in rows]
-    first = "stamp [ns]" if by_stamp else "index"
-    write_atomic(file, "\n".join([f"{first},{matrix}", *lines, ""]).encode())
+    names = ["stamp [ns]" if by_stamp else "index", *(f"T{row}{column}" for row in range(3) for column in range(4))]
+    lines = [[str(number), *(f"{x:.17g}" for x in T[:3].ravel())] for number, T in rows]
+    if lidars is not None:
+        names, lines = [*names, LIDAR], [[*line, str(lidar)] for line, lidar in zip(lines, lidars, strict=True)]
+    write_atomic(file, "\n".join([*map(",".join, [names, *lines]), ""]).encode())
 
 
 def without_points(scan: Scan) -> Scan:
