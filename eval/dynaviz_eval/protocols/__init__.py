@@ -1,4 +1,4 @@
-"""Protocols: how benchmarks and papers count the same labels (``docs/protocols.md``)."""
+"""Protocols: how benchmarks and papers count the same labels (``docs/protocol.md``)."""
 
 from __future__ import annotations
 
