@@ -101,8 +101,7 @@ def test_pages_load_nothing_from_elsewhere(site: Site) -> None:
 
 def test_the_template_is_shown_as_it_is(site: Site) -> None:
     shown = html.unescape(re.sub(r"<[^>]+>", "", site("extending.html")))
-    for file in (ROOT / "examples/template").rglob("[a-z]*.py"):
-        assert file.read_text(encoding="utf-8").strip() in shown, file
+    assert (ROOT / "examples/template/dynaviz_template/method.py").read_text(encoding="utf-8").strip() in shown
 
 
 def test_readmes_are_part_of_the_site_with_links_that_lead_somewhere(site: Site) -> None:
