@@ -26,7 +26,7 @@ import textwrap
 from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from griffe import Docstring, DocstringSectionAttributes
 
@@ -177,29 +177,25 @@ def algorithm(kind: Any) -> str:
 
 
 def parameters(kind: Any) -> str:
-    """The fields of Params: defaults, types, and meanings from the docstrings."""
+    """The fields of Params: defaults, and meanings from the docstrings."""
     meanings: dict[str, str] = {}
     for parent in reversed(kind.Params.__mro__):
         for section in Docstring(inspect.getdoc(parent) or "").parse("google"):
             if isinstance(section, DocstringSectionAttributes):
                 meanings |= {item.name: " ".join(item.description.split()) for item in section.value}
-    hints = get_type_hints(kind.Params)
     rows = (
-        (f"`{field.name}`", f"`{field.default}`", named(hints[field.name]), meanings.get(field.name, ""))
+        (f"`{field.name}`", f"`{field.default}`", meanings.get(field.name, ""))
         for field in dataclasses.fields(kind.Params)
     )
-    return table(("parameter", "default", "type", "meaning"), rows)
-
-
-def named(hint: Any) -> str:
-    """A type in a reader's words."""
-    return "numbers" if getattr(hint, "__origin__", None) is tuple else str(getattr(hint, "__name__", hint))
+    return table(("parameter", "default", "meaning"), rows)
 
 
 def states(kind: Any) -> str:
-    """The states that a recording shows."""
-    rows = ((f"`{state.name}`", state.meaning) for state in kind.info.emits)
-    return table(("state", "meaning"), rows)
+    """The states that a recording shows; those that differ only in a number at the end share a row."""
+    names: dict[str, list[str]] = {}
+    for state in kind.info.emits:
+        names.setdefault(re.sub(r"\d+$", "k", state.meaning), []).append(f"`{state.name}`")
+    return table(("state", "meaning"), ((", ".join(each), meaning) for meaning, each in names.items()))
 
 
 def reasons(kind: Any) -> str:

@@ -44,7 +44,7 @@ def test_a_method_without_a_page_gets_a_whole_one(generate: ModuleType) -> None:
     kind = generate.methods()["dufomap"]
     text = generate.new_page(kind)
     assert text.startswith(f"# {kind.info.title}\n")
-    assert "| `hit_margin` | `0.2` | float |" in text
+    assert "| `hit_margin` | `0.2` |" in text
     assert "`beside_unknown`" in text
     assert generate.filled(text, generate.page("dufomap")) == text
 
