@@ -38,7 +38,7 @@ PICTURES = "../pictures"
 BLOCK = re.compile(r"^<!-- generated: (\S+) -->\n.*?^<!-- end -->$", re.M | re.S)
 COMMAND = "python docs/generate.py"
 SHARED_PAGES = {"octomap_g": "octomap", "octomap_gf": "octomap"}
-LEAST_COST = 0.005  # percent; cheaper causes are not listed
+WORST = 3  # causes of lost SA or DA on the page of a method
 
 
 def pages() -> dict[Path, str]:
@@ -205,25 +205,26 @@ def reasons(kind: Any) -> str:
 
 
 def failures(kind: Any) -> str:
-    """Picture, and wrong points by cause, on the scene of docs/draw.py."""
+    """Picture, scores and the costliest causes of wrong points, on the scene of docs/draw.py."""
     name, known = kind.info.name, measurements()
     if name not in known["methods"]:
         return ""
-    run, sides = known["methods"][name], (("false_positive", "removed", "SA"), ("false_negative", "kept", "DA"))
-    totals = {"SA": run["static"], "DA": run["dynamic"]}
-    causes = [
-        (word, cause, f"{cost:.2f} % {score}")
-        for kind_, word, score in sides
-        for cause, counted in run["causes"].get(kind_, {}).items()
-        if (cost := 100 * counted["points"] / totals[score]) >= LEAST_COST
-    ]
+    run = known["methods"][name]
     scores = ", ".join(f"{key} {run['metrics'][key]:.2f}" for key in ("SA", "DA", "AA"))
     return (
-        f"Scores on `{known['scene']}`, {known['frames']} frames, default parameters: {scores}.\n\n"
+        f"On `{known['scene']}`, {known['frames']} frames, default parameters: {scores}. "
+        f"Lost SA: {costs(run['causes'], 'false_positive', run['static'])}. "
+        f"Lost DA: {costs(run['causes'], 'false_negative', run['dynamic'])}.\n\n"
         f"![Map of {kind.info.title} with its wrong points, and a state]({PICTURES}/{name}.jpg)\n\n"
         f"Left: the map, with kept dynamic points in orange and removed static points in yellow. "
-        f"Right: the state `{run['state']}` in frame {run['frame']}.\n\n" + table(("wrongly", "cause", "cost"), causes)
+        f"Right: the state `{run['state']}` in frame {run['frame']}."
     )
+
+
+def costs(causes: dict[str, dict[str, dict[str, int]]], kind: str, total: int) -> str:
+    """The costliest causes of one kind of wrong points, with the share of all points that they cost."""
+    worst = sorted(causes.get(kind, {}).items(), key=lambda cause: -cause[1]["points"])[:WORST]
+    return ", ".join(f"{cause} {100 * counted['points'] / total:.2f} %" for cause, counted in worst) or "nothing"
 
 
 SECTIONS: dict[str, Callable[[Any], str]] = {
