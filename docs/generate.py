@@ -117,8 +117,8 @@ def measurements() -> dict[str, Any]:
 def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """A Markdown table."""
     lines = [list(head), *([str(cell).replace("|", "\\|") for cell in row] for row in rows)]
-    lines.insert(1, ["---"] * len(lines[0]))
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    first, *rest = ("| " + " | ".join(cells) + " |" for cells in lines)
+    return "\n".join([first, "|---" * len(lines[0]) + "|", *rest])
 
 
 def overview() -> str:
