@@ -199,9 +199,8 @@ def states(kind: Any) -> str:
 
 
 def reasons(kind: Any) -> str:
-    """Why points are kept or removed, and the cause assigned to a wrong point with that reason."""
-    rows = ((f"`{reason.name}`", reason.meaning, reason.cause or "") for reason in kind.info.reasons)
-    return table(("reason", "meaning", "cause if wrong"), rows)
+    """Why points are kept or removed."""
+    return table(("reason", "meaning"), ((f"`{reason.name}`", reason.meaning) for reason in kind.info.reasons))
 
 
 def failures(kind: Any) -> str:
