@@ -10,6 +10,7 @@ import pytest
 from helpers.guessing_method import Guess, record_with_metrics
 from helpers.viewer_client import headless, problems
 from helpers.worlds import InMemory, room
+from rerun.chunk import RrdReader
 
 from dynaviz import colours
 from dynaviz.contracts.method import MethodInfo
@@ -39,6 +40,17 @@ def failures(recording: RunRecording) -> list[FailureCase]:
 
 def text(row: dict[str, Any]) -> str:
     return str(row["TextDocument:text"][0])
+
+
+def test_no_legend_is_written_twice(recorded: RunRecording) -> None:
+    """Viewers before 0.43.2 ignore a static legend that replaces another."""
+    chunks = RrdReader(recorded.path).stream().to_chunks()
+    legends = [
+        chunk for chunk in chunks if any("AnnotationContext" in name for name in chunk.to_record_batch().schema.names)
+    ]
+    assert len(legends) > 1
+    assert all(chunk.is_static and chunk.num_rows == 1 for chunk in legends)
+    assert len({chunk.entity_path for chunk in legends}) == len(legends)
 
 
 def test_each_case_is_shown_as_drawn_in_its_worst_frame(recorded: RunRecording) -> None:
