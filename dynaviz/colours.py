@@ -15,7 +15,7 @@ from dynaviz.contracts.scan import Outcome
 Colour = tuple[int, int, int]  # RGB, 0 to 255
 
 BACKGROUND: Colour = (18, 20, 26)  # of 3D views and maps, in every theme
-LABEL: Colour = (255, 255, 255)  # text in 3D views: its plate is dark grey in the dark theme, else mid-grey
+LABEL: Colour = (255, 255, 255)  # text in 3D views: its plate is dark grey in the dark theme, otherwise mid-grey
 NEUTRAL: Colour = (135, 135, 140)  # marks without a meaning of their own, on white and on black
 
 BRIGHT: dict[Outcome, Colour] = {
@@ -48,7 +48,7 @@ SCORES: dict[str, Colour] = {  # a score has the hue of the errors that lower it
     "AA": NEUTRAL,
     "HA": (150, 105, 205),
 }
-METHODS: dict[str, Colour] = {  # for good: a method keeps its colour whatever else is in the figure
+METHODS: dict[str, Colour] = {  # permanent: a method has the same colour in every figure
     "beautymap": (255, 60, 135),
     "dufomap": (225, 15, 210),
     "dynablox": (135, 60, 135),

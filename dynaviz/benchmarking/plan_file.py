@@ -87,7 +87,7 @@ def read(path: Path) -> dict[str, Any]:
     table["sequences"] = [here(entry, "path") for entry in table.get("sequences", [])]
     for entry in table["sequences"]:
         if isinstance(entry, dict) and isinstance(entry.get("poses"), str) and (base / entry["poses"]).is_file():
-            entry["poses"] = os.path.abspath(base / entry["poses"])  # else a topic or frame of a bag
+            entry["poses"] = os.path.abspath(base / entry["poses"])  # otherwise a topic or frame of a bag
     table["variants"] = [here(entry, "config") for entry in table.get("variants", [])]
     return table
 

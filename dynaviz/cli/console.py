@@ -119,7 +119,7 @@ class PhaseTimer:
 
 
 def duration(seconds: float) -> str:
-    """A duration in one unit: seconds below 90 s, minutes below 90 min, else hours."""
+    """A duration in one unit: seconds below 90 s, minutes below 90 min, otherwise hours."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 90 * 60:

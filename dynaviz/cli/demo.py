@@ -61,9 +61,9 @@ def demo(
     show(
         result_table(results),
         f"The recording of each run is {out}/METHOD/run.rrd. Next steps:",
-        f"  {command} failures {recording}",
+        f"  {command} info {recording} --failures",
         f"  {command} view {recording}",
-        f"  {command} shot {recording} -o {best.method}.png    (without a display)",
+        f"  {command} view {recording} -o {best.method}.png    (without a display)",
         f"  {command} view {comparison}    (how {best.method} differs from {second.method})",
         f"  {command} run {best.method} PATH/TO/YOUR/SEQUENCE",
         f"Click the failures, and see which scans decided a point: {command} explore {recording.parent}",

@@ -132,7 +132,7 @@ def origin_of(sequence: Sequence) -> F64:
 
 
 def far_origin(position: F64) -> F64:
-    """The origin for a world whose first pose is at a position: zero within ``FAR``, else whole kilometres.
+    """The origin for a world whose first pose is at a position: zero within ``FAR``, otherwise whole kilometres.
 
     Args:
         position: (3,) float64, metres.

@@ -43,7 +43,7 @@ def check_columns(sequence: Sequence, index: int, position: int) -> Iterator[Fin
         if negative[3] > NEGATIVE and columns[:, 3].std() > HEIGHTS and negative[:3].min() == 0:
             first = int(np.argmin(negative[:3])) + 1
             problem = (
-                f"the columns are not in the order x y z intensity: column 4 is negative at {negative[3]:.0%} of the "
-                f"points, as an intensity never is, and column {first} nowhere"
+                f"the columns are not in the order x y z intensity: column 4 has negative values at {negative[3]:.0%} "
+                f"of the points, unlike an intensity, and column {first} has none"
             )
             yield Finding("columns", Confidence.LIKELY, problem, "Write x y z intensity as float32", file=str(file))

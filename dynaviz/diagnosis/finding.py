@@ -115,9 +115,9 @@ class Diagnosis:
         rows = [
             {
                 "name": finding.name,
-                "sure": finding.confidence.name.lower(),
-                "what": finding.problem,
-                "mend": finding.fix,
+                "confidence": finding.confidence.name.lower(),
+                "problem": finding.problem,
+                "fix": finding.fix,
                 "frames": finding.frames,
                 "count": finding.count,
                 "file": finding.file,

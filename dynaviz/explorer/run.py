@@ -127,7 +127,7 @@ class ExploredRun:
             return frame, int(drawn.point[row])
         if entity in GATHERED and (found := _nearest(self.wrong.xyz, position)) is not None:
             return int(self.wrong.frame[found]), int(self.wrong.point[found])
-        raise UsageError("the recording stores no single point here, because all points here are right")
+        raise UsageError("correct points are not stored individually. Record the run with --record full")
 
     def point(self, frame: int, point: int, corrections: Mapping[int, str] | None = None) -> dict[str, Any]:
         """Truth, answer and reason of a point, in plain types.

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit, prange
 
 ONE = np.uint64(1)
-UNKNOWN = np.float32(-1.0)  # what a place inherits if nobody saw where it began or ended
+UNKNOWN = np.float32(-1.0)  # what a place inherits if no scan saw where it began or ended
 
 
 @njit(cache=True, nogil=True)

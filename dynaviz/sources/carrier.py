@@ -11,7 +11,7 @@ from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
 
 SCANS, FEWEST = 16, 6  # scans that are read, and between which the sensor must have moved
-STEP, TURN = 1.0, 15.0  # metres or degrees between two of them: what stands does not stay in its cube
+STEP, TURN = 1.0, 15.0  # metres or degrees between two of them: static objects do not stay in their cubes
 REACH = 3.0  # metres; a carrier does not extend farther from the sensor
 ALWAYS = 0.8  # share of the scans in which a cube must contain points
 ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
@@ -20,7 +20,7 @@ ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
 def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     """The cubes in the sensor frame that contain points wherever the sensor is (``Sensor.carrier``).
 
-    Simulated sequences have no carrier and are not read. Nor does one show if the sensor does not move.
+    Simulated sequences have no carrier and are not read. A sensor that does not move shows no carrier.
 
     Raises:
         DataError: for data that cannot be read.

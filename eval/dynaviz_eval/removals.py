@@ -96,7 +96,7 @@ class _Clusters:
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
         ground = on_ground(scan_heights(scan))
         near, ground = _next_to_kept(labelled, ground)[chosen], ground[chosen]
-        groups = ground.astype(np.int64)  # so that ground does not join what stands or moves on it
+        groups = ground.astype(np.int64)  # so that ground does not join the objects on it
         points, ranges = scan.points[chosen], np.sqrt(scan_squared_ranges(scan)[chosen])
         self._cases.add(labelled.frame, points, groups, labelled.reasons[chosen], ranges, near, ground)
 

@@ -7,7 +7,7 @@ Duberg, Zhang et al. 2024. Space that one scan reliably observes as empty is fre
         observed:  mark the voxels from the sensor to the first hit voxel, and unknown_margin voxels beyond it
         void:      select the observed voxels that are not hit and whose cube of unknown_margin voxels to each side is
                    observed
-        seen free: add the void voxels, for good
+        seen free: add the void voxels, permanently
     label a point dynamic if its voxel was ever seen free
 
 One ray is cast for each occupied voxel, to its centre. ``hit_margin`` accounts for sensor noise (d_s in the paper),

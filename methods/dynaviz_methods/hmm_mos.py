@@ -130,7 +130,7 @@ STATES = (
         "dynamic",
         PointClasses,
         "Points by voxel: dynamic by the threshold, by the last scan, or by a neighbour; dynamic in an undecided scan",
-        legend=("none", "above threshold", "carried", "beside dynamic", "undecided"),
+        legend=("none", "above threshold", "carried", "next to dynamic", "undecided"),
     ),
     State("turned", Voxels, "Voxels with points that turn from free to occupied in this scan"),
     State("score", Voxels, "Voxels with changes around them in this scan; number of changes", value_range=(0.0, 30.0)),
@@ -249,7 +249,7 @@ class HmmMos:
                 "carried",
                 (*decided, Term("dynamic one scan ago", was, ">=", 1), enough),
             ),
-            Rule("beside", (*decided, Term("dynamic voxels around it", known(near, voxels), ">=", 1))),
+            Rule("next to dynamic", (*decided, Term("dynamic voxels around it", known(near, voxels), ">=", 1))),
         )
 
     def _summed(self, scores: Scores) -> I32:

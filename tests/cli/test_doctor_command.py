@@ -41,7 +41,7 @@ def test_exit_codes_list_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "Fix: " in out
     assert "6/6 frames" in err
     written = json.loads((tmp_path / "findings.json").read_text())
-    assert [(row["name"], row["sure"]) for row in written["findings"]] == [("points in sensor frame", "certain")]
+    assert [(row["name"], row["confidence"]) for row in written["findings"]] == [("points in sensor frame", "certain")]
     assert command("doctor", tmp_path / "absent") == 2
     assert capsys.readouterr().err.count("\n") == 1
     # The suggested fix works.

@@ -159,7 +159,7 @@ def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, st
 
 
 def _shortest_form(study: Study, groups: Sequence[Sequence[StudyRun]]) -> _LabelForm:
-    """The first form that gives the runs of each group different labels, else the last."""
+    """The first form that gives the runs of each group different labels, otherwise the last."""
     for form in _LABEL_FORMS:
         if all(len({form(study, run) for run in runs}) == len(runs) for runs in groups):
             return form
