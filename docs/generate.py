@@ -145,8 +145,7 @@ def protocols() -> str:
     infos = [protocol.info for protocol in registry.loadable("protocols").values()]
     rows = (
         (
-            f"**{info.title}**",
-            f"`{info.name}`",
+            f"**{info.title}**, `{info.name}`",
             info.counts,
             info.ignores,
             info.combines,
@@ -155,7 +154,7 @@ def protocols() -> str:
         )
         for info in infos
     )
-    return table(("protocol", "name", "counts", "leaves out", "combines", "scores", "source"), rows)
+    return table(("protocol", "counts", "leaves out", "combines", "scores", "source"), rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {each.__name__: each for each in (overview, protocols)}
