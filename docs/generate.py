@@ -1,4 +1,4 @@
-"""Write the generated parts of the pages: what the code knows about each method, and files that a page quotes.
+"""Write the generated parts of the pages: what the code knows about each method and protocol.
 
     python docs/generate.py            # bring all pages up to date
     python docs/generate.py --check    # change nothing; list the pages that are out of date, and exit with 1
@@ -9,10 +9,10 @@ A page marks each part with a pair of comments:
     ...
     <!-- end -->
 
-The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), one of TABLES on any page, or the path
-of a file in the repository, which is quoted in full. On a page of several methods, a section names its method, as in
-``parameters:octomap_gf``. Text outside the markers is never touched. A built-in method without a page gets one with
-every section. ``docs/draw.py`` measures the numbers in ``failures`` and draws its picture.
+The name is one of SECTIONS on the page of a method (``docs/methods/NAME.md``), or one of TABLES on any page. On a page
+of several methods, a section names its method, as in ``parameters:octomap_gf``. Text outside the markers is never
+touched. A built-in method without a page gets one with every section. ``docs/draw.py`` measures the numbers in
+``failures`` and draws its picture.
 """
 
 from __future__ import annotations
@@ -85,19 +85,11 @@ def filled(text: str, path: Path) -> str:
             content = SECTIONS[section](kind)
         elif name in TABLES:
             content = TABLES[name]()
-        elif (ROOT / name).is_file():
-            content = quoted(ROOT / name)
         else:
-            raise ValueError(f"{path.relative_to(ROOT)}: cannot generate {name!r}. Give a section, a table or a file.")
+            raise ValueError(f"{path.relative_to(ROOT)}: cannot generate {name!r}. Give a section or a table.")
         return f"<!-- generated: {name} -->\n\n{content}\n\n<!-- end -->"
 
     return BLOCK.sub(block, text)
-
-
-def quoted(path: Path) -> str:
-    """A file of the repository as a fenced block."""
-    languages = {".py": "python", ".toml": "toml", ".json": "json", ".yml": "yaml"}
-    return f"```{languages.get(path.suffix, 'text')}\n{path.read_text(encoding='utf-8').strip()}\n```"
 
 
 @cache

@@ -50,11 +50,11 @@ def test_a_method_without_a_page_gets_a_whole_one(generate: ModuleType) -> None:
 
 
 def test_text_outside_the_markers_is_kept(generate: ModuleType) -> None:
-    page = "Before\n\n<!-- generated: examples/template/pyproject.toml -->\nold\n<!-- end -->\nAfter\n"
+    page = "Before\n\n<!-- generated: protocols -->\nold\n<!-- end -->\nAfter\n"
     text = generate.filled(page, ROOT / "docs/page.md")
-    assert text.startswith("Before\n\n<!-- generated: ")
-    assert text.endswith("```\n\n<!-- end -->\nAfter\n")
-    assert 'name = "dynaviz-template"' in text
+    assert text.startswith("Before\n\n<!-- generated: protocols -->\n\n| protocol |")
+    assert text.endswith(" |\n\n<!-- end -->\nAfter\n")
+    assert "`semantickitti_mos`" in text
     assert "old\n" not in text
 
 

@@ -6,7 +6,6 @@ has the demo's street.
 
 from __future__ import annotations
 
-import html
 import re
 import shlex
 import shutil
@@ -97,11 +96,6 @@ def test_pages_load_nothing_from_elsewhere(site: Site) -> None:
     for page in ("index.html", "tutorial.html", "methods/octomap.html", "reference/python.html"):
         assert re.findall(r'<(?:script|img|iframe)[^>]*src="https?:', site(page)) == []
         assert re.findall(r'<link[^>]*rel="stylesheet"[^>]*href="https?:', site(page)) == []
-
-
-def test_the_template_is_shown_as_it_is(site: Site) -> None:
-    shown = html.unescape(re.sub(r"<[^>]+>", "", site("extending.html")))
-    assert (ROOT / "examples/template/dynaviz_template/method.py").read_text(encoding="utf-8").strip() in shown
 
 
 def test_readmes_are_part_of_the_site_with_links_that_lead_somewhere(site: Site) -> None:
