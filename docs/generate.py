@@ -206,8 +206,8 @@ def failures(kind: Any) -> str:
         f"Lost SA: {costs(run['causes'], 'false_positive', run['static'])}. "
         f"Lost DA: {costs(run['causes'], 'false_negative', run['dynamic'])}.\n\n"
         f"![Map of {kind.info.title} with its wrong points, and a state]({PICTURES}/{name}.jpg)\n\n"
-        f"Left: the map, with kept dynamic points in orange and removed static points in yellow. "
-        f"Right: the state `{run['state']}` in frame {run['frame']}."
+        f"Left: wrong points of the map, kept in orange and removed in yellow. "
+        f"Right: `{run['state']}` in frame {run['frame']}."
     )
 
 
