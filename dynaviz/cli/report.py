@@ -31,7 +31,7 @@ def report(
         str | None,
         typer.Option(
             help="html, md, latex, csv, an installed plug-in, or board for a leaderboard as a static site. "
-            "[default: by the suffix of -o, else md]"
+            "[default: by the suffix of -o, otherwise md]"
         ),
     ] = None,
     sequences: Annotated[

@@ -40,6 +40,10 @@ IDIOMS = {  # what to avoid, and what to write
     r"\b(is|are) asked for\b": "is requested, is needed",
     r"\bof others? than\b": "from a different ... than",
     r"\bnow the one\b|\bthe one or the other\b": "name both",
+    r"\bwould else\b|, else\b|\bor else\b": "otherwise",
+    r"\bnor (can|could|do|does|is|are)\b": "cannot, does not, is not",
+    r"\brefuse[sd]?\b": "rejected",
+    r"\bno single [a-z]+ (here|there)\b": "not individually",
 }
 IDIOM = {re.compile(idiom.replace(" ", r"\s+"), re.I): better for idiom, better in IDIOMS.items()}
 CODE = re.compile(r"^ *```.*?^ *```|`[^`\n]*(?:\n[^`\n]+)?`", re.M | re.S)  # fenced blocks and spans
