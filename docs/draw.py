@@ -2,11 +2,12 @@
 
     python docs/draw.py                      # everything, some minutes
     python docs/draw.py dufomap              # the page of one method
-    python docs/draw.py demo                 # the README, the tutorial and the pages on recordings
+    python docs/draw.py demo                 # the README, the tutorial and the pages on recordings; needs Chromium
     python docs/draw.py --numbers [METHOD]   # the numbers without the pictures
 
 Simulates its scenes into a temporary folder. Writes the pictures in docs/ and docs/pictures/, and
-docs/methods/measured.json. Then updates the pages as ``docs/generate.py`` does.
+docs/methods/measured.json. docs/pictures/drawn.json keeps what the pictures of the demo are drawn from: a test fails
+when that has changed since. Then updates the pages as ``docs/generate.py`` does.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import before_after
 import cv2
+import draw_explorer
+import drawn_from
 import generate
 import numpy as np
 
@@ -48,9 +52,8 @@ GAP = 8  # white pixels between the halves
 TILE = (480, 330)  # pixels of a method in the overview of all states
 TILES = 3  # in a row
 
-BAR = 36  # pixels of the viewer's own bar, above the window
-WINDOW = (1400, 800 + BAR)
-WIDE = (1600, 864 + BAR)  # shows the full titles of a comparison
+WINDOW = (1400, 800)
+WIDE = (1600, 864)  # shows the full titles of a comparison
 LIST = 612  # pixels of the list of failures; the viewer's time panel covers the rows below
 JPEG = [
     *(cv2.IMWRITE_JPEG_QUALITY, 74),
@@ -118,6 +121,9 @@ def of_demo(folder: Path) -> None:
     save(picture(octomap, folder, 41, WRONG, (900, 400)), "pictures/wrong.jpg")
     save(picture(octomap, folder, 41, "FN: distance [m]", (900, 400)), "pictures/distance.jpg")
     save(picture(octomap, folder, 41, "hit", (1100, 640)), "pictures/hit.jpg")
+    draw_explorer.draw(octomap)
+    before_after.main()
+    drawn_from.keep()
     two = folder / "compare.rrd"
     dv.compare(octomap, runs["dufomap"], out=two)
     save(picture(two, folder, 35, None, WIDE), "pictures/compared.jpg")
@@ -147,8 +153,7 @@ def picture(
     Shows a case instead of the frame if its number is given.
     """
     path = shot(recording, folder / "shot.png", (frame,) if case is None else (), view, size, case)[0]
-    image = np.asarray(cv2.imread(str(path)), np.uint8)
-    return image if view else image[BAR:]
+    return np.asarray(cv2.imread(str(path)), np.uint8)
 
 
 def save(image: U8, name: str) -> None:

@@ -71,6 +71,12 @@ OTHERS: tuple[Colour, ...] = (
 
 HIT, CROSSED, GRAZED = 1, 2, 3  # classes of rays
 RAYS: dict[int, Colour] = {HIT: (60, 205, 140), CROSSED: (180, 80, 255), GRAZED: (120, 40, 140)}
+SPANS: dict[str, Colour] = {  # states of an object over time
+    "moving": (235, 235, 235),
+    "standing": (135, 135, 140),
+    "hit": RAYS[HIT],
+    "crossed": RAYS[CROSSED],
+}
 STATE: Colour = (0, 175, 155)  # of a state without values or classes
 CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend; none is that of an outcome
     (118, 118, 126),
@@ -92,6 +98,14 @@ def method_colour(name: str) -> Colour:
             unknown methods may share it, so give them different markers.
     """
     return METHODS.get(name) or OTHERS[zlib.crc32(name.encode()) % len(OTHERS)]
+
+
+def span_colours(ghost: bool) -> dict[str, Colour]:
+    """The colours of states over time; ``kept`` and ``removed`` as for points of an object (``ghost``) or a place."""
+    kept, removed = (
+        (Outcome.FALSE_NEGATIVE, Outcome.DYNAMIC_REMOVED) if ghost else (Outcome.STATIC_KEPT, Outcome.FALSE_POSITIVE)
+    )
+    return {**SPANS, "kept": BRIGHT[kept], "removed": BRIGHT[removed]}
 
 
 def shade(colour: Colour, name: str) -> Colour:

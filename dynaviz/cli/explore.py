@@ -20,6 +20,9 @@ def explore(
     other: Annotated[
         Path | None, typer.Argument(metavar="OTHER", help="Another run on the same frames, to compare.")
     ] = None,
+    case: Annotated[
+        int | None, typer.Option(min=1, show_default=False, help="Open at this case. [default: the costliest one]")
+    ] = None,
     port: Annotated[
         int, typer.Option(min=0, max=65535, show_default=False, help="Port on this machine. [default: any free one]")
     ] = 0,
@@ -39,7 +42,8 @@ def explore(
     from dynaviz.views.viewer import has_screen
 
     with start(run_in(run), None if other is None else run_in(other), port=port) as server:
-        print(f"Explore at {server.url} until interrupted (Ctrl-C).", flush=True)
+        url = server.url if case is None else f"{server.url}?case={case}"
+        print(f"Explore at {url} until interrupted (Ctrl-C).", flush=True)
         if browser and has_screen():
-            webbrowser.open(server.url)
+            webbrowser.open(url)
         server.wait()

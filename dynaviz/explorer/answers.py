@@ -24,12 +24,13 @@ from dynaviz.explorer.strip import strip, what_if
 from dynaviz.runs.explanation import Why, cause_at
 from dynaviz.runs.relabelling import LABELS, Box, Correction, Truth, correct, read_corrections, rescore
 from dynaviz.views.read.focus import CASE, LAYOUTS, MAP
-from dynaviz.views.read.shot import shot
-from dynaviz.views.witnesses import TouchingRays, rays_of
+from dynaviz.views.read.shot import LARGEST, shot
+from dynaviz.views.witnesses import TouchingRays, rays_of, spans_of_rays
 
 PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
 CLIP_SIZE = (960, 640)
+THUMBNAIL = {"width": "168", "height": "108"}  # pixels
 LETTERS = "ab"
 CASE_RAYS = 120  # drawn of a case
 
@@ -65,7 +66,7 @@ class Explored:
         self._reruns: list[Rerun] = []
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
         self._ledgers, self._lock = Ledgers(self.runs), threading.Lock()
-        self._thumbnail = cache(lambda letter, number: cards.thumbnail(self.runs[letter], self._card(letter, number)))
+        self._drawing = cache(lambda letter, *of: cards.picture(self.runs[letter], self._card(*of[:2]), of[2:]))
         self.answers: dict[str, Callable[[Query], Any]] = {
             "runs": self._overview,
             "click": self._click,
@@ -80,7 +81,7 @@ class Explored:
             "loading": (lambda query: self.runs[self._letter(query)].focus.loading(), RRD),
             "layout": (self._layout, RRD),
             "marks": (self._marks, RRD),
-            "thumbnail": (lambda query: self._thumbnail(self._letter(query), _number(query, "case")), PNG),
+            "drawing": (self._draw, PNG),
             "picture": (lambda query: self._shot(query, "case.png", SIZE), PNG),
             "clip": (lambda query: self._shot(query, "case.mp4", CLIP_SIZE), MP4),
         }
@@ -97,8 +98,9 @@ class Explored:
 
     def _facts(self, letter: str) -> dict[str, Any]:
         run = self.runs[letter]
-        other = next((each for key, each in self.runs.items() if key != letter), None)
-        shared = None if other is None else run.wrong_too(other)
+        other = next((key for key in self.runs if key != letter), None)
+        shared = None if other is None else run.wrong_too(self.runs[other])
+        others = [] if other is None else self._cards[other]
         return {
             "title": run.title,
             "method": run.result.method,
@@ -109,7 +111,7 @@ class Explored:
             "truth": run.result.has_truth,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
-            "cases": [cards.plain(run, card, shared) for card in self._cards[letter]],
+            "cases": [cards.plain(run, card, shared, others) for card in self._cards[letter]],
         }
 
     def _click(self, query: Query) -> dict[str, Any]:
@@ -174,6 +176,7 @@ class Explored:
         return {
             "text": evidence_of(ledgers).text,
             "strip": strip(ledgers),
+            "spans": spans_of_rays(ledgers),
             "what_if": what_if(ledgers, run.result.parameters),
         }
 
@@ -261,6 +264,13 @@ class Explored:
         computed, stored = self._ledgers.known(letter, frame, point), self.runs[letter].stored(frame, point)
         return rays_of([computed.ledger] if computed else [stored[0]] if stored else [])
 
+    def _draw(self, query: Query) -> bytes:
+        """The case in its worst frame, drawn at once, before the viewer has loaded."""
+        width, height = (min(max(_number({**THUMBNAIL, **query}, edge), 1), LARGEST) for edge in THUMBNAIL)
+        letter = self._letter(query)
+        drawing: bytes = self._drawing(letter, query.get("owner", letter), _number(query, "case"), width, height)
+        return drawing
+
     def _shot(self, query: Query, name: str, size: tuple[int, int]) -> bytes:
         """A picture or a clip of a case that the recording lists."""
         run = self.runs[self._letter(query)]
@@ -275,7 +285,7 @@ class Explored:
         return letter
 
     def _card(self, letter: str, number: int) -> cards.Card:
-        found = self._cards[letter]
+        found = self._cards.get(letter, ())
         if not 1 <= number <= len(found):
             raise UsageError(f"case {number}: the run has the cases 1 to {len(found)}")
         return found[number - 1]

@@ -9,25 +9,24 @@ from typing import Any
 import numpy as np
 
 from dynaviz import colours
-from dynaviz.arrays import F64, I64, Bool
+from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts.scan import Outcome
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
 from dynaviz.scores.sections import FailureCase, RemovedCluster
-from dynaviz.views.cases import middle_of
+from dynaviz.views.cases import OUTCOMES, middle_of
+from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
-THUMBNAIL = (112, 72)  # pixels
-AROUND = 1.5  # width of a thumbnail, in widths of the case
-SMALLEST = 5.0  # metres: width of the smallest thumbnail
+NEAREST = 0.5  # metres: what is nearer to the eye is not drawn
+SHADES = np.array([colours.BRIGHT[outcome] for outcome in Outcome], np.uint8)
 BOTH = 0.5  # share of a case's points that the other run gets wrong, too, from which both are wrong
 KINDS = {
     Outcome.FALSE_NEGATIVE: "ghost",
     Outcome.FALSE_POSITIVE: "hole",
     Outcome.UNLABELLED_REMOVED: "removed",
 }
-OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +86,32 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[worst[middle_of(xyz)]]))
 
 
-def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:
-    """A card in plain types, as the page receives it; ``shared`` as for ``by``."""
+def same(run: ExploredRun, card: Card, others: Sequence[Card]) -> int | None:
+    """The number of another run's card on the same object, or on the same place with the same error; None without."""
+    mine = card.case
+    wrong = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == mine.worst_frame]]
+    best, most = None, BOTH * len(wrong)
+    for other in others:
+        case = other.case
+        if isinstance(mine, FailureCase) and isinstance(case, FailureCase) and mine.instance and case.instance:
+            if (mine.kind, mine.class_, mine.instance) == (case.kind, case.class_, case.instance):
+                return other.number
+        elif other.outcome == card.outcome and case.first_frame <= mine.worst_frame <= case.last_frame:
+            inside = (wrong >= np.array(case.low) - MARGIN) & (wrong <= np.array(case.high) + MARGIN)
+            if (count := int(inside.all(1).sum())) > most:
+                best, most = other.number, count
+    return best
+
+
+def plain(run: ExploredRun, card: Card, shared: Bool | None, others: Sequence[Card]) -> dict[str, Any]:
+    """A card in plain types, as the page receives it.
+
+    Args:
+        run: of the case.
+        card: the case.
+        shared: as for ``by``.
+        others: cards of the other run, if any.
+    """
     case = card.case
     failure = case if isinstance(case, FailureCase) else None
     cluster = case if isinstance(case, RemovedCluster) else None
@@ -115,6 +138,8 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None) -> dict[str, Any]:
         "point": card.point,
         "spark": spark(run, card),
         "by": by(run, card, shared),
+        "same": same(run, card, others),
+        "spans": dict(failure.spans) if failure else {},
     }
 
 
@@ -154,24 +179,49 @@ def by(run: ExploredRun, card: Card, shared: Bool | None) -> str | None:
     return "both" if len(weights) and weights[shared[card.rows]].sum() >= BOTH * weights.sum() else "one"
 
 
-def thumbnail(run: ExploredRun, card: Card) -> bytes:
-    """A PNG of the case in its worst frame, from above or from the side, whichever shows more of it."""
+def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:
+    """A PNG of the case in its worst frame, as the first view of its layout shows it: the wrong points on top.
+
+    Args:
+        run: of the case.
+        card: the case.
+        size: width and height, pixels.
+    """
     import cv2
 
-    width, height = THUMBNAIL
-    picture = np.full((height, width, 3), colours.BACKGROUND, np.uint8)
-    drawn = run.drawn(card.case.worst_frame)
-    if drawn is not None:
-        size, middle = card.high - card.low, (card.low + card.high) / 2
-        across = int(np.argmax(size[:2]))
-        up = 1 - across if size[1 - across] >= size[2] else 2
-        wide = max(SMALLEST, AROUND * size[across], AROUND * size[up] * width / height)
-        place = (drawn.xyz[:, [across, up]] - middle[[across, up]]) * (width / wide)
-        column, row = (width / 2 + place[:, 0]).round().astype(int), (height / 2 - place[:, 1]).round().astype(int)
-        shown = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
-        shown = shown[np.argsort(drawn.outcome[shown] == card.outcome, kind="stable")]  # the case on top
-        shades = np.array([colours.BRIGHT[outcome] for outcome in Outcome], np.uint8)
-        for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            x, y = np.minimum(column[shown] + dx, width - 1), np.minimum(row[shown] + dy, height - 1)
-            picture[y, x] = shades[drawn.outcome[shown]]
-    return cv2.imencode(".png", picture[:, :, ::-1])[1].tobytes()
+    width, height = size
+    pixels = np.full((height, width, 3), colours.BACKGROUND, np.uint8)
+    xyz, outcome = _around(run, card)
+    middle, (ahead, right, up) = (card.low + card.high) / 2, _axes()
+    offset = xyz - middle + distance_to(card.low, card.high) * ahead
+    depth = offset @ ahead
+    scale = height / 2 / np.tan(np.radians(FIELD_OF_VIEW / 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column = width / 2 + scale * (offset @ right) / depth
+        row = height / 2 - scale * (offset @ up) / depth
+        shown = np.flatnonzero(
+            (depth > NEAREST) & (np.abs(2 * column - width) < width) & (np.abs(2 * row - height) < height)
+        )
+    order = np.lexsort((-depth[shown], outcome[shown] == card.outcome))  # near points and the case on top
+    shown = shown[order]
+    x, y, shades = column[shown].astype(int), row[shown].astype(int), SHADES[outcome[shown]]
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        pixels[np.minimum(y + dy, height - 1), np.minimum(x + dx, width - 1)] = shades
+    return cv2.imencode(".png", pixels[:, :, ::-1])[1].tobytes()
+
+
+def _around(run: ExploredRun, card: Card) -> tuple[F32, U8]:
+    """Points of the map and of the case's worst frame: (N, 3) float32, metres, world frame, and their outcomes."""
+    drawn, kept = run.drawn(card.case.worst_frame), run.map
+    if drawn is None:
+        return kept, np.full(len(kept), Outcome.STATIC_KEPT, np.uint8)
+    outcome = np.concatenate([np.full(len(kept), Outcome.STATIC_KEPT, np.uint8), drawn.outcome])
+    return np.concatenate([kept, drawn.xyz]), outcome
+
+
+def _axes() -> F64:
+    """(3, 3) unit vectors of the eye on a case: ahead, to the right, and up."""
+    ahead = -ASIDE / np.linalg.norm(ASIDE)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([ahead, right, np.cross(right, ahead)])

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64, U8, Bool
+from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
-from dynaviz.contracts.probe import Voxels
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.engine.ledger import PointLedger
 from dynaviz.errors import DataError, UsageError
@@ -93,11 +92,14 @@ class ExploredRun:
     @cached_property
     def focus(self) -> Focus:
         """Writes layouts and marks for the viewer."""
-        voxels: list[str] = []
-        if self.result.method in registry.loadable("methods"):
-            emits = registry.load("methods", self.result.method).info.emits
-            voxels = [state.name for state in emits if state.kind is Voxels]
-        return Focus(self.recording, voxels)
+        known = self.result.method in registry.loadable("methods")
+        return Focus(self.recording, registry.load("methods", self.result.method).info if known else None)
+
+    @cached_property
+    def map(self) -> F32:
+        """(N, 3) float32, metres, world frame: the kept points of the whole run, thinned."""
+        found: F32 = self.recording.static(paths.MAP).get("Points3D:positions", np.zeros((0, 3), np.float32))
+        return found
 
     @cached_property
     def wrong(self) -> WrongPoints:

@@ -163,6 +163,9 @@ class FailureCase(Struct, frozen=True):
         behaviour: what the object or place did (``dynaviz.scores.behaviour.Behaviour``), or None if unknown. It
             depends on the data alone, ``cause`` on the method.
         ground: share of the points on the ground, 0 to 1; None if unknown.
+        spans: first and last frames by state (``dynaviz.scores.spans``): when the object was ``moving`` or
+            ``standing``, and when more than half of its points were ``kept`` or not (``removed``); of wrongly removed
+            points only when some were ``removed``. Empty in results of earlier versions.
     """
 
     kind: Literal["false_negative", "false_positive"]
@@ -184,6 +187,7 @@ class FailureCase(Struct, frozen=True):
     sentence: str = ""
     behaviour: str | None = None
     ground: float | None = None
+    spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
 
     @property
     def metric(self) -> str:

@@ -13,11 +13,13 @@ from dynaviz.contracts.metric import Figure, FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import FailureCase, RemovedCluster
+from dynaviz.scores.spans import Spans, in_words
 
 LISTED = 20  # cases in the list and in the map, at most ...
 WORTH = 0.01  # ... that cost at least this share of the first one
 FAILURES, CLUSTERS = "failures", "clusters"  # figures with the boxes of cases
 POINTS = "points"
+OUTCOMES = {"false_negative": Outcome.FALSE_NEGATIVE, "false_positive": Outcome.FALSE_POSITIVE}
 DID = {"false_positive": "removed", "false_negative": "kept"}
 REASONS = 3  # named in the text of a case
 WRONG = (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE, Outcome.UNLABELLED_REMOVED)  # outcomes of the points of cases
@@ -35,6 +37,7 @@ class ShownCase:
         low, high: (3,) float64, metres, world frame: its box in that frame.
         lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
         text: Markdown, without evidence.
+        spans: of frames by state, as in ``FailureCase``.
     """
 
     number: int
@@ -45,6 +48,7 @@ class ShownCase:
     high: F64
     lost: Mapping[str, float]
     text: str
+    spans: Spans
 
     @property
     def label(self) -> str:
@@ -88,7 +92,9 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        cases.append(ShownCase(i + 1, title, Outcome(boxes.outcomes[i]), case.worst_frame, *corners, lost, text))
+        spans = case.spans if isinstance(case, FailureCase) else {}
+        outcome = Outcome(boxes.outcomes[i])
+        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, spans))
     return cases
 
 
@@ -103,7 +109,8 @@ def _cluster_title(case: RemovedCluster) -> str:
 def _failure_text(case: FailureCase, number: int, count: int) -> str:
     title = f"#### {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
     given = shares(case.reasons)
-    lines = [("Cause", f"{case.cause}: {given}" if case.cause else given), ("Worst frame", _frame(case))]
+    cause = f"{case.cause}: {given}" if case.cause else given
+    lines = [("Cause", cause), ("Worst frame", _frame(case)), ("Over time", in_words(case.spans))]
     return f"{title}\n\n{case.sentence}\n\n{_bullets(lines)}"
 
 

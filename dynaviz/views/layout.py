@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from dynaviz.arrays import F64
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import Scalar, State, Voxels
-from dynaviz.views import keys, paths
+from dynaviz.views import keys, object_lanes, paths
 
 KEY_SHARE = 4.0  # height of the views of states, in heights of their key
 CLEAR = 0.75  # opacity of voxels: wrong points inside remain visible
@@ -118,13 +119,16 @@ def _tabs(info: MethodInfo, found: Findings) -> list[Any]:
     tabs = []
     for states in keys.tabs(info):
         views = [_state(info.name, state, found) for state in states]
-        key = rrb.Spatial2DView(
-            name=keys.heading(states), origin=paths.key(info.name, states[0]), background=[*colours.BACKGROUND, 255]
-        )
         name = states[0].name if len(states) == 1 else f"{states[0].name} to {states[-1].name}"
-        shares = [KEY_SHARE / len(states)] * len(states) + [1 + 0.4 * (len(states) - 1)]
-        tabs.append(rrb.Vertical(*views, key, name=name, row_shares=shares))
+        tabs.append(with_key(views, paths.key(info.name, states[0]), keys.heading(states), name))
     return tabs
+
+
+def with_key(views: Sequence[Any], path: str, heading: str, name: str | None = None) -> Any:
+    """Views of states, one above the other, with their key below."""
+    key = rrb.Spatial2DView(name=heading, origin=path, background=[*colours.BACKGROUND, 255])
+    shares = [KEY_SHARE / len(views)] * len(views) + [1 + 0.4 * (len(views) - 1)]
+    return rrb.Vertical(*views, key, name=name, row_shares=shares)
 
 
 def _numbers(info: MethodInfo, found: Findings) -> Any:
@@ -141,7 +145,7 @@ def _numbers(info: MethodInfo, found: Findings) -> Any:
     )
     # No legend: it would hide the worst frames; the colours are those of the points.
     wrong = _curves(WRONG, [f"{paths.WRONG}/**", paths.WORST, f"{paths.CASE_COST}/**"])
-    return rrb.Vertical(scores, wrong, distance)
+    return rrb.Vertical(scores, rrb.Tabs(wrong, object_lanes.view()) if found.cases else wrong, distance)
 
 
 def _removed(info: MethodInfo, found: Findings) -> Any:

@@ -32,6 +32,7 @@ CASE_AROUND = "world/case/around"  # a circle around it, which the eye tracks
 CASE_AIM = "world/case/aim"  # a line from the sensor to it
 CASE_RAYS = "world/case/rays"  # rays of all scans that hit or crossed it
 CASE_LEDGERS = "case/ledgers"  # ledgers of its points, packed; not displayed
+OBJECTS = "objects"  # below it for each of the first cases and lane (``dynaviz.scores.spans``) a ``StateChange``
 CASE_TEXT = "case"  # Markdown: what happened, and why
 CASE_COST = "case_cost"  # curves over the timeline of cases: what each costs
 CASE_SCORE = "case_score"  # the same: scores if the cases up to each were right

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64, U8, Intp
 from dynaviz.colours import CROSSED, GRAZED, HIT
 from dynaviz.engine.ledger import GRAZING, LedgerEntry, PointLedger
+from dynaviz.scores.spans import Spans, spans_of
 
 NAMES = {
     HIT: "hit: evidence for static",
@@ -67,3 +69,12 @@ def evenly(count: int, most: int) -> Intp:
     if count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(np.intp)  # more than 1 apart: all differ
+
+
+def spans_of_rays(ledgers: Sequence[PointLedger]) -> Spans:
+    """When scans ``hit`` and ``crossed`` the place of points; a scan that did both counts as what most of them met."""
+    balance: Counter[int] = Counter()
+    for entry in (entry for ledger in ledgers for entry in ledger.entries if entry.hits or entry.crossed):
+        balance[entry.frame] += (entry.hits > 0) - (entry.crossed > 0)
+    hit = {frame: count >= 0 for frame, count in sorted(balance.items())}
+    return {name: spans_of(f for f in hit if hit[f] == (name == "hit")) for name in ("hit", "crossed")}

@@ -12,6 +12,7 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.kernels.keys import REACH as KEY_REACH
 from dynaviz.kernels.keys import X_SHIFT
 from dynaviz.scores.behaviour import Behaviour
+from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT
@@ -64,6 +65,17 @@ class Objects:
         """What the object did to which wrong points belong, given the rows of their case; None if unknown."""
         track = self._track(rows)
         return behaviour_of_object(track, self._frame) if len(track) else None
+
+    def spans(self, rows: NDArray[np.void]) -> Spans:
+        """When the object was moving, standing, mostly kept and mostly removed, given the rows of its kept points."""
+        track = self._track(rows)
+        if not len(track):
+            return {"kept": spans_of(rows["frame"].tolist())}
+        frames, stood = track["frame"], standing(track)
+        wrong = np.bincount(rows["frame"], rows["points"], self._frame + 1)
+        kept = 2 * wrong[frames] > track["points"]
+        parts = {"moving": ~stood, "standing": stood, "kept": kept, "removed": ~kept}
+        return {state: spans_of(frames[rows].tolist()) for state, rows in parts.items() if rows.any()}
 
     def _track(self, rows: NDArray[np.void]) -> NDArray[np.void]:
         """The object in all frames, one row each."""

@@ -16,6 +16,7 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import percentage_points_lost
+from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
@@ -37,7 +38,8 @@ class FailuresMetric:
     ``cases``: at most 100, each with ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
     ``last_frame``, ``worst_frame``, number of ``frames``, ``low`` and ``high`` corner (metres, world frame), ``range``
     from the sensor (metres), distance ``moved`` (metres), ``reasons`` with their counts, ``cause``, ``class``,
-    ``instance``, ``what`` it is, its ``behaviour``, the share of its points on the ``ground``, and a ``sentence``.
+    ``instance``, ``what`` it is, its ``behaviour``, the share of its points on the ``ground``, ``spans`` of frames by
+    state, and a ``sentence``.
     ``causes``: numbers of cases and points by kind and cause, of all cases. ``others``: cases and points that are not
     listed.
     """
@@ -144,6 +146,10 @@ class FailuresMetric:
             group, own = int(case["group"]), rows[rows["case"] == case["case"]]
             number = (group >> 32) - 1  # of its class
             behaviour = self._places.behaviour(case) if kind == "false_positive" else self._objects.behaviour(own)
+            if kind == "false_positive":
+                spans: Spans = {"removed": spans_of(np.unique(own["frame"]).tolist())}
+            else:  # an object with a number may have several cases
+                spans = self._objects.spans(rows[rows["group"] == group] if group & 0xFFFFFFFF else own)
             found = facts(case, names, self._grounded)
             plain = {
                 "kind": kind,
@@ -154,6 +160,7 @@ class FailuresMetric:
                 "instance": (group & 0xFFFFFFFF) or None if kind == "false_negative" else None,
                 "what": self._names.get(number) or shape(kind, case),
                 "behaviour": None if behaviour is None else str(behaviour),
+                "spans": {state: [list(span) for span in found] for state, found in spans.items()},
             }
             patches = largest.get(int(case["case"]), 1.0) < ONE_PATCH
             yield {**plain, "sentence": sentence(plain, meanings[code], patches)}, own

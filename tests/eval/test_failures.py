@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from helpers.failure_cases import INFO, labelled, section
@@ -12,6 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.scores.sections import FailureCase, RangeSpan
+from dynaviz.scores.spans import in_words, shared_objects
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
 from dynaviz_eval.failures import FailuresMetric
 
@@ -174,3 +178,44 @@ def test_no_cases_without_ground_truth():
     metric.update(Labelled.of(0, scan, np.ones(50, np.bool_), np.zeros(50, np.uint8)))
     assert metric.finish()["failures"]["cases"] == []
     assert metric.figures() == {}
+
+
+def test_spans_tell_when_an_object_moved_and_when_it_was_kept():
+    x = [min(0.9 * frame, 9.0) for frame in range(30)]  # it parks in frame 10
+    frames = [labelled(f, cube(seed=f, x=at), 1, f >= 20, 1) for f, at in enumerate(x)]
+    (case,) = section(*frames)["cases"]
+    assert case["spans"] == {
+        "moving": [[0, 9]], "standing": [[10, 29]], "kept": [[0, 19]], "removed": [[20, 29]],
+    }  # fmt: skip
+    assert in_words(case["spans"]) == "moves 0-9, stands 10-29; kept 0-19, removed 20-29"
+
+
+def test_an_object_of_which_less_than_half_is_kept_counts_as_removed():
+    points = cube(10)
+    scan = Scan(0, points, np.eye(4), labels=np.ones(10, np.uint8))
+    spans = {}
+    for kept in (5, 6):
+        answer = np.arange(10) >= kept
+        (case,) = section(Labelled.of(0, scan, answer, np.zeros(10, np.uint8)))["cases"]
+        spans[kept] = case["spans"]
+    assert spans == {5: {"moving": [[0, 0]], "removed": [[0, 0]]}, 6: {"moving": [[0, 0]], "kept": [[0, 0]]}}
+
+
+def test_runs_share_objects_by_class_and_number():
+    moves = {"moving": ((0, 9),), "kept": ((0, 4),), "removed": ((5, 9),)}
+    one, other = failure_case(1.0, 7, moves), failure_case(3.0, 8, {"standing": ((2, 3),), "kept": ((2, 3),)})
+    same = failure_case(5.0, 7, {**moves, "kept": ((0, 9),), "removed": ()})
+    unnumbered = failure_case(9.0, None, moves)
+    (first, found), (second, others) = shared_objects({"A": [other, one, unnumbered], "B": [same]})
+    assert (first, second) == ("car 7", "car 8")  # the costliest first; those without a number are not compared
+    kept = {"A": [("kept", (0, 4)), ("removed", (5, 9))], "B": [("kept", (0, 9))]}
+    assert found == {"object": [("moving", (0, 9))], **kept}
+    assert others == {"object": [("standing", (2, 3))], "A": [("kept", (2, 3))], "B": [("removed", (2, 3))]}
+
+
+def failure_case(cost: float, instance: int | None, spans: Any) -> FailureCase:
+    corner = (0.0, 0.0, 0.0)
+    return FailureCase(
+        "false_negative", 1, cost, 0, 9, 0, 10, corner, corner, RangeSpan(1, 1, 1), 0.0, {}, class_=3,
+        instance=instance, what="car", spans=spans,
+    )  # fmt: skip

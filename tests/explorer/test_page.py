@@ -12,11 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from helpers.worlds import room
 
 import dynaviz as dv
+from dynaviz import colours
 from dynaviz.arrays import F64
 from dynaviz.explorer.cards import Card, cards
 from dynaviz.explorer.run import ExploredRun
@@ -284,6 +286,28 @@ def test_sliders_judge_the_stored_points_again(page: Page, cases: Any) -> None:
     assert page.tab.evaluate(set_to, ["prob_miss", 0.4]) == ""  # as it is
 
 
+def test_the_case_over_time_moves_the_cursor(page: Page, cases: Any) -> None:
+    number = next(k for k, case in enumerate(cases, 1) if case.kind == "false_negative")
+    page.tab.click(f"#card-a-{number}")
+    page.tab.wait_for_selector("#case .time rect.hit, #case .time rect.crossed")  # with the evidence
+    drawn = page.tab.locator("#case .time rect.kept title, #case .time rect.removed title").all_text_contents()
+    expected = [
+        f"answer: {state}, frame{f' {first}' if first == last else f's {first} to {last}'}"
+        for state in ("kept", "removed") for first, last in cases[number - 1].spans.get(state, ())
+    ]  # fmt: skip
+    assert drawn == expected
+    page.tab.click("#case .time", position={"x": 0.9 * page.tab.locator("#case .time").bounding_box()["width"], "y": 5})
+    page.wait("explorer.viewers.a.time > 3")
+    assert page.tab.evaluate("Number(document.body.style.getPropertyValue('--frame')) === explorer.viewers.a.time")
+
+
+def test_the_viewer_is_ready_when_it_shows_points(page: Page) -> None:
+    png = page.tab.locator("#viewers").screenshot()
+    shown = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
+    assert (np.abs(shown.astype(int) - colours.BACKGROUND).max(2) < 4).mean() > 0.1
+    assert not page.tab.locator(".preview").count()
+
+
 def test_no_request_left_the_machine(page: Page) -> None:
     assert any(url.endswith("re_viewer_bg.wasm") for url in page.requests)
     assert not [url for url in page.requests if not url.startswith((page.url, "data:", "blob:"))]
@@ -302,6 +326,11 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         assert page.tab.input_value("input[name=search]") == "kept"
         assert "Point 7 of frame 2" in page.tab.inner_text("#point")
         assert page.tab.locator("#point .answer").count() == 2  # the same click asks both
+        merged = page.tab.evaluate("explorer.cards().filter(card => card.other).map(card => card.other.number)")
+        assert merged
+        assert len(merged) == len(set(merged))
+        shown = page.tab.evaluate("explorer.cards().filter(card => card.of === 'b').map(card => card.number)")
+        assert not set(shown) & set(merged)  # one card for a place that both get wrong
         page.tab.fill("input[name=search]", "")
         for choice in ("a", "b", "both"):
             if page.tab.locator(f"select[name=by] option[value={choice}]").count():

@@ -13,14 +13,18 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode, urlsplit
 
+import cv2
 import numpy as np
 import pytest
 
 import dynaviz as dv
+from dynaviz import colours
+from dynaviz.arrays import U8
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explorer.server import Explorer
 from dynaviz.scores.result import Result
+from dynaviz.views.cases import OUTCOMES
 from dynaviz.views.read.reader import RunRecording
 
 
@@ -250,10 +254,21 @@ def test_files_are_written_on_request_only(explorer: Explorer, runs: dict[str, P
     assert not (runs["fine"] / "corrections.json").exists()
 
 
-def test_thumbnails_are_pictures_of_the_case(explorer: Explorer) -> None:
-    status, content = get(f"{explorer.url}api/thumbnail?case=1")
-    assert status == 200
-    assert content.startswith(b"\x89PNG")
+def pixels(png: bytes) -> U8:
+    """(rows, columns, 3) uint8 RGB."""
+    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)[:, :, ::-1]
+
+
+def test_cases_are_drawn_at_once(explorer: Explorer) -> None:
+    small, large = (get(f"{explorer.url}api/drawing?case=1{size}")[1] for size in ("", "&width=640&height=400"))
+    assert pixels(small).shape == (108, 168, 3)
+    assert pixels(large).shape == (400, 640, 3)
+    facts = ask(explorer, "runs")["a"]["cases"][0]
+    colour = colours.BRIGHT[OUTCOMES["false_negative" if facts["kind"] == "ghost" else "false_positive"]]
+    rows, columns = np.nonzero((pixels(large) == colour).all(2))
+    assert len(rows)
+    assert 200 - 40 < np.median(rows) < 200 + 40  # the eye looks at the middle of the case
+    assert 320 - 64 < np.median(columns) < 320 + 64
 
 
 def test_runs_without_ground_truth_have_clusters(runs: dict[str, Path]) -> None:

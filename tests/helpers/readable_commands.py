@@ -78,7 +78,7 @@ class AnsweredExplorer:
     def __init__(self, explored: Explored, port: int = 0) -> None:
         json.dumps(runs := explored.answers["runs"]({}), allow_nan=False)
         for letter, facts in runs.items():
-            for name in ("layout", "thumbnail") if facts["cases"] else ():
+            for name in ("layout", "drawing") if facts["cases"] else ():
                 explored.contents[name][0]({"run": letter, "case": "1"})
             point = {"run": letter, "frame": "0", "point": "0"}
             json.dumps(explored.answers["point"](point), allow_nan=False)

@@ -17,7 +17,8 @@ from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import RangeImage, State, Voxels
 from dynaviz.contracts.scan import Outcome
 from dynaviz.scores.sections import FailureCase
-from dynaviz.views import paths
+from dynaviz.scores.spans import LANES, lane
+from dynaviz.views import paths, witnesses
 from dynaviz.views.cases import DID, listed, suspicious
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.case_timeline import see
@@ -99,6 +100,21 @@ def test_hits_end_in_the_case_and_crossings_beyond(recorded: RunRecording) -> No
         inside = (np.abs(ends - centre) <= half + 0.011).all(1)
         assert hits.any()
         assert inside[hits].all()
+
+
+def test_objects_over_time_follow_from_the_result_and_the_ledgers(recorded: RunRecording) -> None:
+    case = recorded.result.failures[0]
+    (root,) = {path.rsplit("/", 1)[0] for path in recorded.entities() if path.startswith(f"{paths.OBJECTS}/01_")}
+    spans = {**case.spans, **witnesses.spans_of_rays(recorded.ledgers(1))}
+    assert spans
+    for name in LANES:
+        at, found = {}, ""
+        for frame, row in recorded.rows(f"{root}/{name}"):
+            at[frame] = row["StateChange:state"][0]
+        for frame in range(recorded.frames):
+            found = at.get(frame, found)
+            expected = [state for state, (first, last) in lane(spans, name) if first <= frame <= last]
+            assert [found] * bool(found) == expected
 
 
 def test_each_frame_shows_its_costliest_case(recorded: RunRecording) -> None:

@@ -62,11 +62,16 @@ def test_a_picture_and_a_clip_of_a_case(runs: dict[str, Path], tmp_path: Path) -
     run = runs["errors/coarse"] / "run.rrd"
     (made,) = shot(run, tmp_path / "case.png", case=1, size=(480, 360))
     assert pixels(made).shape == (360, 480, 3)
+    (opening,) = shot(run, tmp_path / "opening.png", size=(480, 360))
+    assert opening.read_bytes() == made.read_bytes()  # it opens at its first case
     (made,) = shot(run, tmp_path / "case.mp4", case=1, size=(321, 321))
     clip = cv2.VideoCapture(str(made))
     assert clip.get(cv2.CAP_PROP_FRAME_COUNT) == 6
-    ghosts_or_holes = np.concatenate([clip.read()[1] for _ in range(6)]).max(2) > 200
-    assert ghosts_or_holes.any()
+    pictures = np.stack([clip.read()[1] for _ in range(6)])
+    assert (pictures[:, :321].max(-1) > 200).any()  # ghosts or holes
+    below = pictures[:, 321:].astype(int)  # words, colours, and the case over time with a cursor that moves
+    assert below.shape[1] > 60
+    assert (np.abs(np.diff(below, axis=0)).max((1, 2, 3)) > 100).all()
 
 
 def test_a_case_that_is_not_listed(runs: dict[str, Path], merged: dict[str, Path], recording: Path) -> None:

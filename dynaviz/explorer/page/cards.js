@@ -18,14 +18,17 @@ const FILTERS = {
 }
 const NAMES = { by: BY, kind: { ghost: 'ghosts (kept)', hole: 'holes (removed)', removed: 'removed' } }
 
-/** All cases of one or two runs; of two, those that both get wrong are listed for A alone. */
+/** All cases of one or two runs; of two, those of one object or place are one card, which has the other run's case as `other`. */
 export function allCards(runs) {
-  const list = Object.entries(runs).flatMap(([of, run]) => run.cases.map(card => ({ ...card, of })))
-  if (!runs.b) return list
-  return list.map(card => ({ ...card, by: card.by === 'both' ? 'both' : card.of })).filter(card => !(card.of === 'b' && card.by === 'both'))
+  if (!runs.b) return runs.a.cases.map(card => ({ ...card, of: 'a' }))
+  const shared = new Set(runs.a.cases.map(card => card.same))
+  const list = runs.a.cases.map(card => ({ ...card, of: 'a', other: runs.b.cases.find(({ number }) => number === card.same) }))
+  const alone = runs.b.cases.filter(card => !shared.has(card.number) && card.by !== 'both').map(card => ({ ...card, of: 'b' }))
+  return [...list, ...alone].map(card => ({ ...card, by: card.other || card.by === 'both' ? 'both' : card.of }))
 }
 
-const ORDER = { cost: (a, b) => (b.cost ?? b.suspicion) - (a.cost ?? a.suspicion) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
+const worth = card => Math.max(card.cost ?? card.suspicion, card.other?.cost ?? 0)
+const ORDER = { cost: (a, b) => worth(b) - worth(a) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
 
 /** The cards that pass the filters of a state, in its order. */
 export function chosen(cards, state) {
@@ -58,18 +61,24 @@ export function filters(form, cards, state, changed) {
 }
 
 const chip = card => card.cost === null ? `suspicion ${card.suspicion.toFixed(2)}` : `−${card.cost.toFixed(2)} % ${card.metric}`
+/** What a case costs each of two runs, as bars. */
+function costs(card, most) {
+  const of = { [card.of]: card, [card.of === 'a' ? 'b' : 'a']: card.other }
+  return ['a', 'b'].map(letter => make('p', { class: 'cost-of' }, letter.toUpperCase(), make('span', { class: 'bar', style: `--share: ${Math.max(worth(of[letter] ?? { cost: 0 }) / most, 0)}` }), of[letter] ? chip(of[letter]) : 'right'))
+}
+
 const span = card => card.first === card.last ? `frame ${card.first}` : `frames ${card.first}–${card.last}`
 
-/** A card: what, what it costs, why, where and when. */
-export function cardElement(card, frames, compared, open, corrected) {
+/** A card: what, what it costs, why, where and when; of two runs with the cost of each, `most` for the longest bar. */
+export function cardElement(card, frames, most, open, corrected) {
   const bins = card.spark.length, worst = Math.floor(card.worst * bins / Math.max(frames, 1))
   return make('li', { id: `card-${card.of}-${card.number}`, class: `card ${card.kind}`, tabindex: 0, click: () => open(card), keydown: event => event.key === 'Enter' && open(card) },
-    make('img', { src: `api/thumbnail?run=${card.of}&case=${card.number}`, width: 112, height: 72, alt: '', loading: 'lazy' }),
+    make('img', { src: `api/drawing?run=${card.of}&case=${card.number}&width=168&height=108`, width: 84, height: 54, alt: '', loading: 'lazy' }),
     make('div', {},
       make('p', { class: 'head' }, `${card.number} ${card.title}`),
-      make('p', { class: 'cause' }, make('span', { class: 'cost' }, chip(card)), ` ${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),
+      make('p', { class: 'cause' }, !most && make('span', { class: 'cost' }, `${chip(card)} `), `${card.cause ?? Object.keys(card.reasons).slice(0, 2).map(words).join(', ')}`),
       make('p', { class: 'where', title: `${whole(card.points)} points` }, `${card.range.toFixed(0)} m away, ${span(card)}`),
       corrected && make('p', { class: 'by' }, `corrected: ${corrected}`),
-      compared && make('p', { class: 'by' }, BY[card.by]),
+      most && costs(card, most), most && make('p', { class: 'by' }, BY[card.by]),
       sparkline(card.spark, worst)))
 }

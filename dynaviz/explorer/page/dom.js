@@ -13,10 +13,17 @@ export function make(name, attributes = {}, ...children) {
   return element
 }
 
-let asking = 0
+let busy = 0
+/** Mark the page as busy until the returned function is called. */
+export function working() {
+  document.body.toggleAttribute('data-busy', ++busy > 0)
+  let done = () => document.body.toggleAttribute('data-busy', --busy > 0)
+  return () => { done(); done = () => {} }
+}
+
 /** Ask the server; errors carry its message. While an answer is awaited, the page is marked as busy. */
 export async function ask(name, query = {}, method = 'GET') {
-  document.body.toggleAttribute('data-busy', ++asking > 0)
+  const done = working()
   try {
     const answer = await fetch(`api/${name}?${new URLSearchParams(query)}`, { method })
     const plain = answer.headers.get('content-type')?.startsWith('application/json')
@@ -24,7 +31,7 @@ export async function ask(name, query = {}, method = 'GET') {
     if (!answer.ok) throw new Error(content.error ?? `The server answered ${answer.status}.`)
     return content
   } finally {
-    document.body.toggleAttribute('data-busy', --asking > 0)
+    done()
   }
 }
 

@@ -1,6 +1,6 @@
 // The explorer: cards, viewers and the panel of the chosen point, held together by the state in the address.
 import { allCards, cardElement, chosen, filters } from './cards.js'
-import { ask, make, say, send } from './dom.js'
+import { ask, make, say, send, working } from './dom.js'
 import { correction, rescored } from './correct.js'
 import { listen } from './keys.js'
 import { button, buttons, copy } from './share.js'
@@ -10,6 +10,8 @@ import { PointPanel, showCase } from './why.js'
 
 const by = id => document.getElementById(id)
 const WRONG = ['false_positive', 'false_negative', 'unlabelled_removed']
+const LEGEND = [['ghost kept', 'dynamic, kept'], ['hole removed', 'static, removed'], ['ghost removed', 'dynamic, removed'], ['static', 'static, kept']]
+const LEGEND_UNLABELLED = [['cluster', 'removed'], ['static', 'kept']]
 const viewers = {}
 let runs, cards, panel, list = []
 
@@ -30,10 +32,11 @@ async function start() {
   showCard()
   const frame = Math.min(state.frame ?? first?.worst ?? 0, runs.a.frames - 1)
   change({ frame })
+  showCursor(frame)
   for (const letter of Object.keys(runs)) openViewer(letter, frame)
   const asked = state.point !== undefined ? [state.at ?? state.frame ?? 0, state.point] : first?.point != null && frame === first.worst ? [first.worst, first.point] : null
   if (asked) await explain(ask('point', { frame: asked[0], point: asked[1] }), state.point !== undefined)
-  window.explorer = { viewers, current, clicked } // for tests, and for the console
+  window.explorer = { viewers, current, clicked, cards: () => cards } // for tests, and for the console
   document.body.dataset.ready ??= 'page'
 }
 
@@ -43,6 +46,7 @@ function headings() {
   by('run').textContent = b ? `A ${a.title}, B ${b.title}: ${a.sequence}` : `${a.title}: ${a.sequence}`
   const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
   by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : b ? `A ${scores(a)}\nB ${scores(b)}` : `${scores(a)} %`
+  by('legend').replaceChildren(...(a.truth ? LEGEND : LEGEND_UNLABELLED).map(([kind, words]) => make('span', { class: `key ${kind}` }, words)))
   by('corrected').textContent = Object.entries(runs).filter(([, run]) => run.rescored).map(([letter, run]) => `${b ? `${letter.toUpperCase()}: ` : ''}${run.rescored}`).join('\n')
 }
 
@@ -51,9 +55,10 @@ const selected = () => find(current().of, current().case)
 
 function showList() {
   list = chosen(cards, current())
+  const most = Math.max(...cards.map(card => Math.max(card.cost ?? card.suspicion, card.other?.cost ?? 0)))
   const unit = cards.some(card => card.cost !== null) ? 'cases' : 'clusters of removed points'
   by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
-  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, Boolean(runs.b), open, runs[card.of].corrections[card.number])))
+  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, runs.b && most, open, runs[card.of].corrections[card.number])))
   highlight()
 }
 
@@ -67,8 +72,8 @@ function highlight() {
 function showCard() {
   const card = selected()
   highlight()
-  showCase(by('case'), card, runs[card?.of ?? 'a'], card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
-    letter => scansOf(letter, () => ({ case: card.number })))
+  showCase(by('case'), card, runs, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
+    letter => scansOf(letter, () => ({ case: card.number })), goTo)
 }
 
 /** After a correction, the card and the point state the corrected truth. */
@@ -84,12 +89,21 @@ const pointShown = () => panel.shown && { frame: panel.shown.frame, point: panel
 const scansOf = (letter, what) => ({
   hover: frame => frame === null ? mark(letter) : light(letter, { ...what(), lit: frame }),
   pick: ({ frame, sensor: [x, y, z] }) => {
-    change({ frame, layout: 'case' })
-    for (const viewer of Object.values(viewers)) viewer.seek(frame)
+    change({ layout: 'case' })
+    goTo(frame)
     layOut({ x, y, z })
   },
   start: settings => startRun(letter, settings),
 })
+
+function goTo(frame) {
+  change({ frame })
+  showCursor(frame)
+  for (const viewer of Object.values(viewers)) viewer.seek(frame)
+}
+
+/** The cursor in strips over time. */
+const showCursor = frame => document.body.style.setProperty('--frame', frame)
 
 let lighting = Promise.resolve(), next = null
 /** Draw the rays of a point or a case, those of one frame bright; of several requests that wait, the last one counts. */
@@ -116,9 +130,10 @@ async function startRun(letter, settings) {
 
 /** Go to a case: its worst frame, an eye that frames it, and a wrong point in the middle of it. */
 async function open(card) {
-  change({ of: card.of, case: card.number, layout: 'case', frame: card.worst, at: undefined, point: undefined })
+  change({ of: card.of, case: card.number, layout: 'case', at: undefined, point: undefined })
   showCard()
-  for (const viewer of Object.values(viewers)) viewer.seek(card.worst)
+  goTo(card.worst)
+  for (const preview of document.querySelectorAll('.preview')) preview.src = drawing(preview.dataset.run, preview)
   await Promise.all([layOut(), card.point == null ? panel.hint() : explain(ask('point', { frame: card.worst, point: card.point }), false)])
 }
 
@@ -149,20 +164,50 @@ async function layOut(eye) {
 const mark = letter => light(letter, pointShown())
 
 function openViewer(letter, frame) {
-  const place = make('div', { class: 'viewer' })
-  by('viewers').append(make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place))
+  const place = make('div', { class: 'viewer' }), section = make('section', { 'data-run': letter }, runs.b && make('h2', {}, `${letter.toUpperCase()} ${runs[letter].title}`), place)
+  by('viewers').append(section)
+  const loaded = working(), seen = awaitClicks(place)
+  if (selected()) {
+    const preview = make('img', { class: 'preview', alt: 'the case, while the viewer is loading', 'data-run': letter })
+    place.append(preview)
+    requestAnimationFrame(() => { preview.src = drawing(letter, place) }) // when all viewers have their size
+  }
   const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
   // The recording's own layout is served so that it does not replace the page's (with_passive_layout).
   viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, layoutOf(letter)], frame, {
-    opened: () => {
-      if (Object.values(viewers).every(viewer => viewer.opened)) document.body.dataset.ready = 'viewer'
+    drawn: () => {
+      section.querySelector('.preview')?.remove()
+      loaded()
+      if (Object.values(viewers).every(viewer => viewer.drawn)) document.body.dataset.ready = 'viewer'
     },
-    click: item => clicked(letter, item),
+    click: item => {
+      seen()
+      clicked(letter, item)
+    },
     time: frame => moved(letter, frame),
     played: playing => {
       if (!playing) for (const viewer of others(letter)) viewer.follow(viewers[letter].time)
     },
   })
+}
+
+/** A picture of the case that the server draws at once. */
+function drawing(letter, { clientWidth: width, clientHeight: height }) {
+  const { of, case: number } = current()
+  return `api/drawing?${new URLSearchParams({ run: letter, owner: of, case: number, width, height })}`
+}
+
+/** Mark the page as busy from a click until the viewer reports it; on a busy machine it draws first. */
+function awaitClicks(place) {
+  let down = null, seen = () => {}
+  place.addEventListener('pointerdown', event => { down = event }, true)
+  place.addEventListener('pointerup', event => {
+    if (!down || Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) > 4) return
+    seen()
+    seen = working()
+    setTimeout(seen, 4000) // a click on nothing is not reported
+  }, true)
+  return () => seen()
 }
 
 const others = letter => Object.entries(viewers).filter(([other]) => other !== letter).map(([, viewer]) => viewer)
@@ -171,6 +216,7 @@ const others = letter => Object.entries(viewers).filter(([other]) => other !== l
 function moved(letter, frame) {
   for (const viewer of others(letter)) if (viewer.time !== frame) viewer.follow(frame)
   change({ frame })
+  showCursor(frame)
 }
 
 async function clicked(letter, { entity_path, instance_id, position: [x, y, z] }) {

@@ -11,6 +11,31 @@ export function sparkline(counts, worst, width = 150, height = 18) {
   return make('svg', { class: 'spark', viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: 'none', role: 'img', 'aria-label': 'wrong points over the frames' }, bars.filter(Boolean))
 }
 
+const LANE = 15
+
+/**
+ * Objects over time: lanes of states, and a cursor at the frame.
+ * @param lanes name, kind of the case, and its states: [state, first frame, last frame]; frames: of the run; pick(frame)
+ */
+export function timeStrip(lanes, frames, pick) {
+  const step = (W - L - R) / Math.max(frames, 1), high = LANE * lanes.length, seen = new Set()
+  const rows = lanes.map(({ name, kind, states }, k) => [
+    make('text', { x: L - 4, y: LANE * k + 10, 'text-anchor': 'end' }, name),
+    make('rect', { class: 'unseen', x: L, y: LANE * k + 2, width: W - L - R, height: LANE - 4 }),
+    ...states.map(([state, first, last]) => {
+      seen.add(state)
+      return make('rect', { class: `${kind} ${state}`, x: L + step * first, y: LANE * k + 2, width: Math.max(step * (last + 1 - first), 1), height: LANE - 4 },
+        make('title', {}, `${name}: ${state}, frame${first === last ? ` ${first}` : `s ${first} to ${last}`}`))
+    }),
+  ])
+  const svg = make('svg', { class: 'time', viewBox: `0 0 ${W} ${high}`, role: 'img', 'aria-label': 'the object over time', style: `--step: ${step}px`,
+    click: event => {
+      const box = svg.getBoundingClientRect(), frame = Math.floor(((event.clientX - box.left) / box.width * W - L) / step)
+      if (frame >= 0 && frame < frames) pick(frame)
+    } }, ...rows.flat(), make('line', { class: 'cursor', x1: L, x2: L, y1: 0, y2: high }))
+  return make('figure', {}, svg, make('figcaption', { class: 'short' }, [...seen, 'unseen'].map(state => key(`${lanes[0].kind} ${state}`, state))))
+}
+
 /** A number with at most three decimals. */
 export const short = value => value === null || value === undefined ? '' : String(Number(value.toFixed(Math.abs(value) < 1 ? 3 : 2)))
 const signed = value => `${value < 0 ? '−' : '+'}${short(Math.abs(value))}`

@@ -1,6 +1,17 @@
 // Rerun's viewer inside the page: a host for the widget of the rerun-notebook wheel.
 import widget from './viewer/widget.js'
 
+const BACKGROUND = [18, 20, 26] // of 3D views, in every theme
+const SHARE = 0.1 // of the canvas that has this colour when a 3D view is drawn
+const PATIENCE = 60000 // ms until the viewer counts as drawn, if its canvas cannot be read
+const afterFrame = new Set() // called after the viewer has drawn, because its canvas is empty later
+
+const request = window.requestAnimationFrame.bind(window)
+window.requestAnimationFrame = callback => request(time => {
+  callback(time)
+  for (const look of afterFrame) look()
+})
+
 const PANELS = { top: 'hidden', blueprint: 'hidden', selection: 'hidden', time: 'collapsed' }
 
 export class Viewer {
@@ -8,7 +19,7 @@ export class Viewer {
    * @param element where to show it
    * @param contents promises of .rrd files, in the order in which the viewer reads them
    * @param frame at which it opens
-   * @param on functions: opened(), click(item), time(frame), played(playing)
+   * @param on functions: drawn() with the first picture of the recording, click(item), time(frame), played(playing)
    */
   constructor(element, contents, frame, on) {
     this.on = on
@@ -20,8 +31,10 @@ export class Viewer {
     this.playing = false
     this.listeners = {}
     this.waiting = [] // until the recording is sent
-    const dark = matchMedia('(prefers-color-scheme: dark)').matches
-    const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: dark ? 'dark' : 'light' }
+    this.drawn = false
+    this.element = element
+    // Always dark, as its 3D views are: labels on them would be white on pale grey otherwise.
+    const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: 'dark' }
     this.contents = Promise.all(contents)
     const model = {
       get: name => values[name],
@@ -93,11 +106,31 @@ export class Viewer {
   #open(frame) {
     if (this.timeline === 'frame' && frame === this.start) {
       this.opened = true
-      setTimeout(() => this.on.opened())
+      this.#awaitPicture()
     } else {
       // Not in the listener itself: the viewer must not be called while it reports an event.
       setTimeout(() => this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(this.start), play: false }))
     }
+  }
+
+  #awaitPicture() {
+    const canvas = this.element.querySelector('canvas'), small = Object.assign(document.createElement('canvas'), { width: 48, height: 48 })
+    const context = small.getContext('2d', { willReadFrequently: true })
+    const done = () => {
+      if (this.drawn) return
+      this.drawn = true
+      afterFrame.delete(look)
+      setTimeout(() => this.on.drawn())
+    }
+    const look = () => {
+      context.drawImage(canvas, 0, 0, small.width, small.height)
+      const pixels = context.getImageData(0, 0, small.width, small.height).data
+      let same = 0
+      for (let k = 0; k < pixels.length; k += 4) same += BACKGROUND.every((value, part) => Math.abs(pixels[k + part] - value) < 4)
+      if (same > SHARE * small.width * small.height) done()
+    }
+    afterFrame.add(look)
+    setTimeout(done, PATIENCE)
   }
 
   /** Of things behind each other take the points, which may lie behind a box; a ray drawn in front stands for the place. */

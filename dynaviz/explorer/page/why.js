@@ -1,14 +1,27 @@
 // The panel on the right: the case in words, and why a point got its label.
 import { ask, make, whole, words } from './dom.js'
-import { scanStrip, short } from './plot.js'
+import { scanStrip, short, timeStrip } from './plot.js'
 import { sliders } from './whatif.js'
 
 const POLL = 400 // ms
 const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
 const TITLES = { a: 'A', b: 'B' }
 
-/** The chosen case; its evidence follows when it was read. on: hover, pick, start, as for PointPanel. */
-export function showCase(element, card, run, buttons, correction, on) {
+const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer: ['kept', 'removed'] }
+
+/** The lanes of a case: its object, the rays that met its place, and the answer of each run. */
+function lanesOf(card, runs, rays) {
+  const lane = (name, from, spans) => ({ name, kind: card.kind, states: LANES[from].flatMap(state => (spans?.[state] ?? []).map(span => [state, ...span])) })
+  const { moving = [], standing = [] } = card.spans
+  const other = card.kind === 'ghost' ? card.other?.spans ?? { removed: [...moving, ...standing] } : card.other?.spans
+  const by = { [card.of]: card.spans, [card.of === 'a' ? 'b' : 'a']: other }
+  const answers = runs.b ? ['a', 'b'].map(letter => lane(letter.toUpperCase(), 'answer', by[letter])) : [lane('answer', 'answer', card.spans)]
+  return [lane('object', 'truth', card.spans), lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)
+}
+
+/** The chosen case; its evidence follows when it was read. on: hover, pick, start, as for PointPanel; goTo: a frame. */
+export function showCase(element, card, runs, buttons, correction, on, goTo) {
+  const run = runs[card?.of ?? 'a']
   if (!card) {
     element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : 'No cluster of removed points.'))
     return
@@ -16,16 +29,24 @@ export function showCase(element, card, run, buttons, correction, on) {
   const total = Object.values(card.reasons).reduce((sum, count) => sum + count, 0)
   const reasons = Object.entries(card.reasons).slice(0, 3).map(([name, count]) => `${words(name)} ${Math.round(100 * count / total)} %`).join(', ')
   const facts = { Cause: card.cost === null ? null : card.cause, Reasons: reasons, 'Worst frame': String(card.worst) }
-  const evidence = make('div', { class: 'ledger' })
-  element.replaceChildren(
+  const evidence = make('div', { class: 'ledger' }), time = make('div')
+  const overTime = rays => {
+    const lanes = lanesOf(card, runs, rays)
+    time.replaceChildren(...(lanes.length ? [timeStrip(lanes, run.frames, goTo)] : []))
+  }
+  overTime()
+  element.replaceChildren(...[
     make('h2', { class: card.kind }, `${card.number} ${card.title}`),
     make('p', { class: 'sentence' }, card.sentence),
+    card.other && make('p', { class: 'sentence' }, `${TITLES[card.of === 'a' ? 'b' : 'a']}: ${card.other.sentence}`),
+    time,
     make('dl', {}, Object.entries(facts).filter(([, value]) => value).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, value)])),
     evidence,
     make('p', { class: 'buttons' }, buttons),
-    ...(correction ? [correction] : []))
+    correction].filter(Boolean))
   ask('evidence', { run: card.of, case: card.number }).then(found => {
     if (!found.strip) return
+    overTime(found.spans)
     evidence.append(make('p', { class: 'evidence' }, found.text), scanStrip(found.strip, run.frames, on(card.of)),
       ...(found.what_if ? [sliders(found.what_if, card, settings => on(card.of).start(settings))] : []))
   }, error => evidence.append(make('p', { class: 'error' }, error.message)))

@@ -10,8 +10,8 @@ import rerun.blueprint as rrb
 
 from dynaviz.arrays import F64
 from dynaviz.colours import Colour
-from dynaviz.views import paths
-from dynaviz.views.layout import blueprint, follow, solid
+from dynaviz.views import object_lanes, paths
+from dynaviz.views.layout import blueprint, follow, solid, with_key
 
 COMPARE = "compare"  # the legend of agreement
 GROUND = "compare/ground"  # static: the first run's map, darker
@@ -26,6 +26,7 @@ REPORT = "compare/report"  # Markdown
 CASE_BOX = "compare/case/box"  # on the timeline of cases: where one run is right and the other wrong
 CASE_AROUND = "compare/case/around"  # a circle around it, which the eye tracks
 CASE_TEXT = "compare/case_text"
+CASE_KEY = "case_key"  # of each run: what the colours of that state mean
 CASE_STATES = "world/case"  # of each run: the state that shows most of the case
 
 SIDES = "abcdefgh"  # roots of the runs
@@ -89,7 +90,7 @@ def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
 
 
 def _column(numbers: Sequence[Any]) -> Any:
-    words = rrb.TextDocumentView(name="report", origin=REPORT)
+    words = rrb.Tabs(rrb.TextDocumentView(name="report", origin=REPORT), object_lanes.view())
     return rrb.Vertical(words, *numbers, row_shares=[3.5] + [1.0] * len(numbers))
 
 
@@ -119,7 +120,8 @@ def _case(side: str, name: str) -> Any:
     """The difference at the index, as a run drew it: its points, and the state that shows most."""
     of_run = (paths.SCAN, paths.MAP, paths.SENSOR, paths.TRAJECTORY, f"{CASE_STATES}/**")
     shown = [*(f"{side}/{path}" for path in of_run), CASE_BOX, paths.names(CASE_BOX), CASE_AROUND]
-    return solid(f"case: {name}", shown, follow(CASE_AROUND), f"{side}/{paths.WORLD}")
+    view = solid(f"case: {name}", shown, follow(CASE_AROUND), f"{side}/{paths.WORLD}")
+    return with_key([view], f"{side}/{CASE_KEY}", "colours of the method's state")
 
 
 def _curves(score: str, names: Sequence[str], key: str) -> Any:

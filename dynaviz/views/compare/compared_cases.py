@@ -16,8 +16,8 @@ from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.sections import FailureCase, Sections
-from dynaviz.views import cases, drawn, paths
-from dynaviz.views.compare.compare_layout import CASE_AROUND, CASE_BOX, CASE_STATES, CASE_TEXT, GAIN
+from dynaviz.views import cases, drawn, keys, paths
+from dynaviz.views.compare.compare_layout import CASE_AROUND, CASE_BOX, CASE_KEY, CASE_STATES, CASE_TEXT, GAIN
 from dynaviz.views.read.reader import DrawnPoints, RunRecording
 from dynaviz.views.record.case_timeline import HOW, above, circles, near
 from dynaviz.views.record.scene import EDGES, NAME_STYLE, WIRES
@@ -157,6 +157,7 @@ def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Seque
         chunks = run.store.stream().filter(content=content, has_timeline=paths.FRAME)
         rows = drawn.rows_of(chunks, {difference.case.worst_frame for difference in found})
     targets |= {path: f"{root}/{path}" for path in COPIED}
+    drawn_keys = _keys(run)
     for number, difference in enumerate(found, 1):
         here = {path: row for (path, frame), row in rows.items() if frame == difference.case.worst_frame}
         shown = drawn.deciding(here, names, difference.low, difference.high)
@@ -166,9 +167,19 @@ def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Seque
         for path in names:
             if path != shown:  # or the state of an earlier case would remain
                 stream.log(targets[path], rr.Clear(recursive=False))
+        stream.log(f"{root}/{CASE_KEY}", drawn_keys.get(shown or "", rr.Clear(recursive=False)))
         chosen = [path for path in (*COPIED, shown) if path in here]
         copies = [drawn.at_case(targets[path], number, near(path, here[path], middle)) for path in chosen]
         rr.send_chunks(copies, recording=stream)
+
+
+def _keys(run: RunRecording) -> dict[str, rr.EncodedImage]:
+    """What the colours of each state mean, by its path; none if the method is not installed."""
+    method = run.properties["method"]
+    if method not in registry.loadable("methods"):
+        return {}
+    tabs = keys.tabs(registry.load("methods", method).info)
+    return {paths.state(method, state): keys.strip(states) for states in tabs for state in states}
 
 
 def _texts(runs: tuple[RunRecording, RunRecording], found: Sequence[Difference]) -> list[str]:

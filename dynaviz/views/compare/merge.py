@@ -20,7 +20,8 @@ from dynaviz.progress import Progress, silent
 from dynaviz.scores.comparison.counts import FIRST, SECOND, AgreementCounts, SpatialGains, frame_gains
 from dynaviz.scores.comparison.pair import FrameChange, PlaceChange
 from dynaviz.scores.comparison.summary import Comparison
-from dynaviz.views import paths
+from dynaviz.scores.spans import shared_objects
+from dynaviz.views import object_lanes, paths
 from dynaviz.views.compare import compare_layout, compared_cases
 from dynaviz.views.compare.agreement import AgreementLegend, agreed_points
 from dynaviz.views.compare.compare_layout import (
@@ -109,6 +110,7 @@ def write(
         _write_properties(stream, comparison)
         _write_report(stream, comparison, drawn)
         _write_distances(stream, sides)
+        _write_objects(stream, sides)
         if pair:
             _write_gains_by_frame(stream, sides, counts[0], comparison.pairs[0].frames)
         if pair and drawn:
@@ -224,6 +226,16 @@ def _write_distances(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
                 shifted = middles - widths / 2 + (i + 0.5) * narrow
                 chart = rr.BarChart(counts, abscissa=shifted, widths=narrow, color=side.colour)
                 stream.log(f"{DISTANCE}/{kind}/{side.root}", chart, static=True)
+
+
+def _write_objects(stream: rr.RecordingStream, sides: Sequence[Side]) -> None:
+    """The objects that cost most over time: what each did, and what each run decided."""
+    results = {side.root.upper(): side.recording.result for side in sides}
+    objects = shared_objects({letter: result.failures for letter, result in results.items() if result})
+    for number, (title, parts) in enumerate(objects[: object_lanes.MOST], 1):
+        for path, style, frames, states in object_lanes.lanes(number, title, True, parts):
+            stream.log(path, style, static=True)
+            stream.send_columns(path, indexes=[rr.TimeColumn(paths.FRAME, sequence=frames)], columns=states)
 
 
 def _bars(recording: RunRecording, path: str) -> tuple[F64, F64, F64] | None:

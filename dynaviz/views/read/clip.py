@@ -1,27 +1,32 @@
-"""The frames of a failure case as an MP4 clip."""
+"""The frames of a failure case as an MP4 clip with a caption."""
 
 from __future__ import annotations
 
 import tempfile
+import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from dynaviz import colours
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, U8
+from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.views import paths, viewer
-from dynaviz.views.cases import listed, suspicious
+from dynaviz.scores.sections import FailureCase
+from dynaviz.scores.spans import LANES, Span, lane
+from dynaviz.views import keys, paths, viewer
+from dynaviz.views.cases import OUTCOMES, listed, suspicious
 from dynaviz.views.layout import blueprint, solid
+from dynaviz.views.read.focus import ASIDE, eye_on
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.scene import EDGES, WIRES
+from dynaviz.views.witnesses import spans_of_rays
 
 BEFORE_AND_AFTER = 5  # frames around those of the case
 MOST = 60  # frames of a clip; of longer cases every n-th is shown
@@ -29,8 +34,9 @@ SECONDS = 4.0  # a clip lasts about this long ...
 SLOWEST, FASTEST = 4.0, 15.0  # ... but shows this many frames per second at least and at most
 CODEC = "vp09"  # in every OpenCV wheel, and browsers play it
 CLOSEST = 14.0  # metres: distance of the eye from the middle of a small case
-ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
 SECONDS_TO_SHOW = 20.0
+MARGIN, LINE, LETTER, SWATCH, NAMES = 8, 18, 8, 14, 64  # pixels of a caption; ``NAMES``: left of its lanes
+LABELLED = (Outcome.FALSE_NEGATIVE, Outcome.FALSE_POSITIVE, Outcome.DYNAMIC_REMOVED, Outcome.STATIC_KEPT)
 BOX = "world/clip"
 
 
@@ -43,6 +49,10 @@ class CaseSpan:
         frames: positions in the run to show.
         worst: its worst frame.
         low, high: (3,) float64, metres, world frame: its box over all frames.
+        sentence: what happened, and why.
+        outcome: of its points.
+        lanes: states over the frames of the run, by name of the lane.
+        run: number of frames of the run.
     """
 
     title: str
@@ -50,6 +60,10 @@ class CaseSpan:
     worst: int
     low: F64
     high: F64
+    sentence: str
+    outcome: Outcome
+    lanes: Mapping[str, Sequence[tuple[str, Span]]]
+    run: int
 
 
 def case_span(recording: RunRecording, number: int) -> CaseSpan:
@@ -67,7 +81,13 @@ def case_span(recording: RunRecording, number: int) -> CaseSpan:
     first = max(0, case.first_frame - BEFORE_AND_AFTER)
     end = min(recording.frames, case.last_frame + BEFORE_AND_AFTER + 1)
     frames = range(first, end, -(-(end - first) // MOST))
-    return CaseSpan(f"case {number}: {case.what}", frames, case.worst_frame, np.array(case.low), np.array(case.high))
+    failure = case if isinstance(case, FailureCase) else None
+    outcome = OUTCOMES[failure.kind] if failure else Outcome.UNLABELLED_REMOVED
+    spans = {**(failure.spans if failure else {}), **spans_of_rays(recording.ledgers(number))}
+    lanes = {name: parts for name in LANES if (parts := lane(spans, name))}
+    box = np.array(case.low), np.array(case.high)
+    title = f"case {number}: {case.what}"
+    return CaseSpan(title, frames, case.worst_frame, *box, case.sentence, outcome, lanes, recording.frames)
 
 
 def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) -> None:
@@ -84,7 +104,9 @@ def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) ->
         mins=[span.low], sizes=[span.high - span.low], colors=colours.NEUTRAL, radii=EDGES, fill_mode=WIRES
     )
     stream.log(BOX, box, static=True)  # that of this case alone; the recording draws those of all cases
-    stream.send_blueprint(blueprint(solid(span.title, contents, _eye(span))), make_default=False)
+    stream.send_blueprint(
+        blueprint(solid(span.title, contents, eye_on(span.low, span.high, ASIDE, CLOSEST))), make_default=False
+    )
     stream.flush(timeout_sec=SECONDS_TO_SHOW)
     stream.disconnect()
     end = time.monotonic() + SECONDS_TO_SHOW
@@ -94,32 +116,24 @@ def show_alone(client: ViewerClient, recording: RunRecording, span: CaseSpan) ->
         time.sleep(0.1)
 
 
-def _eye(span: CaseSpan) -> rrb.EyeControls3D:
-    middle = (span.low + span.high) / 2
-    distance = max(CLOSEST, 1.3 * float(np.linalg.norm(span.high - span.low)))
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=middle + distance * ASIDE, look_target=middle, eye_up=[0.0, 0.0, 1.0]
-    )
-
-
-def encoded(pictures: Iterator[bytes], count: int) -> bytes:
-    """An MP4 file.
+def encoded(pictures: Iterator[bytes], span: CaseSpan) -> bytes:
+    """An MP4 file with a caption, the colours of points, and the case over time below each picture.
 
     Args:
-        pictures: PNG files of equal size.
-        count: number of pictures, which decides their speed.
+        pictures: PNG files of equal size, one for each frame of ``span``.
+        span: the case.
 
     Raises:
         DynavizError: if OpenCV cannot encode.
     """
     import cv2
 
-    speed = float(np.clip(count / SECONDS, SLOWEST, FASTEST))
+    speed = float(np.clip(len(span.frames) / SECONDS, SLOWEST, FASTEST))
     with tempfile.TemporaryDirectory() as folder:
         file, writer = Path(folder) / "clip.mp4", None  # OpenCV takes the format from the suffix
-        for png in pictures:
-            picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-            assert picture is not None
+        for frame, png in zip(span.frames, pictures, strict=True):
+            picture = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+            picture = np.vstack([picture, caption(span, frame, picture.shape[1])[:, :, ::-1]])
             height, width = (edge - edge % 2 for edge in picture.shape[:2])  # the codec needs even edges
             if writer is None:
                 writer = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*CODEC), speed, (width, height))
@@ -129,3 +143,46 @@ def encoded(pictures: Iterator[bytes], count: int) -> bytes:
         if not file.is_file() or not file.stat().st_size:
             raise DynavizError("OpenCV cannot write MP4 here. Install opencv-python-headless from PyPI, or give a .png")
         return file.read_bytes()
+
+
+def caption(span: CaseSpan, frame: int, width: int) -> U8:
+    """(rows, width, 3) uint8 RGB: the case in words, the colours of its points, and its lanes with a cursor."""
+    words = textwrap.wrap(span.sentence, max(20, (width - 2 * MARGIN) // LETTER))
+    pixels: U8 = np.full(
+        ((len(words) + 1 + len(span.lanes)) * LINE + 2 * MARGIN, width, 3), colours.BACKGROUND, np.uint8
+    )
+    for k, text in enumerate(words):
+        _write(pixels, text, MARGIN, k)
+    if span.outcome == Outcome.UNLABELLED_REMOVED:
+        legend = [(colours.BRIGHT[span.outcome], "removed"), (colours.BRIGHT[Outcome.UNLABELLED_KEPT], "kept")]
+    else:
+        legend = [(colours.BRIGHT[outcome], paths.NAMES[outcome].split(": ")[-1]) for outcome in LABELLED]
+    shades = colours.span_colours(span.outcome == Outcome.FALSE_NEGATIVE)
+    used = dict.fromkeys(state for parts in span.lanes.values() for state, _ in parts)
+    at = MARGIN
+    for colour, name in [*legend, *((shades[state], state) for state in used if state not in LANES["answer"])]:
+        _row(pixels, len(words))[3:-3, at : at + SWATCH] = colour
+        _write(pixels, name, at + SWATCH + 5, len(words))
+        at += SWATCH + 20 + LETTER * len(name)
+    step = (width - NAMES - MARGIN) / max(span.run, 1)
+    for k, (name, parts) in enumerate(span.lanes.items(), len(words) + 1):
+        _write(pixels, name, MARGIN, k)
+        for state, (first, last) in parts:
+            ends = slice(NAMES + int(step * first), NAMES + max(int(step * (last + 1)), int(step * first) + 1))
+            _row(pixels, k)[2:-2, ends] = shades[state]
+    if span.lanes:
+        cursor = NAMES + int(step * (frame + 0.5))
+        pixels[-MARGIN - LINE * len(span.lanes) : -MARGIN, cursor - 1 : cursor + 1] = 255
+    return pixels
+
+
+def _row(pixels: U8, line: int) -> U8:
+    return pixels[MARGIN + line * LINE : MARGIN + (line + 1) * LINE]
+
+
+def _write(pixels: U8, text: str, left: int, line: int) -> None:
+    import cv2
+
+    plain = text.replace("°", " degrees")  # OpenCV's letters are ASCII
+    base = MARGIN + (line + 1) * LINE - 5
+    cv2.putText(pixels, plain, (left, base), cv2.FONT_HERSHEY_SIMPLEX, 0.45, keys.TEXT, 1, cv2.LINE_AA)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,11 @@ from rerun.chunk import RrdReader
 
 from dynaviz import colours
 from dynaviz.arrays import F64
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.probe import Voxels
 from dynaviz.contracts.scan import Outcome
-from dynaviz.views import drawn, paths
-from dynaviz.views.layout import CLEAR, blueprint, follow, solid
+from dynaviz.views import drawn, keys, paths
+from dynaviz.views.layout import CLEAR, blueprint, follow, solid, with_key
 from dynaviz.views.read.reader import RunRecording
 from dynaviz.views.record.scene import EDGES, WIRES
 from dynaviz.views.witnesses import TouchingRays
@@ -24,6 +25,7 @@ LOADING = "explore/loading"
 MARKS = (BOX, POINT, RAYS)
 CLOSEST = 12.0  # metres: distance of the eye from a small case
 ASIDE: F64 = np.array([-0.55, -0.4, 0.73])  # direction from the case to the eye
+FIELD_OF_VIEW = 55.0  # degrees: vertical, of the viewer's eye
 ABOVE: F64 = np.array([-0.2, -0.15, 0.97])
 CASE, FRAME, MAP = "case", "frame", "map"
 LAYOUTS = (CASE, FRAME, MAP)
@@ -35,13 +37,20 @@ class Focus:
 
     Args:
         recording: of a run.
-        voxels: names of the method's states that are drawn in the world as voxels.
+        info: of its method, if that is installed: which states are voxels, and where their keys are.
     """
 
-    def __init__(self, recording: RunRecording, voxels: Collection[str] = ()) -> None:
-        self._recording, self._voxels = recording, voxels
+    def __init__(self, recording: RunRecording, info: MethodInfo | None = None) -> None:
+        self._recording = recording
         self._entry = RrdReader(recording.path).recordings()[0]
         self._states = _states(recording)
+        self._voxels: set[str] = set()
+        self._keys: dict[str, tuple[str, str]] = {}  # of each state: path and heading
+        if info is not None:
+            self._voxels = {paths.state(info.name, state) for state in info.emits if state.kind is Voxels}
+            for states in keys.tabs(info):
+                key = paths.key(info.name, states[0]), keys.heading(states)
+                self._keys |= dict.fromkeys((paths.state(info.name, state) for state in states), key)
 
     def loading(self) -> bytes:
         """A layout that is drawn fast, for the time in which the viewer loads the recording.
@@ -118,22 +127,22 @@ class Focus:
         common = [paths.SENSOR, paths.TRAJECTORY, *MARKS]
         clouds = [f"{paths.MAP}/**", f"{paths.REMOVED}/**"]
         if kind == MAP:
-            return solid("map", [*clouds, *common], _eye(low, high, ABOVE, 45.0))
+            return solid("map", [*clouds, *common], eye_on(low, high, ABOVE, 45.0))
         if kind == FRAME:
             return solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], follow())
-        near = _eye(low, high, ASIDE, CLOSEST, eye)
+        near = eye_on(low, high, ASIDE, CLOSEST, eye)
         case = solid(title, [paths.SCAN, paths.MAP, *common], near)
-        whole = solid("whole run", [*clouds, *common], _eye(low, high, ABOVE, 30.0))
+        whole = solid("whole run", [*clouds, *common], eye_on(low, high, ABOVE, 30.0))
         below: list[Any] = [whole]
         if (state := self._deciding(frame, low, high)) is not None:
             path = f"/{state}"
-            overrides = {path: rr.VoxelGridMap.from_fields(opacity=CLEAR)} if self._is_voxels(state) else None
+            overrides = {path: rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state in self._voxels else None
             name = f"state: {state.split('/')[-1]}"
-            below.append(solid(name, [state, paths.SCAN, *common], near, overrides=overrides))
+            view = solid(name, [state, paths.SCAN, *common], near, overrides=overrides)
+            below.append(
+                with_key(view, path=self._keys[state][0], heading=self._keys[state][1]) if state in self._keys else view
+            )
         return rrb.Vertical(case, rrb.Horizontal(*below), row_shares=[3, 2])
-
-    def _is_voxels(self, path: str) -> bool:
-        return path.split("/")[-1] in self._voxels
 
     def _deciding(self, frame: int, low: F64, high: F64) -> str | None:
         """The state with the largest share of its points or voxels in a box; None if none has any."""
@@ -158,11 +167,15 @@ def _states(recording: RunRecording) -> list[str]:
     return [path for path in recording.entities() if path.startswith(start)]
 
 
-def _eye(low: F64, high: F64, direction: F64, closest: float, place: F64 | None = None) -> rrb.EyeControls3D:
+def distance_to(low: F64, high: F64, closest: float = CLOSEST) -> float:
+    """Metres from which a box fills the view."""
+    return max(closest, 1.3 * float(np.linalg.norm(high - low)))
+
+
+def eye_on(low: F64, high: F64, direction: F64, closest: float, place: F64 | None = None) -> rrb.EyeControls3D:
     """An eye on a box, at a place, or in a direction from it at the distance that frames it."""
     middle = (low + high) / 2
-    distance = max(closest, 1.3 * float(np.linalg.norm(high - low)))
-    position = middle + distance * direction if place is None else place
+    position = middle + distance_to(low, high, closest) * direction if place is None else place
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=middle, eye_up=[0.0, 0.0, 1.0])
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import rerun as rr
 from rerun.experimental import ViewerClient
 
@@ -21,6 +22,7 @@ from dynaviz.views.read import clip
 from dynaviz.views.read.reader import KINDS, AnyRecording, RunRecording, read, viewable
 
 SIZE = (1600, 900)
+BAR = 36  # pixels: height of the viewer's own bar, above the window
 SMALLEST, LARGEST = 200, 7680  # pixels: limits of a window's edge
 SECONDS_TO_LOAD = 120.0
 SECONDS_OF_MESSAGES = 5.0  # the viewer shows its own messages over the window for this long
@@ -43,7 +45,8 @@ def shot(
         recording: the file.
         out: the picture; with several frames, ``-NUMBER`` is inserted before its suffix. With the suffix ``.mp4``, a
             clip of ``case`` over its frames, by an eye that frames its box, or in ``view``.
-        frames: positions in the run; the last one if empty.
+        frames: positions in the run; if empty, the last one, but of the whole window the case at which the recording
+            opens, if it has cases.
         view: name of a single view to show (``map``, ``frame``, a state's name); None for the whole window.
         size: width and height of the window, in pixels.
         case: number of a failure case in the recording's list, to show it instead of frames; None for frames.
@@ -62,6 +65,8 @@ def shot(
     source = read(recording)
     if not all(SMALLEST <= edge <= LARGEST for edge in size):
         raise UsageError(f"--size {size[0]}x{size[1]}: each edge must have {SMALLEST} to {LARGEST} pixels")
+    if case is None and not frames and view is None and paths.CASE in _timelines(source):
+        case = 1
     if case is None:
         return _frames(source, out, frames, view, size, progress)
     if frames:
@@ -71,12 +76,12 @@ def shot(
     span = clip.case_span(source, case)
     if out.suffix.lower() != ".mp4":
         return _case(source, out, case, span, view, size)
-    with _window(source, size) as client:
+    with _window(source, size, view or span.title) as client:
         if view is None:
             clip.show_alone(client, source, span)
         picture = _picture(client, view or span.title)
         pictures = _at_frames(client, span.frames, picture, progress)
-        write_atomic(out, clip.encoded(pictures, len(span.frames)))
+        write_atomic(out, clip.encoded(pictures, span))
     return [out]
 
 
@@ -111,9 +116,9 @@ def push(path: Path, client: ViewerClient) -> None:
 
 
 @contextmanager
-def _window(source: AnyRecording, size: tuple[int, int]) -> Iterator[ViewerClient]:
+def _window(source: AnyRecording, size: tuple[int, int], view: str | None) -> Iterator[ViewerClient]:
     """A viewer that shows a recording, without the messages that it shows at first."""
-    with viewer.headless(size) as client:
+    with viewer.headless((size[0], size[1] + BAR * (view is None))) as client:
         start = time.monotonic()
         push(source.path, client)
         time.sleep(max(0.0, start + SECONDS_OF_MESSAGES - time.monotonic()))
@@ -134,7 +139,7 @@ def _frames(
     if wrong := [frame for frame in frames if frame not in span]:
         raise UsageError(f"--frame {wrong[0]}: {source.path} has the frames {span[0]} to {span[-1]}")
     files = [out if len(frames) == 1 else out.with_name(f"{out.stem}-{frame:04d}{out.suffix}") for frame in frames]
-    with _window(source, size) as client:
+    with _window(source, size, view) as client:
         for file, png in zip(files, _at_frames(client, frames, _picture(client, view), progress), strict=True):
             write_atomic(file, png)
     return files
@@ -144,15 +149,18 @@ def _case(
     source: RunRecording, out: Path, case: int, span: clip.CaseSpan, view: str | None, size: tuple[int, int]
 ) -> list[Path]:
     """A picture of a case: at its place on the timeline of cases, or of its worst frame without such a timeline."""
-    timelines = {column.name for column in source.store.schema().index_columns()}
-    with _window(source, size) as client:
+    with _window(source, size, view) as client:
         picture = _picture(client, view)
-        if paths.CASE in timelines:
+        if paths.CASE in _timelines(source):
             _go_to(client, paths.CASE, case)
         else:
             _go_to(client, paths.FRAME, span.worst)
         write_atomic(out, picture())
     return [out]
+
+
+def _timelines(source: AnyRecording) -> set[str]:
+    return {column.name for column in source.store.schema().index_columns()}
 
 
 def _difference(source: AnyRecording, out: Path, case: int, view: str | None, size: tuple[int, int]) -> list[Path]:
@@ -166,7 +174,7 @@ def _difference(source: AnyRecording, out: Path, case: int, view: str | None, si
         raise UsageError(f"--case {case}: {source.path} has the cases 1 to {count}")
     if out.suffix.lower() == ".mp4":
         raise UsageError(f"--clip {out}: {source.path} contains a comparison. Give the run.rrd of a run")
-    with _window(source, size) as client:
+    with _window(source, size, view) as client:
         picture = _picture(client, view)
         _go_to(client, paths.CASE, case)
         write_atomic(out, picture())
@@ -187,7 +195,7 @@ def _picture(client: ViewerClient, view: str | None) -> Picture:
     A view behind another's tab has no picture.
     """
     if view is None:
-        return lambda: _drawn(client)
+        return lambda: _without_bar(_drawn(client))
     views = viewer.patient(client.get_state).views
     ids = {shown.name: str(shown.view_id) for shown in views}
     if view not in ids:
@@ -203,6 +211,14 @@ def _go_to(client: ViewerClient, timeline: str, index: int) -> None:
     """Move the time cursor, and draw once: data may be missing in the first picture after a jump."""
     viewer.patient(lambda: client.set_time(timeline, sequence=index, play_state="paused"))
     _drawn(client)
+
+
+def _without_bar(png: bytes) -> bytes:
+    """The picture of a window without the bar at its top, which has buttons and warnings."""
+    import cv2
+
+    window = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)
+    return cv2.imencode(".png", window[BAR:])[1].tobytes()
 
 
 def _drawn(client: ViewerClient, view_id: str | None = None) -> bytes:

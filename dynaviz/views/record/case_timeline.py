@@ -18,7 +18,8 @@ from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.engine.case_evidence import evidence_of
 from dynaviz.engine.ledger import PointLedger
-from dynaviz.views import classes, drawn, paths, stored_ledgers, witnesses
+from dynaviz.scores.spans import LANES, lane
+from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers, witnesses
 from dynaviz.views.cases import POINTS, ShownCase, middle_of
 from dynaviz.views.record.scene import NAME_STYLE, WIRES
 from dynaviz.views.record.sink import RecordingFile
@@ -60,6 +61,7 @@ class CaseTimeline:
         for case in self._cases:
             self._sink.at_case(case.number)
             self._text(f"{case.text}\n\n{HOW}")
+            self._lanes(case, ())
 
     def write_curves(self, scores: Mapping[str, float | None]) -> None:
         """What each case costs, and the scores if the cases up to each were right, as curves over the cases.
@@ -106,6 +108,7 @@ class CaseTimeline:
             deciding.append(self._deciding(here, case))
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(witnesses.rays_of(found, witnesses.STRIPS))
+            self._lanes(case, found)
             evidence = f"- **Evidence**: {evidence_of(found).text}\n" if found else ""
             self._text(f"{case.text}\n{evidence}{see(self._info, deciding[-1])}\n{HOW}")
             packed = stored_ledgers.pack(found)
@@ -152,6 +155,17 @@ class CaseTimeline:
     def _rays(self, rays: witnesses.TouchingRays) -> None:
         kinds = rays.kinds.astype(np.uint16)
         self._sink.log(paths.CASE_RAYS, rr.LineStrips3D.from_fields(strips=rays.strips, class_ids=kinds))
+
+    def _lanes(self, case: ShownCase, ledgers: Sequence[PointLedger]) -> None:
+        """The object or place of a case over time; on the timeline of frames."""
+        if case.number > object_lanes.MOST or not case.spans:
+            return
+        spans = {**case.spans, **witnesses.spans_of_rays(ledgers)}
+        parts = {name: lane(spans, name) for name in LANES}
+        ghost = case.outcome == Outcome.FALSE_NEGATIVE
+        for path, style, frames, states in object_lanes.lanes(case.number, case.title, ghost, parts):
+            self._sink.log(path, style, static=True)
+            self._sink.columns(path, frames, [None], states)
 
     def _text(self, text: str) -> None:
         self._sink.log(paths.CASE_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))

@@ -44,7 +44,7 @@ _CORRECTED[[Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]] = Outcome.STATIC_KE
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for a page; ``webp`` is base64-encoded."""
+    """A picture for a page; ``webp`` is base64-encoded, ``case`` the number of a case of its run, or 0."""
 
     webp: str
     width: int
@@ -52,6 +52,7 @@ class Picture:
     title: str
     caption: str
     alt: str
+    case: int = 0
 
 
 def has_truth(overview: StudyOverview) -> bool:

@@ -39,7 +39,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 WIDTH = 4.6  # inches: width of a panel
-POINTS = 98  # pixels of the page per inch
+POINTS = 150  # pixels of the page per inch, at most
 
 
 def line(method: str) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from dynaviz_eval.report.birdseye import (
 )
 from dynaviz_eval.report.spots import SharedCase, Spot
 
-SIZE = (220, 165)  # pixels of a crop
+SIZE = (360, 270)  # pixels of a crop, of which the page shows about half, and all in its zoom
 SMALLEST = 6.0  # metres: width of the smallest crop
 AROUND = 1.5  # width of a crop, in widths of the case
 DEPTH = 1.0  # metres in front of and behind the case that are drawn
@@ -69,7 +69,8 @@ def gallery(cases: Sequence[SharedCase], labels: Sequence[str], found: Mapping[s
             if label in found:
                 spot = case.spot(label)
                 caption = f"{spot.verdict}: {spot.cause}" if spot else "no case here"
-                pictures.append(view.picture(found[label], label, caption, f"{alt}: {label}, {caption}"))
+                drawn = view.picture(found[label], label, caption, f"{alt}: {label}, {caption}")
+                pictures.append(replace(drawn, case=spot.number if spot else 0))
         rows.append(GalleryRow(case, pictures, seen_from))
     return rows
 

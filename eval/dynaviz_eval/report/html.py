@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
+from dynaviz.colours import span_colours, web
 from dynaviz.reports.reporting import Study
+from dynaviz.scores.spans import shared_objects
 from dynaviz_eval.report import birdseye, figures
-from dynaviz_eval.report.boards import ScoreBoard, best_of_each_method
+from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method, by_method
 from dynaviz_eval.report.gallery import gallery
 from dynaviz_eval.report.spots import note
 from dynaviz_eval.report.table import Column
 from dynaviz_eval.report.tables import BoardTables, tables
+
+OBJECTS = 12  # drawn over time
 
 
 def html_report(study: Study) -> str:
@@ -26,7 +31,21 @@ def html_report(study: Study) -> str:
         parts.append(_part(study, board, of_board, number))
         study.progress("drawing", number + 2, steps)
     scores, speed = figures.scores(content.boards), figures.speed(content.boards)
-    return rendered("page.html.jinja", content=content, scores=scores, speed=speed, parts=parts)
+    runs = {label: commands(study, rows) for (label, _), rows in by_method(content.boards).items()}
+    return rendered("page.html.jinja", content=content, scores=scores, speed=speed, parts=parts, runs=runs)
+
+
+def commands(study: Study, rows: Sequence[ScoreRow]) -> list[dict[str, str]]:
+    """How to explore the recorded runs of a method: of each its sequence, the command, and a link to the recording."""
+    return [
+        {
+            "sequence": row.result.sequence.name,
+            "command": f"dynaviz explore {shlex.quote(study.link(row.run.folder))}",
+            "recording": study.link(row.run.recording),
+        }
+        for row in rows
+        if row.run is not None and row.run.recording is not None
+    ]
 
 
 def rendered(template: str, **values: Any) -> str:
@@ -58,6 +77,8 @@ def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -
         "gallery": gallery(of_board.cases, labels, found),
         "gallery_note": note(board.has_truth),
         "legend": birdseye.legend(board.has_truth),
+        "objects": shared_objects({row.label: row.result.failures for row in best_of_each_method(board)})[:OBJECTS],
+        "states": {state: web(colour) for state, colour in span_colours(ghost=True).items()},
         "notes": notes,
     }
 

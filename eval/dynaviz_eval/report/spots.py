@@ -33,6 +33,7 @@ class Spot:
         low, high: corners, (3,) metres, world frame.
         thing: class and instance of the ground truth, or None.
         behaviour: what the object or place did, the same for all methods; empty if unknown.
+        number: of the case in the method's own list, 1 for the first.
     """
 
     label: str
@@ -47,26 +48,27 @@ class Spot:
     high: tuple[float, ...]
     thing: tuple[int | None, int | None]
     behaviour: str = ""
+    number: int = 0
 
     @classmethod
-    def of_case(cls, label: str, case: FailureCase) -> Spot:
+    def of_case(cls, label: str, case: FailureCase, number: int) -> Spot:
         """From a failure case."""
         size, unit = f"{case.cost:.2f}" if case.cost >= TINY else "<0.01", f"{case.metric} lost"
         thing = case.class_, case.instance
         cause = case.cause or next(iter(case.reasons), "")
         return cls(
             label, case.kind, case.what, cause, case.sentence, case.cost, size, unit, case.low, case.high, thing,
-            case.behaviour or "",
+            case.behaviour or "", number,
         )  # fmt: skip
 
     @classmethod
-    def of_cluster(cls, label: str, cluster: RemovedCluster) -> Spot:
+    def of_cluster(cls, label: str, cluster: RemovedCluster, number: int) -> Spot:
         """From removed points of a run without ground truth."""
         cause = ", ".join(cluster.why[:1]) or next(iter(cluster.reasons), "")
         weight = cluster.suspicion * cluster.points
         return cls(
             label, "removed", cluster.what, cause, cluster.sentence, weight, f"{cluster.points:,}", "points removed",
-            cluster.low, cluster.high, (None, None),
+            cluster.low, cluster.high, (None, None), number=number,
         )  # fmt: skip
 
     @property
@@ -132,9 +134,10 @@ def shared_cases(board: ScoreBoard, most: int = MOST) -> list[SharedCase]:
 def _spots(rows: Iterable[ScoreRow]) -> list[Spot]:
     spots = []
     for row in rows:
-        spots += [Spot.of_case(row.label, case) for case in row.result.failures]
+        spots += [Spot.of_case(row.label, case, number) for number, case in enumerate(row.result.failures, 1)]
         if not row.result.has_truth:
-            spots += [Spot.of_cluster(row.label, cluster) for cluster in row.result.clusters if cluster.why]
+            clusters = enumerate(row.result.clusters, 1)
+            spots += [Spot.of_cluster(row.label, cluster, number) for number, cluster in clusters if cluster.why]
     return [spot for spot in spots if len(spot.low) == len(spot.high) == 3]
 
 

@@ -328,7 +328,7 @@ class SeeThrough:
         measured, p = judged.measured, self.params
         empty, height = known(judged.empty[rows], measured.voxels[rows]), measured.height[rows]
         up = (
-            Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m"),
+            Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
             Term("more than 4.5 m above the ground", _high(height), "<", 1),
         )
         place = Term("evidence of its place, with what it inherits", own + p.inherit * inherited, ">", 0)

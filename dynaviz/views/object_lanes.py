@@ -1,0 +1,44 @@
+"""Objects over time, as lanes of the viewer's state timeline: what each did, what rays met, what a method decided."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from dynaviz import colours
+from dynaviz.scores.spans import Span
+from dynaviz.views import paths
+
+MOST = 8  # objects; more lanes would not fit into the view
+
+Parts = Sequence[tuple[str, Span]]  # states with their spans, in the order of frames
+
+
+def lanes(
+    number: int, title: str, ghost: bool, parts: Mapping[str, Parts]
+) -> Iterator[tuple[str, Any, list[int], Any]]:
+    """The lanes of an object: of each its path, its style, the frames at which its state changes, and the states.
+
+    Args:
+        number: of the object, 1 for the first.
+        title: what it is.
+        ghost: whether it is dynamic, which decides the colours.
+        parts: by the name of the lane.
+    """
+    shades = {state: (*colour, 255) for state, colour in colours.span_colours(ghost).items()}
+    style = rr.StateConfiguration(values=list(shades), colors=list(shades.values()))
+    name = re.sub(r"\W+", "_", f"{number:02d} {title}").strip("_")  # paths escape spaces, which are hard to read
+    for lane, states in parts.items():
+        changes = {span[1] + 1: "" for _, span in states} | {span[0]: state for state, span in states}
+        if changes:
+            columns = rr.StateChange.columns(state=[changes[frame] for frame in sorted(changes)])
+            yield f"{paths.OBJECTS}/{name}/{lane}", style, sorted(changes), columns
+
+
+def view() -> Any:
+    """The view of all objects; it is empty on the timeline of cases."""
+    return rrb.StateTimelineView(name="objects over time", origin=f"/{paths.OBJECTS}")
