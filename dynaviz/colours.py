@@ -76,6 +76,7 @@ SPANS: dict[str, Colour] = {  # states of an object over time
     "standing": (135, 135, 140),
     "hit": RAYS[HIT],
     "crossed": RAYS[CROSSED],
+    "partly": (255, 205, 160),  # pale orange
 }
 STATE: Colour = (0, 175, 155)  # of a state without values or classes
 CLASSES: tuple[Colour, ...] = (  # classes of a method's state, in the order of its legend; none is that of an outcome

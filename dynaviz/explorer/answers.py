@@ -100,7 +100,7 @@ class Explored:
         run = self.runs[letter]
         other = next((key for key in self.runs if key != letter), None)
         shared = None if other is None else run.wrong_too(self.runs[other])
-        others = [] if other is None else self._cards[other]
+        same = {} if other is None else cards.pairs(run, self._cards[letter], self._cards[other])
         return {
             "title": run.title,
             "method": run.result.method,
@@ -111,7 +111,7 @@ class Explored:
             "truth": run.result.has_truth,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
-            "cases": [cards.plain(run, card, shared, others) for card in self._cards[letter]],
+            "cases": [cards.plain(run, card, shared, same.get(card.number)) for card in self._cards[letter]],
         }
 
     def _click(self, query: Query) -> dict[str, Any]:

@@ -86,32 +86,33 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[worst[middle_of(xyz)]]))
 
 
-def same(run: ExploredRun, card: Card, others: Sequence[Card]) -> int | None:
-    """The number of another run's card on the same object, or on the same place with the same error; None without."""
-    mine = card.case
-    wrong = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == mine.worst_frame]]
+def pairs(run: ExploredRun, mine: Sequence[Card], others: Sequence[Card]) -> dict[int, int]:
+    """Cards of another run on the same objects, or on the same places with the same errors, by number of the card."""
+    found: dict[int, int] = {}
+    for card in mine:
+        left = [other for other in others if other.number not in found.values()]
+        if (number := _same(run, card, left)) is not None:
+            found[card.number] = number
+    return found
+
+
+def _same(run: ExploredRun, card: Card, others: Sequence[Card]) -> int | None:
+    case = card.case
+    wrong = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == case.worst_frame]]
     best, most = None, BOTH * len(wrong)
-    for other in others:
-        case = other.case
-        if isinstance(mine, FailureCase) and isinstance(case, FailureCase) and mine.instance and case.instance:
-            if (mine.kind, mine.class_, mine.instance) == (case.kind, case.class_, case.instance):
-                return other.number
-        elif other.outcome == card.outcome and case.first_frame <= mine.worst_frame <= case.last_frame:
-            inside = (wrong >= np.array(case.low) - MARGIN) & (wrong <= np.array(case.high) + MARGIN)
+    for number, other in ((other.number, other.case) for other in others if other.outcome == card.outcome):
+        if isinstance(case, FailureCase) and isinstance(other, FailureCase) and case.instance and other.instance:
+            if (case.class_, case.instance) == (other.class_, other.instance):
+                return number
+        elif other.first_frame <= case.worst_frame <= other.last_frame:
+            inside = (wrong >= np.array(other.low) - MARGIN) & (wrong <= np.array(other.high) + MARGIN)
             if (count := int(inside.all(1).sum())) > most:
-                best, most = other.number, count
+                best, most = number, count
     return best
 
 
-def plain(run: ExploredRun, card: Card, shared: Bool | None, others: Sequence[Card]) -> dict[str, Any]:
-    """A card in plain types, as the page receives it.
-
-    Args:
-        run: of the case.
-        card: the case.
-        shared: as for ``by``.
-        others: cards of the other run, if any.
-    """
+def plain(run: ExploredRun, card: Card, shared: Bool | None, same: int | None) -> dict[str, Any]:
+    """A card in plain types, as the page receives it; ``shared`` as for ``by``, ``same`` as in ``pairs``."""
     case = card.case
     failure = case if isinstance(case, FailureCase) else None
     cluster = case if isinstance(case, RemovedCluster) else None
@@ -138,7 +139,7 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None, others: Sequence[Ca
         "point": card.point,
         "spark": spark(run, card),
         "by": by(run, card, shared),
-        "same": same(run, card, others),
+        "same": same,
         "spans": dict(failure.spans) if failure else {},
     }
 

@@ -164,8 +164,8 @@ class FailureCase(Struct, frozen=True):
             depends on the data alone, ``cause`` on the method.
         ground: share of the points on the ground, 0 to 1; None if unknown.
         spans: first and last frames by state (``dynaviz.scores.spans``): when the object was ``moving`` or
-            ``standing``, and when more than half of its points were ``kept`` or not (``removed``); of wrongly removed
-            points only when some were ``removed``. Empty in results of earlier versions.
+            ``standing``, and when more than half of its points, some (``partly``) or none (``removed``) were ``kept``;
+            of wrongly removed points only when some were ``removed``. Empty in results of earlier versions.
     """
 
     kind: Literal["false_negative", "false_positive"]

@@ -12,7 +12,7 @@ Spans = Mapping[str, Sequence[Span]]  # by state, one of those in ``LANES``
 LANES: dict[str, tuple[str, ...]] = {  # states of a strip by lane; frames without a state are unseen
     "truth": ("moving", "standing"),
     "rays": ("hit", "crossed"),
-    "answer": ("kept", "removed"),
+    "answer": ("kept", "partly", "removed"),
 }
 
 MOST = 4  # spans of a lane in words
@@ -60,7 +60,7 @@ def shared_objects(
 
 def in_words(spans: Spans) -> str:
     """When an object moved, and when it was kept, such as ``moves 0-19, stands 20-60; kept 0-26, removed 27-60``."""
-    verbs = {"moving": "moves", "standing": "stands"}
+    verbs = {"moving": "moves", "standing": "stands", "partly": "partly kept"}
     lanes = [[f"{verbs.get(state, state)} {_span(span)}" for state, span in lane(spans, name)] for name in LANES]
     return "; ".join(", ".join(parts[:MOST]) + ", ..." * (len(parts) > MOST) for parts in lanes if parts)
 

@@ -67,14 +67,14 @@ class Objects:
         return behaviour_of_object(track, self._frame) if len(track) else None
 
     def spans(self, rows: NDArray[np.void]) -> Spans:
-        """When the object was moving, standing, mostly kept and mostly removed, given the rows of its kept points."""
+        """When the object was moving, standing, and kept: mostly, partly or not; given the rows of its kept points."""
         track = self._track(rows)
         if not len(track):
             return {"kept": spans_of(rows["frame"].tolist())}
         frames, stood = track["frame"], standing(track)
         wrong = np.bincount(rows["frame"], rows["points"], self._frame + 1)
-        kept = 2 * wrong[frames] > track["points"]
-        parts = {"moving": ~stood, "standing": stood, "kept": kept, "removed": ~kept}
+        kept, none = 2 * wrong[frames] > track["points"], wrong[frames] == 0
+        parts = {"moving": ~stood, "standing": stood, "kept": kept, "partly": ~kept & ~none, "removed": none}
         return {state: spans_of(frames[rows].tolist()) for state, rows in parts.items() if rows.any()}
 
     def _track(self, rows: NDArray[np.void]) -> NDArray[np.void]:

@@ -190,7 +190,7 @@ def test_spans_tell_when_an_object_moved_and_when_it_was_kept():
     assert in_words(case["spans"]) == "moves 0-9, stands 10-29; kept 0-19, removed 20-29"
 
 
-def test_an_object_of_which_less_than_half_is_kept_counts_as_removed():
+def test_an_object_of_which_at_most_half_is_kept_is_kept_partly():
     points = cube(10)
     scan = Scan(0, points, np.eye(4), labels=np.ones(10, np.uint8))
     spans = {}
@@ -198,7 +198,7 @@ def test_an_object_of_which_less_than_half_is_kept_counts_as_removed():
         answer = np.arange(10) >= kept
         (case,) = section(Labelled.of(0, scan, answer, np.zeros(10, np.uint8)))["cases"]
         spans[kept] = case["spans"]
-    assert spans == {5: {"moving": [[0, 0]], "removed": [[0, 0]]}, 6: {"moving": [[0, 0]], "kept": [[0, 0]]}}
+    assert spans == {5: {"moving": [[0, 0]], "partly": [[0, 0]]}, 6: {"moving": [[0, 0]], "kept": [[0, 0]]}}
 
 
 def test_runs_share_objects_by_class_and_number():

@@ -7,7 +7,7 @@ const POLL = 400 // ms
 const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
 const TITLES = { a: 'A', b: 'B' }
 
-const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer: ['kept', 'removed'] }
+const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer: ['kept', 'partly', 'removed'] }
 
 /** The lanes of a case: its object, the rays that met its place, and the answer of each run. */
 function lanesOf(card, runs, rays) {

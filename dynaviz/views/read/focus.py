@@ -139,9 +139,7 @@ class Focus:
             overrides = {path: rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state in self._voxels else None
             name = f"state: {state.split('/')[-1]}"
             view = solid(name, [state, paths.SCAN, *common], near, overrides=overrides)
-            below.append(
-                with_key(view, path=self._keys[state][0], heading=self._keys[state][1]) if state in self._keys else view
-            )
+            below.append(with_key([view], *self._keys[state]) if state in self._keys else view)
         return rrb.Vertical(case, rrb.Horizontal(*below), row_shares=[3, 2])
 
     def _deciding(self, frame: int, low: F64, high: F64) -> str | None:
