@@ -30,7 +30,7 @@ except ImportError:
 
 from dynaviz.explorer.answers import RRD, Explored, Query
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.views.read.chunks import with_passive_layout
+from dynaviz.views.read.chunks import with_layout
 
 HOME = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -93,8 +93,12 @@ def application(explored: Explored, token: str) -> Starlette:
 
     def file(request: Request) -> Response:
         name = request.path_params["name"]
-        if name in recordings:  # its layout comes at its end, and would replace that of the page
-            return StreamingResponse(with_passive_layout(recordings[name]), media_type=RRD, headers=HEADERS)
+        if name in recordings:
+            try:
+                layout = explored.contents["layout"][0]({**request.query_params, "run": name.removesuffix(".rrd")})
+            except DynavizError as error:
+                return JSONResponse({"error": str(error)}, 400, HEADERS)
+            return StreamingResponse(with_layout(recordings[name], layout), media_type=RRD, headers=HEADERS)
         known = files.get(name)
         if known is None:
             return Response("not found", 404, HEADERS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import socket
+import struct
 import time
 import urllib.error
 import urllib.request
@@ -77,7 +78,17 @@ def test_files_that_are_not_listed_are_not_found(explorer: Explorer, name: str) 
     assert get(explorer.url + name)[0] == 404
 
 
-def test_recordings_are_served_with_a_layout_that_does_not_replace_the_pages(
+def messages(content: bytes) -> list[int]:
+    """The kinds of the messages of a recording, up to its end of kind 0."""
+    kinds, at = [], 12
+    while at < len(content) and (not kinds or kinds[-1]):
+        kind, size = struct.unpack_from("<QQ", content, at)
+        kinds.append(kind)
+        at += 16 + size
+    return kinds
+
+
+def test_recordings_are_served_with_the_layout_of_the_page_at_their_end(
     explorer: Explorer, runs: dict[str, Path]
 ) -> None:
     for letter, run in (("a", "fine"), ("b", "coarse")):
@@ -86,7 +97,13 @@ def test_recordings_are_served_with_a_layout_that_does_not_replace_the_pages(
         active, passive = b"\x10\x01\x18\x01", b"\x10\x00\x18\x01"  # the last command: make this layout active
         place = stored.rindex(active)
         assert status == 200
-        assert served == stored[:place] + passive + stored[place + 4 :]
+        assert served.startswith(stored[:place] + passive)
+        *kinds, end = messages(stored)
+        found = messages(served)
+        assert end == 0
+        assert end not in found  # it refers to positions in the file
+        assert found[: len(kinds)] == kinds
+        assert found[-1] == 3  # the command that activates the layout
 
 
 def test_it_listens_on_this_machine_alone_and_under_no_other_name(explorer: Explorer) -> None:

@@ -148,15 +148,15 @@ function layout(kind) {
   layOut()
 }
 
-/** The layout of a viewer for the state; eye: where a case is seen from, if not from its usual place. */
-function layoutOf(letter, eye) {
+/** What the server needs for the layout of the state; eye: where a case is seen from, if not from its usual place. */
+function layoutQuery(letter, eye) {
   const { of, case: number, layout: kind } = current()
-  return ask('layout', { run: letter, owner: of, layout: kind, ...eye, ...(number && { case: number }) })
+  return { run: letter, owner: of, layout: kind, ...eye, ...(number && { case: number }) }
 }
 
 async function layOut(eye) {
   const { case: number, layout: kind } = current()
-  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await layoutOf(letter, eye)))).catch(error => say(error.message))
+  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await ask('layout', layoutQuery(letter, eye))))).catch(error => say(error.message))
   document.body.dataset.layout = `${kind}-${number}`
 }
 
@@ -172,9 +172,9 @@ function openViewer(letter, frame) {
     place.append(preview)
     requestAnimationFrame(() => { preview.src = drawing(letter, place) }) // when all viewers have their size
   }
-  const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
-  // The recording's own layout is served so that it does not replace the page's (with_passive_layout).
-  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, layoutOf(letter)], frame, {
+  // The layout comes at the end of the recording, so that the viewer draws the case when it has read everything.
+  const recording = fetch(`${letter}.rrd?${new URLSearchParams(layoutQuery(letter))}`).then(answer => answer.arrayBuffer())
+  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording], frame, {
     drawn: () => {
       section.querySelector('.preview')?.remove()
       loaded()

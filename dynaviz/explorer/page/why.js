@@ -13,7 +13,7 @@ const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer:
 function lanesOf(card, runs, rays) {
   const lane = (name, from, spans) => ({ name, kind: card.kind, states: LANES[from].flatMap(state => (spans?.[state] ?? []).map(span => [state, ...span])) })
   const { moving = [], standing = [] } = card.spans
-  const other = card.kind === 'ghost' ? card.other?.spans ?? { removed: [...moving, ...standing] } : card.other?.spans
+  const other = card.kind === 'ghost' && card.by !== 'both' ? card.other?.spans ?? { removed: [...moving, ...standing] } : card.other?.spans
   const by = { [card.of]: card.spans, [card.of === 'a' ? 'b' : 'a']: other }
   const answers = runs.b ? ['a', 'b'].map(letter => lane(letter.toUpperCase(), 'answer', by[letter])) : [lane('answer', 'answer', card.spans)]
   return [lane('object', 'truth', card.spans), lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)

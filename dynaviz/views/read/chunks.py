@@ -10,12 +10,13 @@ protobuf. A chunk is a message of kind 2, whose field 5 is an Arrow IPC stream, 
 from __future__ import annotations
 
 import functools
+import io
 import mmap
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pyarrow as pa
 
@@ -100,23 +101,34 @@ def copy_undamaged(path: Path, out: Path) -> int:
     return count
 
 
-def with_passive_layout(path: Path) -> Iterator[bytes]:
-    """The bytes of a recording whose layout does not replace one that a viewer already shows.
+def with_layout(path: Path, layout: bytes) -> Iterator[bytes]:
+    """The bytes of a recording with another layout, which a viewer shows when it has read everything before it.
 
-    The number of bytes stays: the end of a recording refers to positions in it.
+    Args:
+        path: the recording, whose own layouts become passive.
+        layout: the content of an ``.rrd`` file.
 
     Raises:
         OSError: if the file cannot be read.
     """
     with path.open("rb") as file:
         yield file.read(_START)
-        while len(head := file.read(_HEAD.size)) == _HEAD.size:
-            kind, size = _HEAD.unpack(head)
-            content = file.read(min(size, path.stat().st_size))
-            if kind == _LAYOUT and content.endswith(_ACTIVE):
-                content = content.removesuffix(_ACTIVE) + _PASSIVE
-            yield head + content
-        yield head
+        for kind, message in _messages(file):
+            if kind == _LAYOUT and message.endswith(_ACTIVE):
+                message = message.removesuffix(_ACTIVE) + _PASSIVE
+            yield message
+    content = io.BytesIO(layout)
+    content.seek(_START)
+    yield from (message for _, message in _messages(content))
+
+
+def _messages(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Kinds and bytes of the messages of a recording, without its end, which refers to positions in it."""
+    while len(head := file.read(_HEAD.size)) == _HEAD.size:
+        kind, size = _HEAD.unpack(head)
+        if kind == _END:
+            return
+        yield kind, head + file.read(size)
 
 
 def _next_chunk(content: mmap.mmap, at: int) -> int:

@@ -148,24 +148,28 @@ def encoded(pictures: Iterator[bytes], span: CaseSpan) -> bytes:
 def caption(span: CaseSpan, frame: int, width: int) -> U8:
     """(rows, width, 3) uint8 RGB: the case in words, the colours of its points, and its lanes with a cursor."""
     words = textwrap.wrap(span.sentence, max(20, (width - 2 * MARGIN) // LETTER))
-    pixels: U8 = np.full(
-        ((len(words) + 1 + len(span.lanes)) * LINE + 2 * MARGIN, width, 3), colours.BACKGROUND, np.uint8
-    )
-    for k, text in enumerate(words):
-        _write(pixels, text, MARGIN, k)
     if span.outcome == Outcome.UNLABELLED_REMOVED:
         legend = [(colours.BRIGHT[span.outcome], "removed"), (colours.BRIGHT[Outcome.UNLABELLED_KEPT], "kept")]
     else:
         legend = [(colours.BRIGHT[outcome], paths.NAMES[outcome].split(": ")[-1]) for outcome in LABELLED]
     shades = colours.span_colours(span.outcome == Outcome.FALSE_NEGATIVE)
     used = dict.fromkeys(state for parts in span.lanes.values() for state, _ in parts)
-    at = MARGIN
-    for colour, name in [*legend, *((shades[state], state) for state in used if state not in LANES["answer"])]:
-        _row(pixels, len(words))[3:-3, at : at + SWATCH] = colour
-        _write(pixels, name, at + SWATCH + 5, len(words))
-        at += SWATCH + 20 + LETTER * len(name)
+    legend += [(shades[state], state) for state in used if state not in ("kept", "removed")]
+    places, row, at = [], len(words), MARGIN
+    for _, name in legend:
+        wide = SWATCH + 20 + LETTER * len(name)
+        row, at = (row + 1, MARGIN) if at + wide > width else (row, at)
+        places.append((row, at))
+        at += wide
+    rows = (row + 1 + len(span.lanes)) * LINE + 2 * MARGIN
+    pixels: U8 = np.full((rows, width, 3), colours.BACKGROUND, np.uint8)
+    for k, text in enumerate(words):
+        _write(pixels, text, MARGIN, k)
+    for (colour, name), (k, at) in zip(legend, places, strict=True):
+        _row(pixels, k)[3:-3, at : at + SWATCH] = colour
+        _write(pixels, name, at + SWATCH + 5, k)
     step = (width - NAMES - MARGIN) / max(span.run, 1)
-    for k, (name, parts) in enumerate(span.lanes.items(), len(words) + 1):
+    for k, (name, parts) in enumerate(span.lanes.items(), row + 1):
         _write(pixels, name, MARGIN, k)
         for state, (first, last) in parts:
             ends = slice(NAMES + int(step * first), NAMES + max(int(step * (last + 1)), int(step * first) + 1))
