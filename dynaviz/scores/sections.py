@@ -163,9 +163,7 @@ class FailureCase(Struct, frozen=True):
         behaviour: what the object or place did (``dynaviz.scores.behaviour.Behaviour``), or None if unknown. It
             depends on the data alone, ``cause`` on the method.
         ground: share of the points on the ground, 0 to 1; None if unknown.
-        spans: first and last frames by state (``dynaviz.scores.spans``): when the object was ``moving`` or
-            ``standing``, and when more than half of its points, some (``partly``) or none (``removed``) were ``kept``;
-            of wrongly removed points only when some were ``removed``. Empty in results of earlier versions.
+        spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
     """
 
     kind: Literal["false_negative", "false_positive"]
