@@ -154,14 +154,12 @@ class FailureCase(Struct, frozen=True):
         cost: percentage points of DA or SA.
         first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
         low, high: corners, (3,) metres, world frame.
-        range: from the sensor, metres.
-        moved: metres, how far the case moved.
+        range: from the sensor, metres; moved: metres, how far the case moved.
         reasons: points by reason, most frequent first.
         cause: the failure cause (``dynaviz.contracts.method.Cause``), or None.
         class_, instance: of the ground truth, or None.
         what: what it is, in words; sentence: a description for the reader.
-        behaviour: what the object or place did (``dynaviz.scores.behaviour.Behaviour``), or None if unknown. It
-            depends on the data alone, ``cause`` on the method.
+        behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone; None if unknown.
         ground: share of the points on the ground, 0 to 1; None if unknown.
         spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
     """

@@ -9,8 +9,8 @@ from dynaviz.scores.sections import FailureCase
 Span = tuple[int, int]  # first and last frame
 Spans = Mapping[str, Sequence[Span]]  # by state, one of those in ``LANES``
 
-# States by lane; frames without a state are unseen. An object is ``kept`` if more than half of its points are, ``partly``
-# if some are, ``removed`` if none is; a place of static points is ``removed`` where some of them are.
+# States by lane; frames without a state are unseen. An object is ``kept`` if more than half of its points are,
+# ``partly`` if some are, ``removed`` if none is; a place of static points is ``removed`` where some of them are.
 LANES: dict[str, tuple[str, ...]] = {
     "truth": ("moving", "standing"),
     "rays": ("hit", "crossed"),
