@@ -87,7 +87,7 @@ class Described:
 
 
 def describe(kind: type[Any]) -> dict[str, Described]:
-    """What the parameters of a method mean, from the docstring of its ``Params`` and the values that it refuses."""
+    """What the parameters of a method mean, from the docstring of its ``Params`` and the values that it rejects."""
     meanings, ranges = _attributes(kind.__doc__ or ""), _ranges(kind)
     names = [field.name for field in dataclasses.fields(kind)]
     return {name: Described(meanings.get(name, ""), ranges.get(name, "")) for name in names}
@@ -108,7 +108,7 @@ def _attributes(docstring: str) -> dict[str, str]:
 
 
 def _ranges(kind: type[Any]) -> dict[str, str]:
-    """By parameter what its error asks for, such as ``a share from 0 to less than 1``."""
+    """By parameter, the values that its error names, such as ``a share from 0 to less than 1``."""
     found: dict[str, str] = {}
     for name, type_ in get_type_hints(kind).items():
         for value in (-(10**9), float("nan"), 10**9) if type_ in (int, float) else ():
