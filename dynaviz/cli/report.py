@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from dynaviz.cli import boards
-from dynaviz.cli.console import progress
+from dynaviz.cli.console import progress, show
 from dynaviz.cli.options import refuse
 
 
@@ -30,7 +29,7 @@ def report(
     format: Annotated[
         str | None,
         typer.Option(
-            help="html, md, latex, csv, an installed plug-in, or board for a leaderboard as a static site. "
+            help="html, md, csv, an installed plug-in, or board for a leaderboard as a static site. "
             "[default: by the suffix of -o, otherwise md]"
         ),
     ] = None,
@@ -43,33 +42,21 @@ def report(
             "Repeatable.",
         ),
     ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Write no board; recompute every entry and compare digests and scores.")
-    ] = False,
-    rerun: Annotated[
-        bool, typer.Option("--rerun", help="With --check: also run each method again and compare its labels.")
-    ] = False,
 ) -> None:
     """Write tables and figures of one or more results, or a leaderboard.
 
     \b
     dynaviz report recordings/demo -o report.html
-    dynaviz report bench/ -o tables.tex
     dynaviz report bench/ elsewhere/result.json --format csv > runs.csv
     dynaviz report recordings/demo --format board
-    dynaviz report recordings/demo --format board --check --rerun
 
     A board compares methods by sequence and protocol, shows failure cases, and lists the digest of every entry. It
-    works offline. Scores are computed from the stored labels, so the sequences are needed. With --check the exit code
-    is 1 if an entry differs or cannot be recomputed.
+    works offline. Scores are computed from the stored labels, so the sequences are needed.
     """
     if format == "board":
-        _board(results, out, sequences or [], check, rerun)
+        _board(results, out, sequences or [])
         return
-    refuse(
-        {"sequence": sequences, "check": check, "rerun": rerun},
-        f"--format {format}" if format else "a report. Add --format board",
-    )
+    refuse({"sequence": sequences}, f"--format {format}" if format else "a report. Add --format board")
     from dynaviz.reports.reporting import report as write_report
 
     with progress("report", unit="steps") as show_progress:
@@ -80,16 +67,22 @@ def report(
         print(f"Written to {out}.")
 
 
-def _board(results: list[Path], out: Path | None, sequences: list[str], check: bool, rerun: bool) -> None:
+def _board(results: list[Path], out: Path | None, sequences: list[str]) -> None:
+    """Write the board of the results in a folder; scores are computed from the stored labels."""
     from dynaviz.errors import UsageError
+    from dynaviz.reports.board.write import write_board
     from dynaviz.runs.sequences import SequenceFinder
 
-    if rerun and not check:
-        raise UsageError("--rerun: only with --check")
     if len(results) > 1:
         raise UsageError("--format board: is for the results in one folder. Give one DIR")
-    site, finder = out or results[0] / "board", SequenceFinder(sequences)
-    if check:
-        boards.check(results[0], site, finder, rerun)
-    else:
-        boards.write(results[0], site, finder)
+    finder = SequenceFinder(sequences)
+    with progress("board", unit={"score": "runs"}) as report:
+        written = write_board(results[0], out or results[0] / "board", finder, report)
+    entries = written.board.entries
+    for entry in entries:
+        if entry.remark:
+            show(f"{entry.path}: not scored: {entry.remark}.")
+    known = sum(bool(entry.protocols) for entry in entries) - written.rescored
+    taken_over = f", {known} taken over from the earlier board" if known else ""
+    runs = "run" if written.rescored == 1 else "runs"
+    show(f"{written.rescored} {runs} scored{taken_over}.", f"Written to {written.page}.")

@@ -17,7 +17,7 @@ from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.collect import HINT, StudyRun, collect
 
-SUFFIXES = {"htm": "html", "markdown": "md", "tex": "latex"}  # in addition to the names of formats
+SUFFIXES = {"htm": "html", "markdown": "md"}  # in addition to the names of formats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ def report(
     Args:
         paths: folders that contain results, or ``result.json`` files.
         out: the file to write, or None.
-        format: ``html``, ``md``, ``latex``, ``csv`` or another installed format (entry point group
+        format: ``html``, ``md``, ``csv`` or another installed format (entry point group
             ``dynaviz.reports``). Default: the format of the suffix of ``out``, or ``md`` without ``out``.
         progress: called with a phase, the number of finished steps, and the total number of steps.
 

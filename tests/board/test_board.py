@@ -1,4 +1,4 @@
-"""Boards: digests and scores of entries, a page that mixes nothing, and a check that notices every change."""
+"""Boards: digests and scores of entries, runs whose labels or sequence changed, and a page that mixes nothing."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from helpers.made_results import result
 from helpers.scan_folders import write_kitti_poses, write_scans
 from helpers.worlds import InMemory, room
 
-from dynaviz.api import run
 from dynaviz.contracts import registry
 from dynaviz.contracts.protocol import ProtocolScores
 from dynaviz.contracts.scan import Sequence, select_frames
 from dynaviz.errors import DataError
-from dynaviz.reports.board.check import check_board
 from dynaviz.reports.board.entries import read_board
 from dynaviz.reports.board.write import write_board
 from dynaviz.reports.reporting import Study
@@ -49,7 +47,7 @@ def folder(tmp_path: Path, hall: InMemory) -> Path:
 
 
 def guess(sequence: Sequence, folder: Path) -> None:
-    """Run the test's method with the metrics that a check compares."""
+    """Run the test's method with the metrics that a board repeats."""
     metrics = tuple(registry.load("metrics", name)(Guess.info) for name in ("confusion", "voxelwise"))
     run_into(folder, sequence, recorded=False, metrics=metrics)
 
@@ -102,15 +100,6 @@ def test_runs_without_their_sequence_keep_their_own_scores(folder: Path) -> None
     assert {cell["text"] for cell in row[2:]} == {"n/a"}
 
 
-def test_the_check_passes_what_was_not_touched(folder: Path, hall: InMemory) -> None:
-    write_board(folder, folder / "site", finder(hall))
-    checked = check_board(folder, folder / "site", finder(hall))
-    assert [entry.verdicts["protocols"] for entry in checked] == ["same", "same"]
-    assert all(entry.passed for entry in checked)
-    (alone,) = check_board(folder / "end", folder / "nowhere", finder(hall))
-    assert (alone.passed, alone.verdicts["protocols"]) == (True, "–")
-
-
 def flip_a_label(folder: Path) -> None:
     with np.load(folder / "end/labels.npz") as z:
         arrays = dict(z)
@@ -119,51 +108,30 @@ def flip_a_label(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "problem"),
+    ("change", "remark"),
     [
-        (flip_a_label, "labels.npz differs .*; result.json has other counts .*; board.json has other scores"),
-        (
-            lambda folder: edit(folder / "end/result.json", lambda r: r["counts"].update(static_kept=1)),
-            "^result.json has other counts than its labels give$",
-        ),
-        (
-            lambda folder: edit(
-                folder / "site/board.json", lambda b: b["entries"][0]["protocols"]["doals"]["scores"].update(IoU=99.0)
-            ),
-            "^board.json has other scores, or lacks the entry$",
-        ),
-        (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz: does not exist"),
+        (flip_a_label, "labels.npz differs from the labels that were scored"),
+        (lambda folder: (folder / "end/labels.npz").unlink(), "labels.npz is missing"),
         (
             lambda folder: edit(folder / "end/result.json", lambda r: r["sequence"].update(digest="0")),
-            "the sequence differs from that of the run",
+            "the sequence room differs from that of the run",
         ),
     ],
-    ids=["label", "counts", "score", "no labels", "digest"],
+    ids=["label", "no labels", "digest"],
 )
-def test_the_check_notices_every_change(
-    folder: Path, hall: InMemory, change: Callable[[Path], None], problem: str
-) -> None:
-    write_board(folder, folder / "site", finder(hall))
+def test_changed_runs_are_not_scored(folder: Path, hall: InMemory, change: Callable[[Path], None], remark: str) -> None:
     change(folder)
-    end, whole = check_board(folder, folder / "site", finder(hall))
-    assert re.search(problem, end.problem), end.problem
-    assert whole.passed
+    board = write_board(folder, folder / "site", finder(hall)).board
+    assert {entry.path: (entry.remark, bool(entry.protocols)) for entry in board.entries} == {
+        "end": (remark, False),
+        "whole": ("", True),
+    }
 
 
-def test_labels_of_other_points_are_refused(folder: Path, hall: InMemory) -> None:
+def test_labels_of_other_points_are_not_scored(folder: Path) -> None:
     for other, problem in ((room(3, 200), "has 300 labels for frame"), (room(2, 300), "labels for 3 frames, of which")):
-        checked = check_board(folder, folder / "site", finder(other))
-        assert any(problem in entry.problem for entry in checked)
-    assert all("was not found" in entry.problem for entry in check_board(folder, folder, finder(None)))
-
-
-def test_methods_are_run_again(tmp_path: Path) -> None:
-    dense = room(frames=4, rays=1500)
-    run("octomap", select_frames(dense, "1:"), out=tmp_path / "a", record="none", settings=("resolution=0.2",))
-    assert check_board(tmp_path, tmp_path, finder(dense), rerun=True)[0].verdicts["rerun"] == "same"
-    edit(tmp_path / "a/result.json", lambda result: result["parameters"].update(resolution=1.0))
-    (checked,) = check_board(tmp_path, tmp_path, finder(dense), rerun=True)
-    assert checked.problem == "the method gives other labels"
+        board = write_board(folder, folder / "site", finder(other)).board
+        assert any(problem in entry.remark for entry in board.entries)
 
 
 def test_sequences_are_found_by_name_near_the_run(tmp_path: Path, hall: InMemory) -> None:
@@ -242,4 +210,4 @@ def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:
     ):
         (folder / "site/board.json").write_text(content)
         with pytest.raises(DataError, match=problem):
-            check_board(folder, folder / "site", finder(hall))
+            write_board(folder, folder / "site", finder(hall))

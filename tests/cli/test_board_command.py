@@ -2,43 +2,30 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from helpers.mos_files import write_helimos
 
 
-def test_write_and_recompute(run_command, tmp_path: Path) -> None:
+def test_write_again_and_after_a_move(run_command, tmp_path: Path) -> None:
     root = write_helimos(tmp_path / "data")
     words = ("run", "dufomap", f"helimos_val:{root}", "--frames", "1:4", "--record", "none", "-o", tmp_path / "runs/a")
     assert run_command(*words)[0] == 0
-    code, out, _ = run_command("report", tmp_path / "runs", "--format", "board")
+    board = ("report", tmp_path / "runs", "--format", "board", "-o")
+    code, out, _ = run_command(*board, tmp_path / "first")
     assert code == 0
     assert "1 run scored." in out
-    assert (tmp_path / "runs/board/index.html").is_file()
-    code, out, _ = run_command("report", tmp_path / "runs", "--format", "board", "--check", "--rerun")
-    assert code == 0
-    assert "1 entry recomputed: all digests and scores are the same." in out
-    board = tmp_path / "runs/board/board.json"
-    plain = json.loads(board.read_text())
-    plain["entries"][0]["protocols"]["points"]["scores"]["SA"] = 1.0
-    board.write_text(json.dumps(plain))
-    code, out, _ = run_command("report", tmp_path / "runs", "--format", "board", "--check")
-    assert code == 1
-    assert "board.json has other scores" in out
+    assert (tmp_path / "first/index.html").is_file()
+    assert "0 runs scored, 1 taken over from the earlier board." in run_command(*board, tmp_path / "first")[1]
     root.rename(root.with_name("moved"))
-    code, out, _ = run_command("report", tmp_path / "runs", "--format", "board", "--check")
-    assert code == 1
-    assert "the sequence helimos_ouster_val was not found; give it with --sequence" in out
+    code, out, _ = run_command(*board, tmp_path / "second")
+    assert code == 0
+    assert "a: not scored: the sequence was not found; give it with --sequence." in out
     moved = f"helimos_val:{root.with_name('moved')}"
-    assert (
-        "other scores"
-        in run_command("report", tmp_path / "runs", "--format", "board", "--check", "--sequence", moved)[1]
-    )
+    assert "1 run scored." in run_command(*board, tmp_path / "second", "--sequence", moved)[1]
+    assert (tmp_path / "second/board.json").read_bytes() == (tmp_path / "first/board.json").read_bytes()
 
 
-def test_rerun_needs_check(run_command, tmp_path: Path) -> None:
-    code, _, err = run_command("report", tmp_path, "--format", "board", "--rerun")
-    assert (code, err) == (2, "dynaviz: --rerun: only with --check\n")
-    code, _, err = run_command("report", tmp_path, "--check")
-    assert (code, err) == (2, "dynaviz: --check: not with a report. Add --format board\n")
+def test_a_sequence_is_only_for_a_board(run_command, tmp_path: Path) -> None:
+    code, _, err = run_command("report", tmp_path, "--sequence", "x")
+    assert (code, err) == (2, "dynaviz: --sequence: not with a report. Add --format board\n")

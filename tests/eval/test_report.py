@@ -238,33 +238,6 @@ def test_other_sequences_have_no_published_numbers(study):
     assert tables(study(*TWO)).by_board[0].published is None
 
 
-def latex_rows(text: str) -> list[list[str]]:
-    return [line.removesuffix(r" \\").split(" & ") for line in text.splitlines() if line.endswith(r" \\")]
-
-
-def test_latex_is_escaped_and_its_rows_fit(study):
-    text = report(
-        study(*(result(m, s) for m in ("octomap_g", "50%_&_#1{}") for s in ("a_1", "b^2", "c~3", "d\\4", "e$5"))),
-        "latex",
-    )
-    inner = re.sub(r"\\label\{[^}]*\}", "", text)
-    assert not re.search(r"(?<!\\)[_#]", inner)
-    for part in text.split(r"\begin{tabular}")[1:]:
-        width = len(part.split("}")[0].strip("{"))
-        for row in latex_rows(part.split(r"\end{tabular}")[0]):
-            spans = sum(int(m) - 1 for m in re.findall(r"\\multicolumn\{(\d+)\}", " ".join(row)))
-            assert len([field for line in row for field in re.split(r"(?<!\\)&", line)]) + spans == width
-    assert text.count(r"\begin{table") == text.count(r"\end{table")
-    plain = re.sub(r"\\[{}]", "", text)
-    assert plain.count("{") == plain.count("}")
-    assert r"octomap\_g" in text
-
-
-def test_latex_has_the_numbers_of_the_results(study):
-    rows = {row[0]: row[1:] for row in latex_rows(report(study(*TWO), "latex").split("tab:runtime")[0])}
-    assert rows["erasor"] == [r"\textbf{95.00}", "40.00", "61.64", "56.30"]
-
-
 @pytest.mark.parametrize(
     "results",
     [(), (result("one_a"),), (result("one_a", numbers=(0, 0, 0, 0)),), (Result("one_a", {}, SequenceInfo("s")),)],
@@ -275,7 +248,6 @@ def test_reports_of_few_results(study, results):
     assert "one_a" in Page(report(given, "html")).text
     assert "one\\_a" in report(given, "md")
     assert "one_a" in report(given, "csv")
-    assert (r"one\_a" in report(given, "latex")) == bool(results)
 
 
 def test_variants_show_their_pareto_front(study):

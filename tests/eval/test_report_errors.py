@@ -128,7 +128,7 @@ def test_runs_without_ground_truth_show_what_they_removed(study):
     assert markdown_table(registry.load("reports", "md")(given), "Removed points: open")[0]["removed: points"] == "50"
 
 
-@pytest.mark.parametrize("format", ["html", "md", "latex"])
+@pytest.mark.parametrize("format", ["html", "md"])
 def test_an_unlabelled_run_of_an_earlier_version_has_no_false_numbers(study, format):
     text = registry.load("reports", format)(study(without_truth("one")))
     assert "one" in text

@@ -222,14 +222,11 @@ COMMANDS = {
         *(("why", run, "--frame", "1", "--point", "9", "--json", ">why.json") for run in ("@out", "@out/run.rrd")),
     ),
     "dynaviz report --format board": subject(board, "**/*", ("report", "@out", "--format", "board", "-o", "@board")),
-    "dynaviz report --format board --check": subject(
-        board, "**/*", ("report", "@out", "--format", "board", "-o", "@board", "--check", "--rerun")
-    ),
     "dynaviz score RUN": subject(corrected_demo, "out/corrections.json", ("score", "@out", "--sequence", "@demo")),
     "dynaviz info RESULT": subject(scored, "out/result.json", ("info", "@out/result.json")),
     "dynaviz info RESULT --failures": subject(scored, "out/result.json", ("info", "@out/result.json", "--failures")),
     "dynaviz report": subject(
-        scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv", "latex"))
+        scored, "out/result.json", *(("report", "@out", "--format", kind) for kind in ("md", "csv"))
     ),
     "dynaviz report (HTML)": subject(
         scored, "out/result.json", ("report", "@out", "--format", "html"), shortened=undrawn

@@ -260,8 +260,7 @@ def _entries(content: Boards) -> Table:
     notes = [
         "Points: digest of points, poses and ground truth of all frames. board.json next to this page has all digests "
         "in full, all counts, and the parameters.",
-        "To recompute the entries from their stored labels: dynaviz report FOLDER --format board --check. "
-        "To run the methods again as "
-        "well: add --rerun. To view a recording: dynaviz view PATH.",
+        "To compute the scores again from the stored labels: dynaviz report FOLDER --format board -o NEW. "
+        "To view a recording: dynaviz view PATH.",
     ]
     return Table("entries", "Entries and digests", columns, rows, notes)

@@ -19,7 +19,7 @@ class Value:
         bold: whether it is the best of its column.
         link: target of a link, relative to the report.
         heat: 0 to 1, how strongly the field is coloured; None for no colour.
-        detail: small print below the text. LaTeX leaves it out.
+        detail: small print below the text.
     """
 
     text: str
