@@ -19,7 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
+from dynaviz.io.pcd import read_pcd, write_pcd
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets import open_sequence
 
@@ -35,12 +35,11 @@ def write_scans(folder: Path, points: int, files: int) -> None:
             np.column_stack([distance * np.cos(azimuth), distance * np.sin(azimuth), random.normal(size=points)]), 3
         )
         fields = dict(zip(("x", "y", "z", "intensity"), np.c_[xyz, random.random(points)].astype("f4").T, strict=True))
-        for encoding in ENCODINGS:
-            write_pcd(folder / encoding / f"pcd/{k:06d}.pcd", fields, np.eye(4), encoding)
+        write_pcd(folder / f"sequence/pcd/{k:06d}.pcd", fields, np.eye(4))
         np.column_stack(list(fields.values())).tofile(folder / f"{k:06d}.bin")
         cloud.append({**fields, "intensity": (random.random(points) < 0.01).astype("f4")})
     together = {name: np.concatenate([scan[name] for scan in cloud]) for name in cloud[0]}
-    write_pcd(folder / "binary/gt_cloud.pcd", together)
+    write_pcd(folder / "sequence/gt_cloud.pcd", together)
 
 
 def seconds(ways: dict[str, Callable[[], Any]]) -> dict[str, float]:
@@ -58,19 +57,17 @@ def main(points: int = 120_000, files: int = 20) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         write_scans(folder, points, files)
-        pcds = {encoding: sorted((folder / encoding / "pcd").glob("*.pcd")) for encoding in ENCODINGS}
+        pcds = sorted(folder.glob("sequence/pcd/*.pcd"))
         bins = sorted(folder.glob("*.bin"))
-        sequence = open_sequence(str(folder / "binary"))
+        sequence = open_sequence(str(folder / "sequence"))
         plain, fromfile = "plain read() of the binary files", "np.fromfile of the .bin files"
         took = seconds(
             {
-                plain: lambda: [path.read_bytes() for path in pcds["binary"]],
+                plain: lambda: [path.read_bytes() for path in pcds],
                 fromfile: lambda: [np.fromfile(path, np.float32) for path in bins],
                 "velodyne .bin": lambda: [read_velodyne(path) for path in bins],
-                "PCD binary, rows": lambda: [read_pcd(path) for path in pcds["binary"]],
-                "PCD binary, xyz": lambda: [read_pcd(path).xyz for path in pcds["binary"]],
-                "PCD binary_compressed, xyz": lambda: [read_pcd(path).xyz for path in pcds["binary_compressed"]],
-                "PCD ascii, xyz": lambda: [read_pcd(path).xyz for path in pcds["ascii"]],
+                "PCD binary, rows": lambda: [read_pcd(path) for path in pcds],
+                "PCD binary, xyz": lambda: [read_pcd(path).xyz for path in pcds],
                 "benchmark's layout, scans with labels": lambda: [sequence[k] for k in range(len(sequence))],
             }
         )

@@ -1,9 +1,8 @@
-"""Point Cloud Data files (PCD 0.5 to 0.7): ascii, binary and binary_compressed."""
+"""Point Cloud Data files (PCD 0.5 to 0.7): reads ascii, binary and binary_compressed, and writes binary."""
 
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -127,15 +126,13 @@ def write_pcd(
     path: str | os.PathLike[str],
     fields: Mapping[str, ArrayLike],
     T_world_sensor: ArrayLike | None = None,
-    data: str = "binary",
 ) -> None:
-    """Write points atomically.
+    """Write points atomically, as ``binary``.
 
     Args:
         path: the file.
         fields: (N,) or (N, count) integers or floats by name; bool is written as uint8.
         T_world_sensor: (4, 4) float64, metres, written as VIEWPOINT; None writes no VIEWPOINT.
-        data: ``ascii``, ``binary`` or ``binary_compressed``.
 
     Raises:
         DataError: if the file cannot be written.
@@ -144,15 +141,9 @@ def write_pcd(
     arrays = {name: np.asarray(array) for name, array in fields.items()}
     layout = fields_from_dtypes({name: np.dtype((array.dtype, array.shape[1:])) for name, array in arrays.items()})
     rows = _pack(layout, arrays)
-    if data not in ENCODINGS:
-        raise ValueError(f"data must be one of {', '.join(ENCODINGS)}, not {data}")
-    if data == "binary_compressed" and rows.nbytes >= 1 << 32:
-        raise ValueError("binary_compressed is limited to 4 GiB: write the cloud as binary")
-    encode = {"ascii": _encode_ascii, "binary": lambda fields, rows: rows.data, "binary_compressed": _encode_compressed}
-    content = encode[data](layout, rows)
     with atomic_file(path) as temporary, open(temporary, "wb") as file:
-        file.write(header_text(layout, len(rows), T_world_sensor, data))
-        file.write(content)
+        file.write(header_text(layout, len(rows), T_world_sensor))
+        file.write(rows.data)
 
 
 class PcdWriter:
@@ -199,7 +190,7 @@ class PcdWriter:
 
     def _write_header(self) -> None:
         self._file.seek(0)
-        self._file.write(header_text(self._fields, self.points, self._T_world_sensor, "binary"))
+        self._file.write(header_text(self._fields, self.points, self._T_world_sensor))
 
 
 def _read_binary(file: IO[bytes], path: Path, header: PcdHeader, left: int, first: int, last: int) -> NDArray[Any]:
@@ -270,24 +261,6 @@ def _pack(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDAr
             raise ValueError(f"field '{field.name}' has shape {array.shape}, not ({n},) or ({n}, {field.count})")
         np.copyto(rows[field.name], array.reshape(n, field.count), casting="same_kind")
     return rows
-
-
-def _encode_ascii(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
-    out = io.BytesIO()
-    digits = {"f4": "%.9g", "f8": "%.17g"}  # enough digits to read the same number back
-    form = [digits.get(field.dtype.str[1:], "%d") for field in fields for _ in range(field.count)]
-    np.savetxt(out, rows.view(_flat_dtype(fields)), form)
-    return out.getvalue()
-
-
-def _encode_compressed(fields: tuple[Field, ...], rows: NDArray[Any]) -> bytes:
-    if not len(rows):
-        return b""
-    pieces = _byte_columns(fields, rows.view(np.uint8).reshape(len(rows), -1))
-    columns = np.concatenate([piece.ravel() for piece in pieces])
-    out = np.empty(len(columns) * 33 // 32 + 2, np.uint8)
-    packed = kernels.lzf.compress(kernels.as_readonly(columns, np.uint8), out)
-    return np.array([packed, len(columns)], "<u4").tobytes() + out[:packed].tobytes()
 
 
 def _flat_dtype(fields: tuple[Field, ...]) -> np.dtype[Any]:

@@ -165,8 +165,8 @@ def fields_from_dtypes(dtypes: Mapping[str, np.dtype[Any]]) -> tuple[Field, ...]
     return tuple(fields)
 
 
-def header_text(fields: tuple[Field, ...], points: int, T_world_sensor: ArrayLike | None, data: str) -> bytes:
-    """The header. Its length does not depend on the number of points, so it can be rewritten when that is known."""
+def header_text(fields: tuple[Field, ...], points: int, T_world_sensor: ArrayLike | None) -> bytes:
+    """The header of a binary file. Its length does not depend on the number of points, so it can be rewritten later."""
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
@@ -177,7 +177,7 @@ def header_text(fields: tuple[Field, ...], points: int, T_world_sensor: ArrayLik
         f"WIDTH {points:<18}",
         "HEIGHT 1",
         f"POINTS {points:<18}",
-        f"DATA {data}",
+        "DATA binary",
     ]
     if T_world_sensor is not None:
         T = np.asarray(T_world_sensor, np.float64)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.pcd_files import write_encoded
 from helpers.worlds import room
 
 from dynaviz.contracts.scan import Scan, Sequence
@@ -80,7 +81,7 @@ def test_without_a_labelled_cloud_there_are_no_labels(folder: Path) -> None:
 @pytest.mark.parametrize("data", ["ascii", "binary_compressed"])
 def test_a_labelled_cloud_in_any_encoding_is_read(folder: Path, scans: list[Scan], data: str) -> None:
     cloud = read_pcd(folder / "gt_cloud.pcd")
-    write_pcd(folder / "gt_cloud.pcd", {name: cloud[name] for name in ("x", "y", "z", "intensity")}, data=data)
+    write_encoded(folder / "gt_cloud.pcd", {name: cloud[name] for name in ("x", "y", "z", "intensity")}, data=data)
     assert_same(open_sequence(str(folder)), scans)
 
 

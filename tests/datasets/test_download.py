@@ -12,7 +12,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from helpers.worlds import room
 
@@ -148,11 +147,7 @@ def test_a_sequence_is_downloaded(
     assert summarize(dv.open(folder)).digest == summarize(dv.open(sequence)).digest
     assert dv.open(folder).sensor.name == "hdl64e"
     assert names_in(folder) == ["gt_cloud.pcd", "pcd", "sequence.toml"]
-    assert names_in(tmp_path / "data") == ["00", "00.download.json"]
-    facts = json.loads((tmp_path / "data/00.download.json").read_text())
-    assert facts["sha256"] == hashlib.sha256(archive).hexdigest()
-    assert facts["size"] == len(archive)
-    assert bool(facts["told"]) == has_record
+    assert names_in(tmp_path / "data") == ["00"]
     assert seen[-1] == ("unpack", 4, 4)
     assert server.requested_ranges == [None]
 
@@ -161,15 +156,12 @@ def test_a_broken_connection_is_resumed(server: Server, archive: bytes, tmp_path
     server.cuts = [1000, 1, 500]
     download("00", tmp_path, server.base)
     assert server.requested_ranges == [None, "bytes=1000-", "bytes=1001-", "bytes=1501-"]
-    facts = json.loads((tmp_path / "00.download.json").read_text())
-    assert facts["sha256"] == hashlib.sha256(archive).hexdigest()
 
 
 def test_a_server_without_ranges_restarts(server: Server, archive: bytes, tmp_path: Path) -> None:
     server.ranges, server.cuts = False, [len(archive) - 7, 30]
     download("00", tmp_path, server.base)
     assert [bool(requested) for requested in server.requested_ranges] == [False, True, True]
-    assert json.loads((tmp_path / "00.download.json").read_text())["size"] == len(archive)
 
 
 def test_a_later_command_resumes(server: Server, archive: bytes, tmp_path: Path) -> None:
@@ -183,7 +175,7 @@ def test_a_later_command_resumes(server: Server, archive: bytes, tmp_path: Path)
     server.cuts, server.requested_ranges = [], []
     download("00", tmp_path, server.base)
     assert server.requested_ranges == ["bytes=4000-"]
-    assert names_in(tmp_path) == ["00", "00.download.json"]
+    assert names_in(tmp_path) == ["00"]
 
 
 def test_a_complete_part_is_not_downloaded_again(server: Server, archive: bytes, tmp_path: Path) -> None:
@@ -234,25 +226,7 @@ def test_an_archive_that_differs_from_the_record_is_refused(server: Server, arch
 def test_an_unreadable_record_is_ignored(server: Server, tmp_path: Path) -> None:
     server.record = b"<html>"
     download("00", tmp_path, server.base)
-    assert json.loads((tmp_path / "00.download.json").read_text())["told"] == {}
-
-
-def test_later_downloads_are_compared_with_the_first(server: Server, archive: bytes, tmp_path: Path) -> None:
-    folder = download("00", tmp_path, server.base)
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() else path.unlink()
-    folder.rmdir()
-    download("00", tmp_path, server.base)  # the same archive
-    for path in sorted(folder.rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() else path.unlink()
-    folder.rmdir()
-    scan = (tmp_path / "x.pcd", np.zeros(3))
-    server.archive = zipped({"00/pcd/000000.pcd": repr(scan).encode()})
-    with pytest.raises(DataError, match=r"but 00\.download\.json has .*If you trust the new file, remove"):
-        download("00", tmp_path, server.base)
-    (tmp_path / "00.download.json").unlink()
-    download("00", tmp_path, server.base)
-    assert names_in(tmp_path / "00/pcd") == ["000000.pcd"]
+    assert names_in(tmp_path) == ["00"]
 
 
 @pytest.mark.parametrize(
@@ -318,10 +292,6 @@ def test_existing_files_are_not_touched(server: Server, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match=r"file: cannot be written"):
         download("00", tmp_path / "file", server.base)
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other/00.download.json").write_text("[]")
-    with pytest.raises(DataError, match=r"00\.download\.json: not a valid download record"):
-        download("00", tmp_path / "other", server.base)
     assert server.requested_ranges == []
 
 

@@ -151,38 +151,3 @@ def test_odometry_with_too_few_poses_is_reported(tmp_path: Path) -> None:
     write_odometry(tmp_path, number="01")
     with pytest.raises(DataError, match=r"several sequences: 00, 01\. Choose one, for example sequences/00"):
         open_sequence(str(tmp_path))
-
-
-def write_labelled(root: Path, frames: range, number: str) -> Path:
-    folder = write_odometry(root, frames, number, poses=False)
-    (folder / "poses.txt").write_text("".join(f"1 0 0 0 0 1 0 0 0 0 1 {frame}\n" for frame in range(frames.stop)))
-    (folder / "labels").mkdir()
-    for frame in frames:
-        np.array([252, 252, 40, 252 | 3 << 16], "<u4").tofile(folder / f"labels/{frame:06d}.label")
-    return folder
-
-
-def test_the_frames_used_in_the_papers(tmp_path: Path) -> None:
-    folder = write_labelled(tmp_path, range(149, 252), "01")
-    sequence = open_sequence(f"semantickitti_paper:{folder}")
-    assert (sequence.name, len(sequence)) == ("semantickitti_01", 101)
-    assert [sequence[0].index, sequence[100].index] == [150, 250]
-    assert len(open_sequence(str(folder))) == 103
-    (folder / "velodyne/000200.bin").unlink()
-    with pytest.raises(DataError, match=r"velodyne: sweep 000200\.bin is missing; the papers use frames 150 to 250"):
-        open_sequence(f"semantickitti_paper:{folder}")
-    other = write_labelled(tmp_path, range(2), "08")
-    with pytest.raises(DataError, match="08: not used in the papers, which use the sequences 00, 01, 02, 05, 07, 19"):
-        open_sequence(f"semantickitti_paper:{other}")
-
-
-def test_points_beyond_50_m_are_dropped(tmp_path: Path) -> None:
-    folder = write_labelled(tmp_path, range(2), "00")
-    sequence = open_sequence(f"semantickitti_50m:{folder}")
-    scan, whole = sequence[1], open_sequence(str(folder))[1]
-    assert sequence.name == "semantickitti_00_50m"
-    np.testing.assert_array_equal(scan.points, whole.points[:2])  # the last one is 50.8 m away
-    assert scan.labels.tolist() == [1, 1]  # type: ignore[union-attr]
-    assert scan.classes.tolist() == [252, 252]  # type: ignore[union-attr]
-    (folder / "labels/000001.label").unlink()
-    assert open_sequence(f"semantickitti_50m:{folder}")[1].labels.tolist() == [255, 255]  # type: ignore[union-attr]

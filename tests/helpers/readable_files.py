@@ -20,7 +20,7 @@ from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.io.boxes import read_boxes
 from dynaviz.io.calib import read_calib
 from dynaviz.io.maps import open_map
-from dynaviz.io.pcd import ENCODINGS, read_pcd, write_pcd
+from dynaviz.io.pcd import ENCODINGS, read_pcd
 from dynaviz.io.points import read_points
 from dynaviz.io.poses import read_poses
 from dynaviz.scores.regression import read_baseline, write_baseline
@@ -30,9 +30,10 @@ from dynaviz.views.read.reader import RunRecording
 from helpers.argoverse2_files import write_log
 from helpers.bags import BagWriter, at, columns
 from helpers.guessing_method import record, run_into
-from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_sweep, write_tracking
+from helpers.kitti_files import write_odometry, write_raw_drive, write_semantickitti, write_tracking
 from helpers.mos_files import write_doals, write_helimos
 from helpers.nuscenes_files import write_nuscenes
+from helpers.pcd_files import write_encoded
 from helpers.scan_folders import POSES, STAMPS, write_kitti_poses, write_scans, write_tum_poses
 from helpers.worlds import room
 
@@ -87,7 +88,7 @@ def pcd(encoding: str) -> Subject:
     def make(folder: Path) -> Path:
         random = np.random.default_rng(0)
         fields = {axis: random.normal(size=40).astype(np.float32) for axis in "xyz"}
-        write_pcd(folder / "a.pcd", {**fields, "label": np.zeros((40, 2), np.uint8)}, at(1, 2, 3, 0.5), encoding)
+        write_encoded(folder / "a.pcd", {**fields, "label": np.zeros((40, 2), np.uint8)}, at(1, 2, 3, 0.5), encoding)
         return folder / "a.pcd"
 
     def read(path: Path) -> None:
@@ -149,18 +150,6 @@ def merged_map(suffix: str) -> Subject:
         return path
 
     return Subject(make, every_scan("merged", poses="trajectory.tum"))
-
-
-def paper_frames(folder: Path) -> Path:
-    """Sequence 02 of SemanticKITTI with the frames used in the papers, two points each."""
-    root = folder / "sequences/02"
-    for frame in range(860, 951):
-        write_sweep(root / f"velodyne/{frame:06d}.bin", [(10, 0, 0), (2, 2, 0)])
-    (root / "calib.txt").write_text("Tr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
-    (root / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 951)
-    (root / "labels").mkdir()
-    np.array([40, 252], "<u4").tofile(root / "labels/000900.label")
-    return root
 
 
 def tiny_benchmark(folder: Path) -> Path:
@@ -277,15 +266,11 @@ DATASETS: dict[str, Callable[[Path], Path]] = {
     "nuscenes": keyframes,
     "rosbag": bag("ros1").make,
     "semantickitti": write_semantickitti,
-    "semantickitti_50m": write_semantickitti,
-    "semantickitti_paper": paper_frames,
 }
 """By name in the registry."""
 
 SUBJECTS: dict[str, Subject] = {
     **{name: Subject(make, every_scan(name), "**/*") for name, make in DATASETS.items()},
-    # Every tenth of its 91 frames is read, so only these and the other files are damaged.
-    "semantickitti_paper": Subject(paper_frames, every_scan("semantickitti_paper", 10), "**/*[0sb].*"),
     **{f"merged{suffix}": merged_map(suffix) for suffix in (".las", ".ply", ".pcd")},
     **{f"files{suffix}": scans_with_poses(suffix, "poses.tum") for suffix in (".npz", ".pcd", ".ply")},
     "files-csv": scans_with_poses(".bin", "poses.csv"),

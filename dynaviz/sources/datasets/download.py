@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.atomic import atomic_folder, remove, write_atomic
+from dynaviz.io.atomic import atomic_folder, remove
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets.fetch import HINT, TIMEOUT, fetch
 
@@ -65,8 +65,7 @@ def download(
     """Fetch, verify and unpack a sequence.
 
     An interrupted download is kept in ``.NAME.zip.part`` and resumed by the next attempt. Size and MD5 are checked
-    against the Zenodo record. ``NAME.download.json`` next to the sequence stores them with the SHA-256, and later
-    downloads of the same sequence are checked against it.
+    against the Zenodo record.
 
     Args:
         name: one of ``SEQUENCES``.
@@ -89,10 +88,10 @@ def download(
             f"DYNAVIZ_DOWNLOAD_URL={base}: give the address of a folder that contains {name}.zip, such as {BASE}"
         )
     out, url = Path(out), f"{base.rstrip('/')}/{name}.zip"
-    folder, part, record = out / name, out / f".{name}.zip.part", out / f"{name}.download.json"
+    folder, part = out / name, out / f".{name}.zip.part"
     if os.path.lexists(folder):
         raise DataError(folder, "already exists", hint="Use it, remove it, or choose another folder with -o")
-    recorded, published = _recorded_facts(record), _published_facts(base, name)
+    published = _published_facts(base, name)
     try:
         out.mkdir(parents=True, exist_ok=True)
         fetch(url, part, lambda done, total: progress("fetch", done, total), SEQUENCES[name].mb)
@@ -103,11 +102,8 @@ def download(
             hint = "Free disk space or choose another folder with -o"
             raise DataError(out, f"cannot be written ({error.strerror})", hint=hint) from None
         raise
-    facts = {"url": url, "size": part.stat().st_size, **_digests(part)}
-    _verify(url, part, facts, published, f"the record at {base}", f"The file was removed. {HINT}", remove_invalid=True)
-    _verify(url, part, facts, recorded, record.name, f"If you trust the new file, remove {record} and run again")
+    _verify(url, part, published, base)
     _unpack(url, part, folder, SEQUENCES[name], lambda done, total: progress("unpack", done, total))
-    write_atomic(record, json.dumps(facts | {"told": published}, indent=2).encode() + b"\n")
     remove(part)
     return folder
 
@@ -127,46 +123,25 @@ def _published_facts(base: str, name: str) -> dict[str, Any]:
         return {}  # the zip archive has checksums of its own
 
 
-def _recorded_facts(record: Path) -> dict[str, Any]:
-    """Size and SHA-256 recorded by an earlier download; empty if there is none."""
-    try:
-        facts = json.loads(record.read_bytes())
-        return {key: facts[key] for key in ("size", "sha256")}
-    except (FileNotFoundError, NotADirectoryError):
-        return {}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise DataError(record, "not a valid download record", hint="Remove it and run again") from None
-
-
-def _digests(part: Path) -> dict[str, str]:
-    """SHA-256 and MD5 digests, in a single pass over the file."""
-    hashes = {"sha256": hashlib.sha256(), "md5": hashlib.md5(usedforsecurity=False)}
-    with open(part, "rb") as file:
-        while block := file.read(_BLOCK):
-            for each in hashes.values():
-                each.update(block)
-    return {name: each.hexdigest() for name, each in hashes.items()}
-
-
-def _verify(
-    url: str,
-    part: Path,
-    facts: Mapping[str, Any],
-    expected: Mapping[str, Any],
-    source: str,
-    hint: str,
-    remove_invalid: bool = False,
-) -> None:
-    """Compare size and digests of an archive with the expected ones.
+def _verify(url: str, part: Path, published: Mapping[str, Any], base: str) -> None:
+    """Compare size and MD5 of an archive with the published ones, and remove an archive that differs.
 
     Raises:
         DataError: if they differ.
     """
-    for key, value in expected.items():
+    if not published:
+        return
+    with open(part, "rb") as file:
+        facts = {"size": part.stat().st_size, "md5": hashlib.file_digest(file, _md5).hexdigest()}
+    for key, value in published.items():
         if facts[key] != value:
-            if remove_invalid:
-                remove(part)
-            raise DataError(url, f"{key} mismatch: got {facts[key]}, but {source} has {value}", hint=hint)
+            remove(part)
+            problem = f"{key} mismatch: got {facts[key]}, but the record at {base} has {value}"
+            raise DataError(url, problem, hint=f"The file was removed. {HINT}")
+
+
+def _md5() -> Any:
+    return hashlib.md5(usedforsecurity=False)
 
 
 def _unpack(url: str, part: Path, folder: Path, remote: RemoteFile, progress: Callable[[int, int], None]) -> None:

@@ -62,7 +62,7 @@ class KittiOdometrySequence:
         """
         found = find_sequences(path)
         folder = only(found[0].parent, "sequences", {folder.name: folder for folder in found}) if found else path
-        scans = cls.select_sweeps(folder, numbered_files(folder / "velodyne", ".bin"))
+        scans = numbered_files(folder / "velodyne", ".bin")
         calib, pose_file = folder / "calib.txt", cls.pose_file(folder)
         T_camera_sensor = calib_transform(calib, read_calib(calib), "Tr", "Tr_velo_to_cam")
         T_world_camera = geometry.compose(geometry.inverse(T_camera_sensor), read_kitti_poses(pose_file))
@@ -74,11 +74,6 @@ class KittiOdometrySequence:
                 problem = f"has only {len(rows)} lines, but there is a sweep {max(scans):06d}.bin"
                 raise DataError(source, problem, hint="Each sweep needs a line. Copy the file again")
         return cls(folder, load_sensor("hdl64e"), scans, poses, times)
-
-    @classmethod
-    def select_sweeps(cls, folder: Path, scans: dict[int, Path]) -> dict[int, Path]:
-        """The sweeps of the sequence; here, all of them."""
-        return scans
 
     @property
     def name(self) -> str:
