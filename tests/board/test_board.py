@@ -163,13 +163,13 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
     study = made_study(
         tmp_path, result("dufomap", KITTI), result("erasor", KITTI), benchmark={"AA": 12.34, "SA": 23.45, "DA": 34.56}
     )
-    page = Page(registry.load("boards", "html")(study))
+    page = Page(registry.load("reports", "html")(study))
     rows = {row[0]["text"]: [cell["text"] for cell in row] for row in page.body("published-1")}
     assert rows["DUFOMap"][1:9] == ["97.96", "98.72", "98.34", "98.34", "23.45", "34.56", "12.34", "n/a"]
     assert rows["DOR fusion"][5:9] == ["–"] * 4
     assert [cell["text"] for cell in page.tables["published-1"][0][1:3]] == [
-        "published, not measured here [%]",
-        "measured here, same protocol [%]",
+        "published [%]",
+        "here, same protocol [%]",
     ]
     published = {row[k] for row in rows.values() for k in range(1, 5)}
     elsewhere = {name: table for name, table in page.tables.items() if name != "published-1"}
@@ -182,7 +182,7 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
     counts = {"TP": 30, "FP": 10, "FN": 20}
     study = made_study(tmp_path, *runs)
     scores = {run.file: {"semantickitti_mos": ProtocolScores({"IoU": 50.0}, counts)} for run in study.runs}
-    text = registry.load("boards", "html")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
+    text = registry.load("reports", "html")(Study(study.runs, tmp_path, protocols=study.protocols, scores=scores))
     page = Page(text)
     assert not any(name.startswith("across") and name.endswith("nn") for name in page.tables)  # a single sequence
     rows = {row[0]["text"]: [cell["text"] for cell in row[1:]] for row in page.body("across-semantickitti_mos-mask")}

@@ -67,7 +67,7 @@ def write_board(folder: Path, out: Path, finder: SequenceFinder, progress: Progr
     remarks = {file: entry.remark for file, entry in entries.items() if entry.remark}
     study = Study(runs, out, progress, protocols, scores, remarks)
     board = BoardFile(dynaviz=version(), entries=tuple(entries.values()))
-    write_atomic(out / PAGE, registry.load("boards", "html")(study).encode())
+    write_atomic(out / PAGE, registry.load("reports", "html")(study).encode())
     save_board(out / FILE, board)
     return Written(out / PAGE, board, rescored)
 

@@ -32,7 +32,7 @@ def html_report(study: Study) -> str:
         study.progress("drawing", number + 2, steps)
     scores, speed = figures.scores(content.boards), figures.speed(content.boards)
     runs = {label: commands(study, rows) for (label, _), rows in by_method(content.boards).items()}
-    return rendered("page.html.jinja", content=content, scores=scores, speed=speed, parts=parts, runs=runs)
+    return _rendered(content=content, scores=scores, speed=speed, parts=parts, runs=runs)
 
 
 def commands(study: Study, rows: Sequence[ScoreRow]) -> list[dict[str, str]]:
@@ -48,16 +48,14 @@ def commands(study: Study, rows: Sequence[ScoreRow]) -> list[dict[str, str]]:
     ]
 
 
-def rendered(template: str, **values: Any) -> str:
-    """A page from a template in this folder; templates may extend each other."""
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
+def _rendered(**values: Any) -> str:
+    """The page from its template."""
+    from jinja2 import Environment, StrictUndefined
 
-    loader = FunctionLoader(lambda name: resources.files(__package__).joinpath(name).read_text("utf-8"))
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"groupwise": groupwise, "starts": starts}
-    return environment.get_template(template).render(**values) + "\n"
+    template = resources.files(__package__).joinpath("page.html.jinja").read_text("utf-8")
+    return environment.from_string(template).render(**values) + "\n"
 
 
 def _part(study: Study, board: ScoreBoard, of_board: BoardTables, number: int) -> dict[str, object]:

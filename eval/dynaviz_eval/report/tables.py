@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from dynaviz.reports.reporting import Study
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import SCORES
+from dynaviz_eval.protocols.points import PublicBenchmark
 from dynaviz_eval.published import Match, matching, published, published_runtimes
 from dynaviz_eval.report.boards import (
     ERRORS,
@@ -24,6 +25,7 @@ from dynaviz_eval.report.boards import (
     n_parameters,
     setting,
 )
+from dynaviz_eval.report.by_protocol import ByProtocol, protocol_table
 from dynaviz_eval.report.errors import cause_table, interval_table
 from dynaviz_eval.report.objects import object_table
 from dynaviz_eval.report.removal_tables import removal_table
@@ -38,6 +40,7 @@ class BoardTables:
     """The tables of one sequence and scoring; those that do not apply have no rows.
 
     Attributes:
+        main, scores: the main score under each protocol, and all scores.
         published: published numbers next to the board's own.
         removals: removed points of runs without ground truth.
         cases: the places at which methods fail; ``case_list``: the same as a table.
@@ -45,6 +48,8 @@ class BoardTables:
         range, height: accuracy by range from the sensor, and by height above the ground.
     """
 
+    main: Table
+    scores: Table
     published: Table | None
     removals: Table
     cases: Sequence[SharedCase]
@@ -56,8 +61,8 @@ class BoardTables:
     @property
     def every(self) -> list[Table]:
         """All tables with rows, in the order of a report."""
-        tables = (self.published, self.removals, self.case_list, self.objects, self.range, self.height)
-        return [table for table in tables if table and table.rows]
+        first = (self.main, self.scores, self.published, self.removals, self.case_list)
+        return [table for table in (*first, self.objects, self.range, self.height) if table and table.rows]
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,7 @@ class Tables:
         headline: what was compared, and the best of each board, as sentences.
         boards: one per sequence and scoring; ``combined``: all sequences combined.
         glance: the overview.
+        across: sequences by methods, a table for each protocol; ``protocols``: what each protocol counts.
         accuracy, runtime: the paper's two.
         failures: the accuracy lost to each cause.
         by_board: the tables of each board.
@@ -78,6 +84,8 @@ class Tables:
     boards: Sequence[ScoreBoard]
     combined: Sequence[ScoreBoard]
     glance: Table
+    across: Sequence[Table]
+    protocols: Table
     accuracy: Table
     runtime: Table
     failures: Table
@@ -89,23 +97,26 @@ class Tables:
     def every(self) -> list[Table]:
         """All tables with rows, in the order of a report."""
         of_boards = [table for board in self.by_board for table in board.every]
-        tables = (self.glance, self.failures, self.accuracy, self.runtime, *of_boards, self.failed, self.runs)
-        return [table for table in tables if table.rows]
+        first = (self.glance, *self.across, self.failures, self.accuracy, self.runtime)
+        return [table for table in (*first, *of_boards, self.protocols, self.failed, self.runs) if table.rows]
 
 
 def tables(study: Study) -> Tables:
     """Make all tables of a study."""
     single = boards(study)
     combined, notes = combined_boards(study, _with_truth(single))
+    scores = ByProtocol.of(study, single)
     return Tables(
-        _headline(study, single, combined),
+        [_headline(study, single), *(scores.best_of_each() if scores.infos else _best_of_each([*combined, *single]))],
         single,
         combined,
         _glance(_with_truth(single), combined),
+        scores.across(),
+        protocol_table(scores.infos),
         _accuracy([*combined, *_with_truth(single)], notes),
         _runtime(single, combined),
         cause_table(single, _order(single, combined)),
-        [_of_board(board, number) for number, board in enumerate(single, 1)],
+        [_of_board(scores, board, number) for number, board in enumerate(single, 1)],
         failed_table(study),
         _runs(study, single),
     )
@@ -115,10 +126,12 @@ def _with_truth(boards: Sequence[ScoreBoard]) -> list[ScoreBoard]:
     return [board for board in boards if board.has_truth]
 
 
-def _of_board(board: ScoreBoard, number: int) -> BoardTables:
+def _of_board(scores: ByProtocol, board: ScoreBoard, number: int) -> BoardTables:
     cases = shared_cases(board)
     return BoardTables(
-        _public(board, number),
+        scores.main_scores(board, number),
+        scores.all_scores(board, number),
+        _public(scores, board, number),
         removal_table(board, number),
         cases,
         case_table(board, cases, number),
@@ -142,7 +155,7 @@ def _order(single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list
     return list(dict.fromkeys(row.label for board in [*combined, *single] for row in board.rows))
 
 
-def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[ScoreBoard]) -> list[str]:
+def _headline(study: Study, single: Sequence[ScoreBoard]) -> str:
     methods = {run.method for run in study.runs}
     known = {board.sequence.name for board in single}
     sequences = {board.sequence.digest for board in single} | {
@@ -150,13 +163,18 @@ def _headline(study: Study, single: Sequence[ScoreBoard], combined: Sequence[Sco
     }
     failed = sum(run.result is None for run in study.runs)
     scorings = " and ".join(dict.fromkeys(board.scoring for board in single))
-    lines = [
+    return (
         f"{many(len(study.runs), 'run')} of {many(len(methods), 'method')} on "
         f"{many(len(sequences), 'sequence')}."
         + (f" Scoring: {scorings}." if scorings else "")
         + (f" {many(failed, 'run')} failed." if failed else "")
-    ]
-    for board in [*combined, *single]:
+    )
+
+
+def _best_of_each(boards: Sequence[ScoreBoard]) -> list[str]:
+    """The best AA of each board, as sentences."""
+    lines = []
+    for board in boards:
         best, aa = sorted(board.best("AA")), [row.score("AA") for row in board.rows]
         if best:
             lines.append(f"Best on {board.title}: {' and '.join(best)}, AA {percent(aa[0]).text} %.")
@@ -282,21 +300,26 @@ def match(board: ScoreBoard) -> Match | None:
     return matching(board.sequence, [row.index for row in breakdown.frame] if breakdown else [])
 
 
-def _public(board: ScoreBoard, number: int) -> Table | None:
-    """Published numbers next to the board's own."""
+def _public(scores: ByProtocol, board: ScoreBoard, number: int) -> Table | None:
+    """Published numbers next to the board's own, which are counted as the public benchmark does if they can be."""
     known = match(board)
     if known is None:
         return None
+    same = PublicBenchmark.info in scores.infos
+    here = "here, same protocol [%]" if same else f"here, {board.scoring} [%]"
     columns = [Column("method", number=False)]
     columns += [Column(name, "published [%]", main=name == "AA") for name in SCORES]
-    columns += [Column(name, f"here, {board.scoring} [%]", main=name == "AA") for name in SCORES]
+    columns += [Column(name, here, main=name == "AA") for name in SCORES]
     columns += [Column("seconds per frame", "published"), Column("source")]
     rows = []
     sources = list(dict.fromkeys(row.source for row in published(known.name)))
     speeds = {speed.method: speed for speed in published_runtimes() if speed.sequence == known.name}
     for row in published(known.name):
         ours = next((r for r in board.rows if r.result.method == row.method and r.result.online == row.online), None)
-        values = [percent(ours.score(name)) if ours else Value(ABSENT) for name in SCORES]
+        values = [Value(ABSENT)] * len(SCORES)
+        if ours:
+            mine = (scores.score(ours, PublicBenchmark.info, name) if same else ours.score(name) for name in SCORES)
+            values = [*map(percent, mine)]
         theirs = [percent(getattr(row, name)) for name in SCORES]
         speed = speeds.get(row.method)
         took = (
@@ -307,10 +330,14 @@ def _public(board: ScoreBoard, number: int) -> Table | None:
         rows.append([named(row.title), *theirs, *values, took, count(sources.index(row.source) + 1)])
     notes = [
         known.doubt + ("" if known.same else " The published numbers are for different points."),
-        "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by other programs; "
-        "compared with mask scores, they are only a rough guide. Poses and parameters may differ. Published seconds: "
-        "Intel i9-12900KF.",
+        "Published scores were copied from their sources and enter no other table or rank. Poses and parameters may "
+        "differ. Published seconds: Intel i9-12900KF.",
     ]
+    if not same:
+        notes.append(
+            "Published scores were computed by nearest neighbour (nn, 0.05 m) from maps written by other programs; "
+            "compared with mask scores, they are only a rough guide."
+        )
     notes.append("Sources: " + "; ".join(f"{number} {source}" for number, source in enumerate(sources, 1)) + ".")
     if any(sum(r.result.method == row.result.method for r in board.rows) > 1 for row in board.rows):
         notes.append("Of several variants of a method, the one with the best AA is shown.")
@@ -352,6 +379,8 @@ def _runs(study: Study, single: Sequence[ScoreBoard]) -> Table:
             ]
         )
     notes = ["Labels: the first digits of the digest of all labels; runs with equal digests have equal labels."]
+    if study.protocols:
+        notes.append("board.json next to this page has all digests in full, all counts, and the parameters.")
     if any(row[-1].link for row in rows):
         notes.append("To view a recording: dynaviz view PATH. To compare two: dynaviz compare PATH PATH.")
     return Table("runs", "All runs", columns, rows, notes)
