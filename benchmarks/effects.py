@@ -10,20 +10,20 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dynaviz.contracts import params, registry
-from dynaviz.contracts.scan import Label, Scan
-from dynaviz.contracts.sensors import Sensor
-from dynaviz.engine.loop import Listener, RunSpec, execute
+import dynaviz as dv
+from dynaviz.contracts import registry
+from dynaviz.contracts.scan import Label
 from dynaviz.synthetic.simulate.effects import BEHAVIOUR
 from dynaviz.synthetic.simulate.options import Chosen
 from dynaviz.synthetic.simulate.presets import PRESETS, REAL
 from dynaviz.synthetic.simulate.sequence import SimulatedSequence
+from dynaviz.testing import InMemory
 
 FRAMES, SPEED, SEED = 20, 8.0, 3
 
@@ -65,52 +65,20 @@ ROWS: Mapping[str, dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """A sequence in memory."""
-
-    name: str
-    scans: list[Scan]
-    sensor: Sensor
-    has_labels: bool = True
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.scans[position]
-
-
-class Counts(Listener):
-    """Static points, those kept of them, dynamic points, those removed."""
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(4, np.int64)
-
-    def labelled(self, labelled: Any, curves: Any) -> None:
-        """Count a frame."""
-        truth, removed = labelled.scan.labels, labelled.dynamic
-        static, dynamic = truth == Label.STATIC, truth == Label.DYNAMIC
-        self.counts += [static.sum(), (static & ~removed).sum(), dynamic.sum(), (dynamic & removed).sum()]
-
-
-def scene(name: str, changed: dict[str, Any]) -> Simulated:
+def scene(name: str, changed: dict[str, Any]) -> InMemory:
     """The street with some effects."""
     plain = PRESETS["demo"]
     preset = replace(plain, speed=SPEED, effects=replace(plain.effects, **changed))
     if "drift_m" in changed and "jitter_m" in changed:
         preset = replace(preset, pose_noise=(0.0, 0.0))  # as in the presets: drift and jitter replace the slow errors
     sequence = SimulatedSequence(Chosen(preset, FRAMES, SEED, name))
-    return Simulated(name, [sequence[k] for k in range(FRAMES)], sequence.sensor)
+    return InMemory([sequence[k] for k in range(FRAMES)], name, sequence.sensor)
 
 
-def run(method: str, sequence: Simulated) -> tuple[float, float]:
+def run(method: str, sequence: InMemory) -> tuple[float, float]:
     """SA and DA of a method, percent."""
-    kind, counts = registry.load("methods", method), Counts()
-    resolved = params.resolve(kind)
-    execute(RunSpec(kind(resolved.params), sequence, resolved.params, online=bool(resolved.online)), [counts])
-    static, kept, dynamic, removed = counts.counts.tolist()
-    return 100 * kept / max(static, 1), 100 * removed / max(dynamic, 1)
+    metrics = dv.run(method, sequence, record="none", maps=False).metrics
+    return metrics["SA"] or 0.0, metrics["DA"] or 0.0
 
 
 def table(results: Mapping[str, Any]) -> str:
