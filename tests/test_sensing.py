@@ -159,9 +159,9 @@ def test_a_sensor_from_a_file(tmp_path: Path) -> None:
     assert load_sensor(str(file)) == Sensor("mine", "Mine", 20, (-20.0, 20.0), height=1)
     for text, message in [
         ("ringz = 3", "a sensor has no 'ringz'"),
-        ("rings = 2.5", "invalid rings = 2.5"),
+        ("rings = 2.5", "is not a sensor: Expected `int"),
         ("elevation = [20.0, -20.0]", "invalid elevation"),
-        ("height = -1", "invalid height"),
+        ("height = -1", "is not a sensor: Expected `float` >= 0"),
         ("rings = ", "cannot be read"),
     ]:
         (tmp_path / f"{len(message)}.toml").write_text(text)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import I64
-from dynaviz.errors import DynavizError
+from dynaviz_eval.spool import store
 
 HELD = 250_000  # records that a metric keeps in memory before it stores them as a run
 _STEP = 1024  # records between two keys of a run that stay in memory
@@ -55,15 +55,7 @@ class SortedRuns:
         rest = memoryview(records.view(np.uint8))  # type: ignore[arg-type]
         self._end += len(rest)
         self._file.seek(0, 2)
-        try:
-            while len(rest):
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            where, size = tempfile.gettempdir(), self._end / 1e6
-            raise DynavizError(
-                f"{where}: cannot write {size:.0f} MB of temporary voxels ({error.strerror}). "
-                "Free some space, or set TMPDIR to a folder on a larger disk."
-            ) from None
+        store(self._file, rest, self._end, "voxels")
 
     def between(self, low: int, high: int) -> NDArray[Any]:
         """Records with low <= key < high of all runs, in any order."""

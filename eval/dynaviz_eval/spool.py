@@ -6,6 +6,7 @@ import tempfile
 import weakref
 from array import array
 from collections.abc import Iterator
+from typing import IO
 
 import numpy as np
 
@@ -13,6 +14,28 @@ from dynaviz.arrays import F32, F64, I64
 from dynaviz.errors import DynavizError
 
 FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
+
+
+def store(file: IO[bytes], rest: memoryview, size: int, what: str) -> None:
+    """Write bytes to a temporary file.
+
+    Args:
+        file: unbuffered, at its end.
+        rest: the bytes.
+        size: of the file with them, bytes; for the error.
+        what: what the file contains, for the error.
+
+    Raises:
+        DynavizError: if the disk is full.
+    """
+    try:
+        while len(rest):
+            rest = rest[file.write(rest) :]
+    except OSError as error:
+        raise DynavizError(
+            f"{tempfile.gettempdir()}: cannot write {size / 1e6:.0f} MB of temporary {what} ({error.strerror}). "
+            "Free some space, or set TMPDIR to a folder on a larger disk."
+        ) from None
 
 
 class PointSpool:
@@ -42,15 +65,7 @@ class PointSpool:
         self._spans.extend([frame, self._end, len(points), *low, *high])
         self._end += len(rest)
         self.points += len(points)
-        try:
-            while len(rest):
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            where, size = tempfile.gettempdir(), self._end / 1e6
-            raise DynavizError(
-                f"{where}: cannot write {size:.0f} MB of temporary points ({error.strerror}). "
-                "Free some space, or set TMPDIR to a folder on a larger disk."
-            ) from None
+        store(self._file, rest, self._end, "points")
 
     def bounds(self) -> tuple[F64, F64]:
         """Low and high corner, (3,) float64 each. Needs at least one point."""

@@ -126,44 +126,20 @@ STEPS = (
 OUTCOMES = ("in scan", *STEPS[1:])  # of a slice of the map that is in a scan's window
 REMOVED = len(OUTCOMES) - 1
 HEIGHT = (0.0, 6.0)
+_SLICES = {
+    "map_slices": "Occupied slices of the map in this scan's window",
+    "scan_slices": "Slices of the map that this scan sees",
+    "near_sensor": "Unseen slices kept: too near the sensor",
+    "ground_not_seen": "Unseen slices kept: far away, and no ground is seen",
+    "above_highest_seen": "Unseen slices kept: above the highest seen slice",
+    "above_view": "Unseen slices kept: above the field of view",
+    "ground_slice": "Unseen slices kept: the lowest of their columns",
+    "overhang": "Unseen slices kept: above a gap",
+    "ray_blocked": "Unseen slices kept: view of them is blocked",
+    "removed": "Unseen slices that this scan removes",
+}
 STATES = (
-    State(
-        "map_slices",
-        Voxels,
-        "Occupied slices of the map in this scan's window; slices above the base",
-        value_range=HEIGHT,
-    ),
-    State("scan_slices", Voxels, "Slices of the map that this scan sees; slices above the base", value_range=HEIGHT),
-    State("near_sensor", Voxels, "Unseen slices kept: too near the sensor; slices above the base", value_range=HEIGHT),
-    State(
-        "ground_not_seen",
-        Voxels,
-        "Unseen slices kept: far away, and no ground is seen; slices above the base",
-        value_range=HEIGHT,
-    ),
-    State(
-        "above_highest_seen",
-        Voxels,
-        "Unseen slices kept: above the highest seen slice; slices above the base",
-        value_range=HEIGHT,
-    ),
-    State(
-        "above_view", Voxels, "Unseen slices kept: above the field of view; slices above the base", value_range=HEIGHT
-    ),
-    State(
-        "ground_slice",
-        Voxels,
-        "Unseen slices kept: the lowest of their columns; slices above the base",
-        value_range=HEIGHT,
-    ),
-    State("overhang", Voxels, "Unseen slices kept: above a gap; slices above the base", value_range=HEIGHT),
-    State(
-        "ray_blocked",
-        Voxels,
-        "Unseen slices kept: view of them is blocked; slices above the base",
-        value_range=HEIGHT,
-    ),
-    State("removed", Voxels, "Unseen slices that this scan removes; slices above the base", value_range=HEIGHT),
+    *(State(name, Voxels, f"{text}; slices above the base", value_range=HEIGHT) for name, text in _SLICES.items()),
     State("fine_ground", Mask, "Points kept as the ground of a split slice, by the scans so far"),
     State("view_slope", Scalar, "Upper edge of the field of view: metres of height per metre of distance"),
 )

@@ -8,9 +8,17 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
 
 from dynaviz.errors import DataError, UsageError
+
+Count = Annotated[int, Meta(gt=0, lt=10**9)]
+Finite = Annotated[float, Meta(gt=-1e9, lt=1e9)]
+Positive = Annotated[float, Meta(ge=0, lt=1e9)]
+Mount = Annotated[tuple[Finite, ...], Meta(min_length=6, max_length=6)]
 
 
 @dataclass(frozen=True)
@@ -37,18 +45,18 @@ class Sensor:
 
     name: str = "unknown"
     title: str = "unknown sensor"
-    rings: int | None = None
-    elevation: tuple[float, float] | None = None
-    elevations: tuple[float, ...] = ()
-    azimuth: tuple[float, float] = (-180.0, 180.0)
-    azimuth_step: float | None = None
-    height: float | None = None
-    min_range: float = 0.0
-    max_range: float | None = None
-    range_noise: float | None = None
-    rate: float | None = None
-    points_per_sweep: int | None = None
-    mounts: tuple[tuple[float, ...], ...] = field(default=())
+    rings: Count | None = None
+    elevation: tuple[Finite, Finite] | None = None
+    elevations: tuple[Finite, ...] = ()
+    azimuth: tuple[Finite, Finite] = (-180.0, 180.0)
+    azimuth_step: Positive | None = None
+    height: Positive | None = None
+    min_range: Positive = 0.0
+    max_range: Positive | None = None
+    range_noise: Positive | None = None
+    rate: Positive | None = None
+    points_per_sweep: Count | None = None
+    mounts: tuple[Mount, ...] = field(default=())
     carrier: tuple[tuple[int, int, int], ...] = field(default=())
 
 
@@ -82,39 +90,19 @@ def _read(path: Path) -> Sensor:
         facts = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, f"cannot be read ({error})", hint=hint) from None
-    for key, value in facts.items():
+    for key in facts:
         if key not in known:
             raise DataError(path, f"a sensor has no '{key}'", hint=hint)
-        if not _valid(key, value):
-            raise DataError(path, f"invalid {key} = {value!r}", hint=hint)
-    return _sensor(path.stem, facts)
-
-
-def _valid(key: str, value: Any) -> bool:
-    """Whether a value of a sensor file has the right type and sign."""
-
-    def numbers(each: Any, count: int | None = None) -> bool:
-        listed = isinstance(each, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in each)
-        return listed and count in (None, len(each))
-
-    if key == "title":
-        return isinstance(value, str)
-    if key in ("elevation", "azimuth"):
-        return numbers(value, 2) and value[0] < value[1]
-    if key == "elevations":
-        return numbers(value)
-    if key == "carrier":
-        return isinstance(value, list) and all(numbers(row, 3) and all(type(x) is int for x in row) for row in value)
-    if key == "mounts":
-        return isinstance(value, list) and all(numbers(row, 6) for row in value)
-    if key in ("rings", "points_per_sweep"):
-        return type(value) is int and 0 < value < 1e9
-    return numbers([value]) and value >= 0
+    try:
+        sensor = _sensor(path.stem, facts)
+    except msgspec.ValidationError as error:
+        raise DataError(path, f"is not a sensor: {error}", hint=hint) from None
+    for name, span in (("elevation", sensor.elevation), ("azimuth", sensor.azimuth)):
+        if span and not span[0] < span[1]:
+            raise DataError(path, f"invalid {name} = {list(span)}: give ascending degrees", hint=hint)
+    return sensor
 
 
 def _sensor(name: str, facts: dict[str, Any]) -> Sensor:
-    """A sensor with lists as tuples."""
-    for key, value in facts.items():
-        if isinstance(value, list):
-            facts[key] = tuple(tuple(v) if isinstance(v, list) else v for v in value)
-    return Sensor(name=name, **facts)
+    """A sensor from the content of its file; raises msgspec.ValidationError for a wrong type or sign."""
+    return msgspec.convert({**facts, "name": name}, Sensor)

@@ -1,4 +1,4 @@
-"""Helpers shared by the formats: numbered files, and choosing the only candidate."""
+"""Helpers shared by the formats: numbered sweeps, and choosing the only candidate."""
 
 from __future__ import annotations
 
@@ -6,9 +6,32 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
+from dynaviz.contracts.attributes import Attributes
 from dynaviz.errors import DataError
+from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
 
 T = TypeVar("T")
+
+
+class VelodyneSweeps:
+    """Frames that are numbered ``.bin`` files; ``scans`` are these files by number, in order."""
+
+    scans: dict[int, Path]
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def index_of(self, position: int) -> int:
+        """The number of the frame at a position."""
+        return list(self.scans)[position]
+
+    def scan_file(self, index: int) -> Path | None:
+        """The file of the frame with this number."""
+        return self.scans.get(index)
+
+    def attributes(self, position: int) -> Attributes:
+        """The intensity."""
+        return velodyne_attributes(read_velodyne(self.scans[self.index_of(position)]))
 
 
 def has_files(folder: Path, pattern: str) -> bool:

@@ -7,20 +7,19 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.calib import calib_transform, read_calib
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.text import read_table
-from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
-from dynaviz.sources.datasets.files import has_files, numbered_files, only
+from dynaviz.io.velodyne import read_velodyne
+from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only
 from dynaviz.spatial import geometry
 
 
 @dataclass(frozen=True)
-class KittiOdometrySequence:
+class KittiOdometrySequence(VelodyneSweeps):
     """A sequence of KITTI odometry, which has no ground truth.
 
     The world frame is the sensor frame at the first pose: x forward, y left, z up. Camera poses are converted to sensor
@@ -85,15 +84,8 @@ class KittiOdometrySequence:
         """False: the data set has no labels."""
         return False
 
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def scan_file(self, index: int) -> Path | None:
-        """The file of the frame with this number."""
-        return self.scans.get(index)
-
     def __getitem__(self, position: int) -> Scan:
-        index = list(self.scans)[position]
+        index = self.index_of(position)
         xyz = self.sweep(index)
         T_world_sensor = self.poses[index]
         return Scan(
@@ -103,10 +95,6 @@ class KittiOdometrySequence:
             stamp_ns=None if self.times is None else round(self.times[index] * 1e9),
             **self.truth(index, xyz),
         )
-
-    def attributes(self, position: int) -> Attributes:
-        """The intensity."""
-        return velodyne_attributes(read_velodyne(self.scans[list(self.scans)[position]]))
 
     def sweep(self, index: int) -> F32:
         """Points of a frame: (N, 3) float32, metres, sensor frame."""

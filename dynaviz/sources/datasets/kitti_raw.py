@@ -9,7 +9,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -17,10 +16,10 @@ from dynaviz.io.atomic import open_file
 from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.tracklets import Tracklet, read_tracklets
-from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
+from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.sources.datasets.camera import Camera
-from dynaviz.sources.datasets.files import has_files, numbered_files, only
+from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only
 from dynaviz.sources.datasets.kitti_tracking import CATEGORIES, CLASS_NAMES, SWEEP_PERIOD
 from dynaviz.sources.datasets.truth import scan_fields
 from dynaviz.spatial import geometry
@@ -30,7 +29,7 @@ _TIME_HINT = "Each line is a time such as 2011-09-26 13:02:25.594360375"
 
 
 @dataclass(frozen=True)
-class KittiRawSequence:
+class KittiRawSequence(VelodyneSweeps):
     """A drive of KITTI raw. The world frame is the sensor frame at the first record: x forward, y left, z up.
 
     Poses come from the GPS and inertial unit. If there is a ``tracklet_labels.xml``, points in the box of a moving
@@ -98,19 +97,8 @@ class KittiRawSequence:
         """Number of objects with boxes."""
         return track_facts({box.track for boxes in self.boxes.values() for box in boxes}, self.moving)
 
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def scan_file(self, index: int) -> Path | None:
-        """The file of the frame with this number."""
-        return self.scans.get(index)
-
-    def attributes(self, position: int) -> Attributes:
-        """The intensity."""
-        return velodyne_attributes(read_velodyne(self.scans[list(self.scans)[position]]))
-
     def __getitem__(self, position: int) -> Scan:
-        index = list(self.scans)[position]
+        index = self.index_of(position)
         xyz = read_velodyne(self.scans[index])[:, :3].astype(np.float64)
         T_world_sensor = self.poses[index]
         truth = None

@@ -11,17 +11,16 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynaviz.arrays import F64
-from dynaviz.contracts.attributes import Attributes
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import REGION, TrackBox, read_boxes
 from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
-from dynaviz.io.velodyne import read_velodyne, velodyne_attributes
+from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.sources.datasets.camera import Camera
-from dynaviz.sources.datasets.files import has_files, numbered_files, only_folder
+from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only_folder
 from dynaviz.sources.datasets.truth import Truth, scan_fields
 from dynaviz.spatial import geometry
 
@@ -32,7 +31,7 @@ SWEEP_PERIOD = 0.1036  # seconds between two sweeps
 
 
 @dataclass(frozen=True)
-class KittiTrackingSequence:
+class KittiTrackingSequence(VelodyneSweeps):
     """A sequence of KITTI tracking. The world frame is the sensor frame at frame 0: x forward, y left, z up.
 
     Ground truth comes from boxes: points in the box of a moving track are dynamic, other points in the image of camera
@@ -95,19 +94,8 @@ class KittiTrackingSequence:
         """Number of objects with boxes."""
         return track_facts({box.track for boxes in (self.boxes or {}).values() for box in boxes} - {-1}, self.moving)
 
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def scan_file(self, index: int) -> Path | None:
-        """The file of the frame with this number."""
-        return self.scans.get(index)
-
-    def attributes(self, position: int) -> Attributes:
-        """The intensity."""
-        return velodyne_attributes(read_velodyne(self.scans[list(self.scans)[position]]))
-
     def __getitem__(self, position: int) -> Scan:
-        index = list(self.scans)[position]
+        index = self.index_of(position)
         xyz = read_velodyne(self.scans[index])[:, :3]
         T_world_sensor = self.poses[index]
         points = geometry.transform(T_world_sensor, xyz)

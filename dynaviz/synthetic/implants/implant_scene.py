@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
@@ -173,53 +174,50 @@ class ImplantScene:
         if table.get("format") != FORMAT:
             raise DataError(path, f"has format = {table.get('format')!r}, expected {FORMAT}", hint=_HINT)
         try:
-            return cls(
-                seed=_whole(table["seed"]),
-                range_noise=_between(table["range_noise"], 0, 10),
-                drop_out=_between(table["drop_out"], 0, 1),
-                sky_rays=bool(table["sky_rays"]),
-                implants=tuple(_implant(mover) for mover in table.get("movers", [])),
-                rate=_between(table.get("rate", 10.0), 1e-3, 1e6),
-                start_ns=_whole(table["start_ns"]) if "start_ns" in table else None,
-                sequence=str(table.get("sequence", "")),
-            )
-        except KeyError as error:
-            raise DataError(path, f"has no entry {error}", hint=_HINT) from None
-        except (TypeError, ValueError) as error:
+            found = msgspec.convert(table, _SceneFile)
+        except msgspec.ValidationError as error:
             raise DataError(path, f"is invalid: {error}", hint=_HINT) from None
+        movers = tuple(
+            Implant(m.kind, m.instance, m.shape, np.array(m.path), np.array(m.schedule), m.note) for m in found.movers
+        )
+        measured = found.seed, found.range_noise, found.drop_out, found.sky_rays
+        return cls(*measured, movers, found.rate, found.start_ns, found.sequence)
+
+
+class _MoverFile(Struct):
+    """A mover in a scene file."""
+
+    kind: Literal["car", "truck", "cyclist", "person"]
+    instance: Annotated[int, Meta(ge=1, lt=1 << 31)]
+    shape: Annotated[int, Meta(ge=0)]
+    path: Annotated[list[tuple[float, float, float]], Meta(min_length=2)]
+    schedule: Annotated[list[tuple[float, float]], Meta(min_length=1)]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        path, schedule = np.array(self.path), np.array(self.schedule)
+        if not (np.isfinite(path).all() and np.isfinite(schedule).all()):
+            raise ValueError("path and schedule must be finite")
+        if not (np.diff(path[:, :2], axis=0) != 0).any(1).all():
+            raise ValueError("path contains the same place twice in a row")
+        if (np.diff(schedule, axis=0) < 0).any():
+            raise ValueError("schedule must not decrease")
+
+
+class _SceneFile(Struct):
+    """A scene file; the fields are those of ``ImplantScene``."""
+
+    seed: int
+    range_noise: Annotated[float, Meta(ge=0, le=10)]
+    drop_out: Annotated[float, Meta(ge=0, le=1)]
+    sky_rays: bool
+    movers: tuple[_MoverFile, ...] = ()
+    rate: Annotated[float, Meta(ge=1e-3, le=1e6)] = 10.0
+    start_ns: int | None = None
+    sequence: str = ""
 
 
 def _inline(value: Any) -> str:
     if isinstance(value, str):
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return repr(value)
-
-
-def _implant(mover: Mapping[str, Any]) -> Implant:
-    if mover["kind"] not in CLASSES:
-        raise ValueError(f"kind = {mover['kind']!r}; give one of {', '.join(CLASSES)}")
-    path, schedule = (np.array(mover[key], np.float64) for key in ("path", "schedule"))
-    if path.ndim != 2 or path.shape[1] != 3 or len(path) < 2 or not np.isfinite(path).all():
-        raise ValueError("path must be a list of at least two [x, y, z] in metres")
-    if not (np.diff(path[:, :2], axis=0) != 0).any(1).all():
-        raise ValueError("path contains the same place twice in a row")
-    if schedule.ndim != 2 or schedule.shape[1] != 2 or not len(schedule) or not np.isfinite(schedule).all():
-        raise ValueError("schedule must be a list of [seconds, metres]")
-    if (np.diff(schedule, axis=0) < 0).any():
-        raise ValueError("schedule must not decrease")
-    instance, shape = _whole(mover["instance"]), _whole(mover["shape"])
-    if not 0 < instance < 2**31 or shape < 0:
-        raise ValueError("instance must be from 1 to 2^31 - 1, and shape at least 0")
-    return Implant(mover["kind"], instance, shape, path, schedule, str(mover.get("note", "")))
-
-
-def _whole(value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise TypeError(f"{value!r} is not a whole number")
-    return value
-
-
-def _between(value: Any, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise ValueError(f"{value!r} is not a number from {low} to {high}")
-    return float(value)
