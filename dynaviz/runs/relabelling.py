@@ -20,7 +20,7 @@ from dynaviz.io.plain_json import read_json
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.rescore import rescore as score_again
 from dynaviz.runs.run import open_run
-from dynaviz.scores.scores import SCORES, accuracies
+from dynaviz.scores.counts import Counts
 from dynaviz.sources.opening import Source
 
 FILE = "corrections.json"
@@ -93,7 +93,7 @@ class CorrectedScores:
     """Scores of a run before and after its corrections.
 
     Attributes:
-        before, after: SA, DA, AA and HA in percent; None where undefined.
+        before, after: SA, DA, AA, HA, precision and IoU in percent; None where undefined.
         corrections: how many there are.
         points: how many points got another truth.
     """
@@ -187,11 +187,5 @@ def rescore(
     if again.sequence_digest != result.sequence.digest:
         problem = f"is from a different sequence than {opened.name}"
         raise DataError(saved.path, problem, hint="Give the sequence of the run with --sequence")
-    return CorrectedScores(_scores(result.counts), _scores(again.counts), len(corrections.corrections), changed)
-
-
-def _scores(counts: Mapping[str, int]) -> dict[str, float | None]:
-    """SA, DA, AA and HA from the counts of a result."""
-    kept, removed = counts["static_kept"], counts["dynamic_removed"]
-    found = accuracies(kept, kept + counts["static_removed"], removed, removed + counts["dynamic_kept"])
-    return {name: None if np.isnan(found[name]) else float(found[name]) for name in SCORES}
+    before = Counts(**result.counts).metrics()
+    return CorrectedScores(before, again.counts.metrics(), len(corrections.corrections), changed)

@@ -10,8 +10,8 @@ import numpy as np
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.counts import Counts
 from dynaviz.scores.scores import percentage_points_lost
-from dynaviz_eval.confusion import Counts
 
 _CODES = 256
 _KINDS = {

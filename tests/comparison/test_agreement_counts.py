@@ -22,8 +22,8 @@ from dynaviz.scores.comparison.counts import (
     scores,
     spatial_gains,
 )
+from dynaviz.scores.counts import Counts
 from dynaviz.scores.scores import SCORES
-from dynaviz_eval.confusion import Counts
 
 
 @settings(deadline=None, max_examples=40)

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
+from dynaviz.scores.counts import Counts
 from dynaviz_eval.breakdown import BreakdownMetric
-from dynaviz_eval.confusion import Counts
 from dynaviz_eval.ground import heights_above_ground
 
 pytestmark = pytest.mark.boundscheck

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from dynaviz_eval.confusion import Counts
+from dynaviz.scores.counts import Counts
 from dynaviz_eval.reasons import ReasonsMetric
 
 pytestmark = pytest.mark.boundscheck

@@ -11,9 +11,9 @@ from dynaviz.arrays import F32, U8
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.protocol import ProtocolInfo
 from dynaviz.contracts.scan import Label, outcomes
-from dynaviz.scores.scores import SCORES, accuracies
+from dynaviz.scores.counts import Counts
+from dynaviz.scores.scores import SCORES
 from dynaviz.spatial.nearest import Nearest
-from dynaviz_eval.confusion import Counts
 from dynaviz_eval.protocols import Counted
 
 RADIUS = 0.05  # metres: half of the benchmark's 0.1 m voxel
@@ -33,9 +33,8 @@ class _Accuracy(Counted):
     @staticmethod
     def scores_of(counts: Mapping[str, float]) -> Mapping[str, float]:
         """SA, DA, AA and HA."""
-        static_kept, static_removed, dynamic_removed, dynamic_kept = (counts.get(name, 0) for name in _COUNTS)
-        found = accuracies(static_kept, static_kept + static_removed, dynamic_removed, dynamic_removed + dynamic_kept)
-        return {name: float(found[name]) for name in SCORES}
+        found = Counts(*(int(counts.get(name, 0)) for name in _COUNTS))
+        return {name: getattr(found, name) for name in SCORES}
 
 
 class PointsProtocol(_Accuracy):
