@@ -18,7 +18,7 @@ def write_encoded(path: Path, fields: Any, T_world_sensor: Any = None, data: str
     if data == "binary":
         return
     pcd = read_pcd(path)
-    columns = [pcd[name].reshape(len(pcd), -1) for name in fields]
+    columns = [pcd[name] if pcd[name].ndim > 1 else pcd[name][:, None] for name in fields]
     body = text(columns) if data == "ascii" else compressed(b"".join(column.tobytes() for column in columns))
     head = path.read_bytes()[: pcd.header.offset].replace(b"DATA binary", f"DATA {data}".encode())
     path.write_bytes(head + body)
