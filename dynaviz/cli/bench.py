@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import sys
-import time
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dynaviz.cli.console import is_quiet, program, show
+from dynaviz.cli.console import is_quiet, program, progress, show
 from dynaviz.cli.options import DEFAULTS, SEQUENCE, Quiet, RecordModeOption, takes
 
 if TYPE_CHECKING:
@@ -195,15 +194,9 @@ def _summary(board: Leaderboard, out: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def _callbacks() -> Iterator[BenchCallbacks]:
-    """A live table on a terminal, lines in a log; nothing with ``--quiet``."""
+    """Progress on standard error; none with ``--quiet``."""
     from dynaviz.benchmarking.runner import BenchCallbacks
-    from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
+    from dynaviz.cli.bench_progress import BenchProgress
 
-    if is_quiet():
-        yield BenchCallbacks()
-        return
-    if not sys.stderr.isatty():
-        yield ProgressLines(time.monotonic())
-        return
-    with ProgressBars() as live:
-        yield live
+    with progress("bench", keep=False) as report:
+        yield BenchCallbacks() if is_quiet() else BenchProgress(report, cells=sys.stderr.isatty())

@@ -128,8 +128,14 @@ def duration(seconds: float) -> str:
 
 
 @contextlib.contextmanager
-def progress(title: str, unit: Unit = "frames") -> Iterator[Progress]:
-    """Give a function that takes (phase, done, total) and shows it on standard error."""
+def progress(title: str, unit: Unit = "frames", keep: bool = True) -> Iterator[Progress]:
+    """Give a function that takes (phase, done, total) and shows it on standard error.
+
+    Args:
+        title: what has these phases.
+        unit: what a step is.
+        keep: keep the bars of phases that are over, which few commands have many of.
+    """
     units = unit if isinstance(unit, Mapping) else {}
     default = unit if isinstance(unit, str) else "steps"
 
@@ -139,19 +145,19 @@ def progress(title: str, unit: Unit = "frames") -> Iterator[Progress]:
     if _quiet:
         yield silent
     elif sys.stderr.isatty():
-        with _bars(title, start) as report:
+        with _bars(title, start, keep) as report:
             yield report
     else:
         yield _lines(title, start)
 
 
 @contextlib.contextmanager
-def _bars(title: str, start: Callable[[str, int], PhaseTimer]) -> Iterator[Progress]:
+def _bars(title: str, start: Callable[[str, int], PhaseTimer], keep: bool) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(20),
         MofNCompleteColumn(),
         TextColumn("{task.fields[speed]}"),
@@ -165,7 +171,8 @@ def _bars(title: str, start: Callable[[str, int], PhaseTimer]) -> Iterator[Progr
                 tasks[phase] = bars.add_task(f"{title}: {phase}", total=total, speed=""), start(phase, done)
             task, timer = tasks[phase]
             speed = timer.speed(done)
-            bars.update(task, completed=done, speed="" if speed is None else f"{speed:,.1f} {timer.unit}/s")
+            text = "" if speed is None else f"{speed:,.1f} {timer.unit}/s"
+            bars.update(task, completed=done, speed=text, visible=keep or done < total)
 
         yield report
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +16,8 @@ from rich.console import Console
 from dynaviz.benchmarking import bench as bench_module
 from dynaviz.benchmarking.leaderboard import BenchRow, Leaderboard, SearchResult
 from dynaviz.benchmarking.plan import BenchCell, ParameterSet, SequenceSpec
-from dynaviz.cli.bench_progress import ProgressBars, ProgressLines
+from dynaviz.cli.bench_progress import BenchProgress
+from dynaviz.cli.console import progress
 
 Command = Callable[..., tuple[int, str, str]]
 
@@ -23,6 +25,16 @@ Command = Callable[..., tuple[int, str, str]]
 def failed(folder: Path, error: str, variant: str = "") -> BenchRow:
     parameter_set = ParameterSet("octomap", variant, {})
     return BenchRow(BenchCell(SequenceSpec("street"), parameter_set, "", "none"), folder, error=error)
+
+
+def open_terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """A wide terminal as standard error."""
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "300")
+    return terminal
 
 
 def shown(item: object) -> str:
@@ -70,18 +82,24 @@ def test_a_seed_below_zero_is_refused(run_command: Command, tmp_path: Path) -> N
     assert (code, err.count("\n"), "--seed" in err) == (2, 1, True), err
 
 
-def test_an_error_is_shown_unchanged(run_command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    row = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]")
-    board, live = Leaderboard([row]), ProgressBars()
-    live.preparing("read [/street]", 1, 2)
-    live.running(row.cell, "label [/2]", 1, 2)
-    texts = [shown(live._table())]
-    live.ended(row)
-    texts += [shown(live._table()), shown(board)]
-    assert all("octomap-act=[auto]" in text for text in texts)
-    assert all("read [/street] 1/2 frames" in text for text in texts[:2])
-    assert "label [/2] 1/2 frames" in texts[0]
-    assert all("no [auto] at [/tmp/x]" in text for text in texts[1:])
+def test_an_error_is_shown_unchanged(
+    run_command: Command,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    row, terminal = failed(tmp_path / "[auto]", "no [auto] at [/tmp/x]", "act=[auto]"), open_terminal(monkeypatch)
+    with progress("bench", keep=False) as report:
+        live = BenchProgress(report, cells=True)
+        live.preparing("read [/street]", 1, 2)
+        live.running(row.cell, "label [/2]", 1, 2)
+        live.ended(row)
+    assert "bench: read [/street]" in terminal.getvalue()
+    assert "bench: octomap-act=[auto] on street, label [/2]" in terminal.getvalue()
+    assert "octomap-act=[auto] on street: failed: no [auto] at [/tmp/x]" in terminal.getvalue()
+    board = Leaderboard([row])
+    assert "octomap-act=[auto]" in shown(board)
+    assert "no [auto] at [/tmp/x]" in shown(board)
+    monkeypatch.undo()
     monkeypatch.setattr(bench_module, "bench", lambda *given, **options: board)
     code, out, _ = run_command("bench", "-s", "simulate:demo", "-o", tmp_path)
     assert code == 1
@@ -94,21 +112,18 @@ def test_progress_shows_speed_and_the_time_left(
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     row = failed(tmp_path, "cannot be read")
-    lines, live = ProgressLines(now[0]), ProgressBars()
-    for progress in (lines, live):
-        progress.planned(4)
-        progress.preparing("survey street", 1, 20)
-    now[0] += 6.0
-    for progress in (lines, live):
-        progress.preparing("survey street", 7, 20)
-        progress.ended(replace(row, error=None, kept=True))  # takes no time
-    assert "0 of 4 runs finished, 1 from before, survey street 7/20 frames, 1.0 frames/s, 13 s left" in live._title()
-    now[0] += 10.0
-    for progress in (lines, live):
-        progress.ended(row)
-    assert "0 of 4 runs finished, 20 s left, 1 from before, 1 failed" in live._title()
+    with progress("bench", keep=False) as report:
+        lines = BenchProgress(report, cells=False)
+        lines.planned(4)
+        lines.preparing("survey street", 1, 20)
+        now[0] += 6.0
+        lines.preparing("survey street", 7, 20)
+        lines.running(row.cell, "label", 7, 20)
+        lines.ended(replace(row, error=None, kept=True))  # takes no time
+        now[0] += 10.0
+        lines.ended(row)
     printed = capsys.readouterr().err.splitlines()
-    assert printed[0] == "survey street 7/20 frames, 1.0 frames/s, 13 s left"
+    assert printed[0] == "bench: survey street 7/20 frames, 1.0 frames/s, 13 s left"
     assert [line.partition("]")[0] for line in printed[1:]] == ["[1/4", "[2/4, 20 s left"]
 
 
