@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from dynaviz.cli.console import program, progress, show
-from dynaviz.cli.options import SEQUENCE, refuse, takes
 from dynaviz.errors import UsageError
 
 IMPLANT = "implant:"
@@ -21,7 +20,6 @@ def add_to(app: typer.Typer) -> None:
     app.command("simulate")(simulate)
 
 
-@takes(SEQUENCE, without=("frames",))
 def simulate(
     scene: Annotated[
         str,
@@ -42,8 +40,6 @@ def simulate(
         int | None,
         typer.Option(metavar="N", help="Random seed. The same seed gives identical files.", show_default="0"),
     ] = None,
-    *,
-    options: dict[str, Any],
 ) -> None:
     """Simulate a sequence with exact ground truth, or put movers into a recorded one.
 
@@ -61,12 +57,12 @@ def simulate(
 
     Movers in a recorded sequence: cars, trucks, cyclists, persons, and parks, cars that arrive and park. The scene file
     implants.toml is written, too; scene=FILE repeats it. Static world, noise and poses stay yours. If SEQ has no
-    labels, the methods panel=A,B,C vote on which points are static: three fast ones by default, or panel=none.
+    labels, the methods panel=A,B,C vote on which points are static: three fast ones by default, or panel=none. A SEQ
+    that needs options, such as poses, is converted first.
     """
     if scene.startswith(IMPLANT):
-        _implant(scene.removeprefix(IMPLANT), out, seed, {**options, "frames": frames})
+        _implant(scene.removeprefix(IMPLANT), out, seed, frames)
     else:
-        refuse(options, "a scene")
         _simulate(scene, out, frames, seed)
 
 
@@ -83,7 +79,7 @@ def _simulate(scene: str, out: Path, frames: str | None, seed: int | None) -> No
     show(f"Written to {folder}. Next: {program()} run METHOD {folder}")
 
 
-def _implant(text: str, out: Path, seed: int | None, options: dict[str, Any]) -> None:
+def _implant(text: str, out: Path, seed: int | None, frames: str | None) -> None:
     from dynaviz import api
     from dynaviz.synthetic.implants.implant_options import parse
     from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
@@ -93,7 +89,7 @@ def _implant(text: str, out: Path, seed: int | None, options: dict[str, Any]) ->
     path, movers = parse(text)
     if seed is not None:
         movers = dataclasses.replace(movers, seed=seed)
-    opened = api.open(path, **options)
+    opened = api.open(path, frames=frames)
     chosen = any(part.startswith("panel=") for part in text.partition("?")[2].split("&"))
     if not chosen and not opened.has_labels:
         movers = dataclasses.replace(movers, panel=default_panel())

@@ -30,12 +30,12 @@ METHOD = {"preset": "av2", "config": Path("c.toml"), "settings": ("a=1",), "seed
 RUN = {**METHOD, "online": True, "variant": "v", "record": "scores", "record_budget": "1GB", "view": True,
        "tiles": "50", "workers": 2, "scheduler": "s:1", "maps": False}  # fmt: skip
 OPENS = {"run": ["octomap", "SEQ"], "clean": ["SEQ", "-o", "m.pcd"], "score": ["m.pcd", "SEQ"], "live": ["SEQ"],
-         "info": ["SEQ"], "doctor": ["SEQ"], "convert": ["SEQ", "OUT"], "simulate": ["implant:SEQ", "OUT"],
+         "info": ["SEQ"], "doctor": ["SEQ"], "convert": ["SEQ", "OUT"],
          "tune": ["SEQ", "-m", "octomap", "-o", "OUT"],
          "bench": ["-s", "SEQ", "-m", "octomap", "-o", "OUT"]}  # fmt: skip
 RUNS = {"run": RUN, "clean": {name: value for name, value in RUN.items() if name != "maps"}, "live": METHOD}
 WITHOUT_SEQUENCE = {"demo", "check", "compare", "explore", "list",
-                    "report", "view", "why"}  # fmt: skip
+                    "report", "simulate", "view", "why"}  # fmt: skip
 
 
 class Seen(Exception):
