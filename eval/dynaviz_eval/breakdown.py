@@ -13,7 +13,7 @@ from dynaviz.arrays import F32, I64, U8
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.scores.counts import Counts
+from dynaviz.scores.point_counts import Counts
 from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
 

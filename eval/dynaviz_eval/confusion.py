@@ -8,7 +8,7 @@ from typing import Any
 
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
-from dynaviz.scores.counts import Counts
+from dynaviz.scores.point_counts import Counts
 from dynaviz.scores.scores import SCORES
 
 

@@ -22,7 +22,7 @@ from dynaviz.scores.comparison.counts import (
     scores,
     spatial_gains,
 )
-from dynaviz.scores.counts import Counts
+from dynaviz.scores.point_counts import Counts
 from dynaviz.scores.scores import SCORES
 
 

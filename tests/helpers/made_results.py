@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from dynaviz.scores.counts import Counts
+from dynaviz.scores.point_counts import Counts
 from dynaviz.scores.result import Result
 
 Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept
