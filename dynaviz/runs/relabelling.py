@@ -21,6 +21,7 @@ from dynaviz.progress import Progress, silent
 from dynaviz.runs.rescore import rescore as score_again
 from dynaviz.runs.run import open_run
 from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import SCORES
 from dynaviz.sources.opening import Source
 
 FILE = "corrections.json"
@@ -93,7 +94,7 @@ class CorrectedScores:
     """Scores of a run before and after its corrections.
 
     Attributes:
-        before, after: SA, DA, AA, HA, precision and IoU in percent; None where undefined.
+        before, after: SA, DA, AA and HA in percent; None where undefined.
         corrections: how many there are.
         points: how many points got another truth.
     """
@@ -187,5 +188,6 @@ def rescore(
     if again.sequence_digest != result.sequence.digest:
         problem = f"is from a different sequence than {opened.name}"
         raise DataError(saved.path, problem, hint="Give the sequence of the run with --sequence")
-    before = Counts(**result.counts).metrics()
-    return CorrectedScores(before, again.counts.metrics(), len(corrections.corrections), changed)
+    metrics = [counts.metrics() for counts in (Counts(**result.counts), again.counts)]
+    before, after = ({name: each[name] for name in SCORES} for each in metrics)
+    return CorrectedScores(before, after, len(corrections.corrections), changed)
