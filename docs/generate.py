@@ -181,14 +181,6 @@ def parameters(kind: Any) -> str:
     return table(("parameter", "default", "meaning"), rows)
 
 
-def states(kind: Any) -> str:
-    """The states that a recording shows; those that differ only in a number at the end share a row."""
-    names: dict[str, list[str]] = {}
-    for state in kind.info.emits:
-        names.setdefault(re.sub(r"\d+$", "k", state.meaning), []).append(f"`{state.name}`")
-    return table(("state", "meaning"), ((", ".join(each), meaning) for meaning, each in names.items()))
-
-
 def reasons(kind: Any) -> str:
     """Why points are kept or removed."""
     return table(("reason", "meaning"), ((f"`{reason.name}`", reason.meaning) for reason in kind.info.reasons))
@@ -218,7 +210,7 @@ def costs(causes: dict[str, dict[str, dict[str, int]]], kind: str, total: int) -
 
 
 SECTIONS: dict[str, Callable[[Any], str]] = {
-    section.__name__: section for section in (facts, algorithm, parameters, states, reasons, failures)
+    section.__name__: section for section in (facts, algorithm, parameters, reasons, failures)
 }
 
 

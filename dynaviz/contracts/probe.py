@@ -94,7 +94,7 @@ Value = Points | PointClasses | Mask | RangeImage | PolarGrid | Voxels | Plane |
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """An internal state that a method emits. The viewer's layout, the docs and the tests are generated from it.
+    """An internal state that a method emits. The viewer's layout, the report and the tests are generated from it.
 
     Attributes:
         name: short, constant name; also the last part of its path in the recording.

@@ -36,7 +36,6 @@ def test_each_method_has_every_section_in_the_repository(generate: ModuleType) -
         text = generate.page(name).read_text(encoding="utf-8")
         assert [each for each in generate.SECTIONS if not re.search(rf"<!-- generated: {each}(:\w+)? -->", text)] == []
         names = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
-        names += [state.name for state in kind.info.emits]
         assert [name for name in names if f"`{name}`" not in text] == []
 
 

@@ -81,7 +81,6 @@ def test_each_method_has_a_page_that_tells_what_its_code_tells(site: Site) -> No
         if handle.package == "dynaviz_methods":
             kind, page = handle.load(), site(f"methods/{'octomap' if 'octomap' in handle.name else handle.name}.html")
             names = [*kind.Params.__dataclass_fields__, *(reason.name for reason in kind.info.reasons)]
-            names += [state.name for state in kind.info.emits]
             assert names
             assert [name for name in names if f"<code>{name}</code>" not in page] == []
             assert "{{" not in page
