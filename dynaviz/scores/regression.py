@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -16,7 +16,6 @@ from dynaviz.errors import DataError, UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.io.plain_json import read_json
 from dynaviz.scores.result import Result, run_label
-from dynaviz.scores.sections import SequenceInfo
 
 if TYPE_CHECKING:
     from dynaviz.scores.collect import StudyRun
@@ -24,54 +23,9 @@ if TYPE_CHECKING:
 SCHEMA = 1
 HEADLINE = ("SA", "DA", "AA", "HA")
 ROUNDING = 1e-9  # percentage points
+STORED = ("sequence", "method", "variant", "online", "parameters", "scoring", "counts", "metrics")
+"""What a baseline stores of a result. The runtime is left out, so that it is valid on any machine."""
 _HINT = "Write one with: dynaviz check RESULTS --write-baseline FILE"
-
-
-@dataclass(frozen=True)
-class BaselineEntry:
-    """One run in a baseline: method, sequence, counts and metrics.
-
-    Attributes:
-        sequence: name, digest, frames and points.
-        counts, metrics: as in ``Result``; metrics in percent, None where undefined.
-        mean_s: mean seconds per frame, for information only; None in a baseline file, so that it is valid on any
-            machine.
-    """
-
-    sequence: SequenceInfo
-    method: str
-    variant: str
-    online: bool
-    parameters: dict[str, Any]
-    scoring: str
-    counts: dict[str, int]
-    metrics: dict[str, float | None]
-    mean_s: float | None = None
-
-    @classmethod
-    def of(cls, result: Result) -> BaselineEntry:
-        """Take from a result what a baseline stores."""
-        return cls(
-            result.sequence,
-            result.method,
-            result.variant,
-            result.online,
-            dict(result.parameters),
-            result.scoring,
-            dict(result.counts),
-            dict(result.metrics),
-            result.runtime.mean_s,
-        )
-
-    @property
-    def label(self) -> str:
-        """Method, variant and sequence, for tables and messages."""
-        return f"{run_label(self.method, self.variant, self.online)} on {self.sequence.name}"
-
-    @property
-    def digest(self) -> str:
-        """Digest of the sequence."""
-        return self.sequence.digest
 
 
 class CheckOutcome(IntEnum):
@@ -125,10 +79,15 @@ class RegressionCheck:
         return [value for value in self.values if value.outcome is CheckOutcome.FAILED]
 
 
+def label(result: Result) -> str:
+    """Method, variant and sequence, for tables and messages."""
+    return f"{run_label(result.method, result.variant, result.online)} on {result.sequence.name}"
+
+
 def check(
     cells: Sequence[StudyRun],
     minima: Iterable[tuple[str, float]] = (),
-    baseline: Sequence[BaselineEntry] | None = None,
+    baseline: Sequence[Result] | None = None,
     tolerance: float = 0.5,
     complete: bool = False,
 ) -> RegressionCheck:
@@ -153,7 +112,7 @@ def check(
             values.append(CheckedValue(CheckOutcome.FAILED, run, "run", remark=f"failed: {cell.error}"))
             left = [e for e in left if (e.method, e.variant, e.sequence.name) != failed]
             continue
-        now = BaselineEntry.of(cell.result)
+        now = cell.result
         values += [_against_minimum(now, name, minimum) for name, minimum in minima]
         before = None
         if baseline is not None:
@@ -163,25 +122,25 @@ def check(
         values += _runtime(now, before)
     if complete:
         values += [
-            CheckedValue(CheckOutcome.FAILED, e.label, "run", remark="is in the baseline, but has no result")
+            CheckedValue(CheckOutcome.FAILED, label(e), "run", remark="is in the baseline, but has no result")
             for e in left
         ]
     return RegressionCheck(sorted(values, key=lambda value: value.outcome))
 
 
-def _against_minimum(now: BaselineEntry, name: str, minimum: float) -> CheckedValue:
+def _against_minimum(now: Result, name: str, minimum: float) -> CheckedValue:
     if name not in now.metrics:
-        raise UsageError(f"--min {name}: {now.label} has the metrics {', '.join(now.metrics) or 'none'}")
+        raise UsageError(f"--min {name}: {label(now)} has the metrics {', '.join(now.metrics) or 'none'}")
     value, counts = now.metrics[name], _counts(now, None)
     if value is None:
-        return CheckedValue(CheckOutcome.FAILED, now.label, name, None, minimum, _why_undefined(now), counts)
+        return CheckedValue(CheckOutcome.FAILED, label(now), name, None, minimum, _why_undefined(now), counts)
     outcome = CheckOutcome.FAILED if value < minimum else CheckOutcome.PASSED
-    return CheckedValue(outcome, now.label, name, value, minimum, "", counts)
+    return CheckedValue(outcome, label(now), name, value, minimum, "", counts)
 
 
-def _against_baseline(now: BaselineEntry, before: BaselineEntry | None, tolerance: float) -> list[CheckedValue]:
+def _against_baseline(now: Result, before: Result | None, tolerance: float) -> list[CheckedValue]:
     if before is None:
-        return [CheckedValue(CheckOutcome.INFO, now.label, "run", remark="is not in the baseline")]
+        return [CheckedValue(CheckOutcome.INFO, label(now), "run", remark="is not in the baseline")]
     values, counts = [], _counts(now, before)
     for name in HEADLINE:
         new, old = now.metrics.get(name), before.metrics.get(name)
@@ -193,31 +152,32 @@ def _against_baseline(now: BaselineEntry, before: BaselineEntry | None, toleranc
                 outcome = CheckOutcome.FAILED
             elif new > old + tolerance + ROUNDING:
                 outcome = CheckOutcome.IMPROVED
-        values.append(CheckedValue(outcome, now.label, name, new, old, remark, counts))
+        values.append(CheckedValue(outcome, label(now), name, new, old, remark, counts))
     if now.method != before.method:
-        values.append(CheckedValue(CheckOutcome.INFO, now.label, "method", remark=f"was {before.method}"))
+        values.append(CheckedValue(CheckOutcome.INFO, label(now), "method", remark=f"was {before.method}"))
     elif now.parameters != before.parameters:
         names = sorted(now.parameters.keys() | before.parameters.keys())
         changed = [n for n in names if now.parameters.get(n) != before.parameters.get(n)]
         changes = ", ".join(f"{n} {before.parameters.get(n)} -> {now.parameters.get(n)}" for n in changed)
-        values.append(CheckedValue(CheckOutcome.INFO, now.label, "parameters", remark=changes))
+        values.append(CheckedValue(CheckOutcome.INFO, label(now), "parameters", remark=changes))
     return values
 
 
-def _runtime(now: BaselineEntry, before: BaselineEntry | None) -> list[CheckedValue]:
-    if now.mean_s is None or before is None or before.mean_s is None:
+def _runtime(now: Result, before: Result | None) -> list[CheckedValue]:
+    value, limit = now.runtime.mean_s, before.runtime.mean_s if before else None
+    if value is None or limit is None:
         return []
-    return [CheckedValue(CheckOutcome.INFO, now.label, "s/frame", now.mean_s, before.mean_s, "not checked")]
+    return [CheckedValue(CheckOutcome.INFO, label(now), "s/frame", value, limit, "not checked")]
 
 
-def _counts(now: BaselineEntry, before: BaselineEntry | None) -> dict[str, tuple[int, int | None]]:
+def _counts(now: Result, before: Result | None) -> dict[str, tuple[int, int | None]]:
     return {
         name: (count, None if before is None else count - before.counts.get(name, 0))
         for name, count in now.counts.items()
     }
 
 
-def _why_undefined(now: BaselineEntry) -> str:
+def _why_undefined(now: Result) -> str:
     count = now.counts
     if not count.get("dynamic_removed", 0) + count.get("dynamic_kept", 0):
         return "undefined: no point is labelled as dynamic"
@@ -226,37 +186,41 @@ def _why_undefined(now: BaselineEntry) -> str:
     return "undefined: no labelled point was removed"
 
 
-def _match(now: BaselineEntry, baseline: Sequence[BaselineEntry], alone: bool) -> BaselineEntry | None:
+def _match(now: Result, baseline: Sequence[Result], alone: bool) -> Result | None:
     """The baseline entry of the same run; of several, the one with the same data, then scoring, then parameters."""
 
-    def same_run(e: BaselineEntry) -> bool:
+    def same_run(e: Result) -> bool:
         same_method = (e.method, e.variant, e.online) == (now.method, now.variant, now.online)
-        return same_method and (e.digest == now.digest or e.sequence.name == now.sequence.name)
+        return same_method and (e.sequence.digest == now.sequence.digest or e.sequence.name == now.sequence.name)
 
     found = [entry for entry in baseline if alone or same_run(entry)]
     if not found:
         return None
-    agreeing = [(e.digest == now.digest, e.scoring == now.scoring, e.parameters == now.parameters) for e in found]
+    agreeing = [
+        (e.sequence.digest == now.sequence.digest, e.scoring == now.scoring, e.parameters == now.parameters)
+        for e in found
+    ]
     before = found[agreeing.index(max(agreeing))]
-    if before.digest != now.digest:
+    if before.sequence.digest != now.sequence.digest:
         raise UsageError(
-            f"{now.label}: the data differ from the baseline: digest {now.digest[:12]} ({_size(now)}), in the baseline "
-            f"{before.digest[:12]} ({_size(before)}). Use the same frames of the same sequence (if simulated: the same "
-            "scene, frames, seed and dynaviz version), or write a new baseline"
+            f"{label(now)}: the data differ from the baseline: digest {_data(now)}, in the baseline {_data(before)}. "
+            "Use the same frames of the same sequence (if simulated: the same scene, frames, seed and dynaviz version), "
+            "or write a new baseline"
         )
     if before.scoring != now.scoring:
         raise UsageError(
-            f"{now.label}: the result uses the scoring {now.scoring}, the baseline {before.scoring}; their metrics are "
-            "not comparable. Score both in the same way"
+            f"{label(now)}: the result uses the scoring {now.scoring}, the baseline {before.scoring}; their metrics "
+            "are not comparable. Score both in the same way"
         )
     return before
 
 
-def _size(entry: BaselineEntry) -> str:
-    return f"{entry.sequence.frames} frames, {entry.sequence.points} points"
+def _data(result: Result) -> str:
+    sequence = result.sequence
+    return f"{sequence.digest[:12]} ({sequence.frames} frames, {sequence.points} points)"
 
 
-def read_baseline(path: str | os.PathLike[str]) -> list[BaselineEntry]:
+def read_baseline(path: str | os.PathLike[str]) -> list[Result]:
     """Read a baseline, or the ``result.json`` of one run as one.
 
     Raises:
@@ -264,11 +228,11 @@ def read_baseline(path: str | os.PathLike[str]) -> list[BaselineEntry]:
     """
     plain = read_json(path, _HINT)
     if not isinstance(plain, dict) or "baseline" not in plain:
-        return [BaselineEntry.of(Result.from_dict(plain, path))]
+        return [Result.from_dict(plain, path)]
     if isinstance(plain["baseline"], int) and plain["baseline"] > SCHEMA:
         raise DataError(path, "was written by a newer dynaviz", hint="Upgrade dynaviz")
     try:  # an entry has the same keys as a result
-        return [BaselineEntry.of(Result.from_dict(row, path)) for row in plain["results"]]
+        return [Result.from_dict(row, path) for row in plain["results"]]
     except (KeyError, TypeError) as error:
         raise DataError(path, f"is not a baseline ({error})", hint=_HINT) from None
 
@@ -276,24 +240,17 @@ def read_baseline(path: str | os.PathLike[str]) -> list[BaselineEntry]:
 def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> None:
     """Write a baseline: the method, sequence, counts and metrics of each result.
 
-    Runtimes are left out, so that the baseline is valid on any machine.
-
     Raises:
         UsageError: if two results of the same run differ.
         DataError: if the file cannot be written.
     """
-    entries: dict[str, BaselineEntry] = {}
-    for entry in map(BaselineEntry.of, results):
-        same = entries.setdefault(
-            json.dumps([entry.label, entry.digest, entry.scoring, entry.parameters], sort_keys=True), entry
-        )
-        if same.counts != entry.counts:
-            raise UsageError(f"two results of {entry.label} differ: leave one out of the baseline")
-    rows = []
-    for entry in sorted(entries.values(), key=lambda e: (e.sequence.name, e.method, e.variant, e.online)):
-        row = msgspec.to_builtins(entry)
-        del row["mean_s"]
-        rows.append(json.dumps(row))
+    found: dict[str, Result] = {}
+    for each in results:
+        key = json.dumps([label(each), each.sequence.digest, each.scoring, each.parameters], sort_keys=True)
+        if found.setdefault(key, each).counts != each.counts:
+            raise UsageError(f"two results of {label(each)} differ: leave one out of the baseline")
+    order = sorted(found.values(), key=lambda e: (e.sequence.name, e.method, e.variant, e.online))
+    rows = [json.dumps({name: msgspec.to_builtins(getattr(each, name)) for name in STORED}) for each in order]
     # One line per run, so that a diff of two versions shows which runs changed.
     text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
     write_atomic(Path(path), text.encode())

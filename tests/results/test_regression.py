@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from dynaviz.errors import DataError, UsageError
 from dynaviz.scores.collect import StudyRun, collect
-from dynaviz.scores.regression import BaselineEntry, CheckOutcome, RegressionCheck, check, read_baseline, write_baseline
+from dynaviz.scores.regression import STORED, CheckOutcome, RegressionCheck, check, label, read_baseline, write_baseline
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
 
@@ -69,9 +69,9 @@ def test_limits() -> None:
 def test_an_undefined_metric_fails(static: tuple[int, int], dynamic: tuple[int, int], why: str) -> None:
     (failed,) = check([cell(result(static, dynamic))], [("AA", 0.0)]).failed
     assert (failed.value, why in failed.remark) == (None, True)
-    checked = check([cell(result(static, dynamic))], baseline=[BaselineEntry.of(result())])
+    checked = check([cell(result(static, dynamic))], baseline=[result()])
     assert {f.name for f in checked.failed} >= {"AA", "HA"}
-    again = check([cell(result(static, dynamic))], baseline=[BaselineEntry.of(result(static, dynamic))])
+    again = check([cell(result(static, dynamic))], baseline=[result(static, dynamic)])
     assert not again.failed
 
 
@@ -86,16 +86,14 @@ percent = st.floats(0, 100)
 @given(percent, percent, st.floats(0, 5))
 def test_a_drop_beyond_the_tolerance_fails(now: float, before: float, tolerance: float) -> None:
     new, old = (Sections(metrics=dict.fromkeys(("SA", "DA", "AA", "HA"), x)) for x in (now, before))
-    checked = check(
-        [cell(result(sections=new))], baseline=[BaselineEntry.of(result(sections=old))], tolerance=tolerance
-    )
+    checked = check([cell(result(sections=new))], baseline=[result(sections=old)], tolerance=tolerance)
     outcomes = {f.outcome for f in checked.values if f.name != "s/frame"}
     if abs(abs(now - before) - tolerance) > 1e-6:
         assert outcomes == {CheckOutcome.PASSED if abs(now - before) < tolerance else CheckOutcome(int(now > before))}
 
 
 def test_changes_of_counts_and_runtime_are_reported() -> None:
-    before = BaselineEntry.of(result(runtime=Runtime(0.1)))
+    before = result(runtime=Runtime(0.1))
     checked = check([cell(result((70, 30), (50, 0)))], baseline=[before])
     assert outcomes(checked) == {"SA": "FAILED", "DA": "IMPROVED", "AA": "FAILED", "HA": "FAILED", "s/frame": "INFO"}
     assert checked.failed[0].counts["static_removed"] == (30, 10)
@@ -108,26 +106,26 @@ def test_different_data_or_scoring_is_refused() -> None:
     with pytest.raises(UsageError, match=r"data differ.*d1 \(5 frames, 150 points\).*d2 \(5 frames, 149 points\)"):
         check(
             [cell(result())],
-            baseline=[BaselineEntry.of(result(sequence=other)), BaselineEntry.of(result(method="erasor"))],
+            baseline=[result(sequence=other), result(method="erasor")],
         )
     with pytest.raises(UsageError, match="scoring mask, the baseline nn"):
-        check([cell(result())], baseline=[BaselineEntry.of(result(scoring="nn"))])
+        check([cell(result())], baseline=[result(scoring="nn")])
     with pytest.raises(UsageError, match="data differ"):  # one run against another
         check(
             [cell(result())],
-            baseline=[BaselineEntry.of(result(sequence=msgspec.structs.replace(other, name="hall"), method="erasor"))],
+            baseline=[result(sequence=msgspec.structs.replace(other, name="hall"), method="erasor")],
         )
 
 
 def test_the_matching_entry_is_chosen_among_several() -> None:
     good, bad = result(), result((1, 99))
     baseline = [
-        BaselineEntry.of(replace(bad, sequence=msgspec.structs.replace(bad.sequence, digest="d2"))),
-        BaselineEntry.of(replace(bad, scoring="nn")),
-        BaselineEntry.of(replace(bad, parameters={"resolution": 0.2})),
-        BaselineEntry.of(replace(bad, variant="fine")),
-        BaselineEntry.of(replace(bad, online=True)),
-        BaselineEntry.of(good),
+        replace(bad, sequence=msgspec.structs.replace(bad.sequence, digest="d2")),
+        replace(bad, scoring="nn"),
+        replace(bad, parameters={"resolution": 0.2}),
+        replace(bad, variant="fine"),
+        replace(bad, online=True),
+        good,
     ]
     for order in (baseline, baseline[::-1]):
         checked = check([cell(good)], baseline=order)
@@ -139,7 +137,7 @@ def test_a_sequence_may_be_renamed_and_parameters_may_change() -> None:
     renamed = result(sequence=msgspec.structs.replace(result().sequence, name="road"), parameters={"resolution": 0.3})
     checked = check(
         [cell(renamed), cell(result(method="new"))],
-        baseline=[BaselineEntry.of(result()), BaselineEntry.of(result(method="x"))],
+        baseline=[result(), result(method="x")],
     )
     remarks = {(f.run, f.name): f.remark for f in checked.values if f.outcome is CheckOutcome.INFO and f.remark}
     assert remarks[("octomap on road", "parameters")] == "resolution 0.1 -> 0.3"
@@ -148,7 +146,7 @@ def test_a_sequence_may_be_renamed_and_parameters_may_change() -> None:
 
 
 def test_a_failed_or_missing_run_fails() -> None:
-    baseline = [BaselineEntry.of(result()), BaselineEntry.of(result(method="erasor"))]
+    baseline = [result(), result(method="erasor")]
     cells = [cell(None, "no memory", "erasor")]
     checked = check(cells, [("AA", 1.0)], baseline, complete=True)
     assert {f.run: f.remark for f in checked.failed} == {
@@ -159,7 +157,7 @@ def test_a_failed_or_missing_run_fails() -> None:
 
 
 def test_a_failed_variant_does_not_hide_missing_ones() -> None:
-    baseline = [BaselineEntry.of(result(variant=variant)) for variant in ("", "fine", "coarse")]
+    baseline = [result(variant=variant) for variant in ("", "fine", "coarse")]
     cells = [replace(cell(None, "no memory"), variant="fine"), cell(result())]
     assert {f.run: f.remark for f in check(cells, baseline=baseline, complete=True).failed} == {
         "octomap (fine) on street": "failed: no memory",
@@ -168,7 +166,7 @@ def test_a_failed_variant_does_not_hide_missing_ones() -> None:
 
 
 def test_a_label_names_the_variant_once() -> None:
-    labels = [BaselineEntry.of(result(variant=variant, online=True)).label for variant in ("online", "fine", "")]
+    labels = [label(result(variant=variant, online=True)) for variant in ("online", "fine", "")]
     assert labels == ["octomap (online) on street", "octomap (fine) (online) on street", "octomap (online) on street"]
 
 
@@ -179,7 +177,9 @@ def test_a_baseline_survives_its_file(tmp_path: Path) -> None:
     assert [line.count('"method": ') for line in text.splitlines()] == [0, 1, 1, 0]
     assert "mean_s" not in text
     entries = read_baseline(tmp_path / "b.json")
-    assert entries == [replace(BaselineEntry.of(r), mean_s=None) for r in (results[1], results[0])]
+    for entry, stored in zip(entries, (results[1], results[0]), strict=True):
+        assert all(getattr(entry, name) == getattr(stored, name) for name in STORED)
+        assert entry.runtime.mean_s is None
     with pytest.raises(UsageError, match="b on street differ"):
         write_baseline(tmp_path / "c.json", [*results, result((1, 1), method="b")])
 
