@@ -204,8 +204,8 @@ def _match(now: Result, baseline: Sequence[Result], alone: bool) -> Result | Non
     if before.sequence.digest != now.sequence.digest:
         raise UsageError(
             f"{label(now)}: the data differ from the baseline: digest {_data(now)}, in the baseline {_data(before)}. "
-            "Use the same frames of the same sequence (if simulated: the same scene, frames, seed and dynaviz version), "
-            "or write a new baseline"
+            "Use the same frames of the same sequence (if simulated: the same scene, frames, seed and dynaviz "
+            "version), or write a new baseline"
         )
     if before.scoring != now.scoring:
         raise UsageError(

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from dynaviz.scores.sections import IntervalRow
+from dynaviz.scores.sections import IntervalRow, RemovedInterval
 from dynaviz_eval.report.boards import (
     ERRORS,
     KINDS,
@@ -100,7 +100,7 @@ def intervals(row: ScoreRow, of: str) -> tuple[IntervalRow, ...]:
     return found
 
 
-def interval_name(interval: IntervalRow) -> str:
+def interval_name(interval: IntervalRow | RemovedInterval) -> str:
     """An interval in metres, such as ``10-20``."""
     low, high = interval.low, interval.high
     if low is None:
