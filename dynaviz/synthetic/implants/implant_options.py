@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from typing import Any
-from urllib.parse import unquote
 
-from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
+from dynaviz.synthetic.query import options_of, whole
 
 MOST = 1000  # movers of a kind
 
@@ -60,24 +59,14 @@ def parse(text: str) -> tuple[str, ImplantOptions]:
     path, _, query = text.partition("?")
     if not path or path == ".":
         raise UsageError("implant: gives no sequence. Write implant:SEQUENCE?cars=6&seed=3")
-    values: dict[str, Any] = {}
-    for part in filter(None, query.split("&")):
-        key, equals, value = part.partition("=")
-        known = [option.name for option in fields(ImplantOptions)]
-        if key not in known or not equals:
-            raise UsageError(f"implant:{text}: unknown option '{part}'. {suggest(key, known)}")
-        if key in values:
-            raise UsageError(f"implant:{text}: {key} is given twice. Remove one")
-        values[key] = _value(key, unquote(value), text)
-    return path, ImplantOptions(**values)
+    place = f"implant:{text}"
+    given = options_of(place, query, [option.name for option in fields(ImplantOptions)])
+    return path, ImplantOptions(**{key: _value(place, key, value) for key, value in given.items()})
 
 
-def _value(key: str, value: str, text: str) -> Any:
+def _value(place: str, key: str, value: str) -> Any:
     if key in _NUMBERS:
-        try:
-            return int(value)
-        except ValueError:
-            raise UsageError(f"implant:{text}: {key} = {value!r}: give a whole number") from None
+        return whole(place, key, value)
     if key == "panel":
         return () if value == "none" else tuple(filter(None, value.split(",")))
     return value

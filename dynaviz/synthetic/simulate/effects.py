@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
+from dynaviz.synthetic.query import whole
 
 
 def _off(unit: str, text: str, most: float = 1e4, least: float = 0.0) -> Any:
@@ -94,13 +94,12 @@ def parse_value(name: str, text: str, place: str) -> float | int:
     """The value of an effect.
 
     Raises:
-        UsageError: for an unknown effect, or text that is not a number; the message starts with ``place``.
+        UsageError: for text that is not a number; the message starts with ``place``.
     """
-    kinds = {each.name: int if isinstance(each.default, int) else float for each in fields(Effects)}
-    if name not in kinds:
-        raise UsageError(f"{place}: unknown effect '{name}'. {suggest(name, kinds)}")
+    default = next(each.default for each in fields(Effects) if each.name == name)
+    if isinstance(default, int):
+        return whole(place, name, text)
     try:
-        return int(text) if kinds[name] is int else float(text)
+        return float(text)
     except ValueError:
-        kind = "a whole number" if kinds[name] is int else "a number"
-        raise UsageError(f"{place}: {name} = {text!r}: give {kind}") from None
+        raise UsageError(f"{place}: {name} = {text!r}: give a number") from None

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
-from urllib.parse import unquote
 
-from dynaviz.contracts.registry import suggest
 from dynaviz.errors import UsageError
+from dynaviz.synthetic.query import options_of, whole
 from dynaviz.synthetic.simulate.effects import NAMES, parse_value
 from dynaviz.synthetic.simulate.presets import PRESETS, Preset
 
@@ -62,22 +61,8 @@ class Chosen:
 
 def _values(text: str, query: str) -> dict[str, Any]:
     """The options of a query."""
-    values: dict[str, Any] = {}
-    for part in filter(None, query.split("&")):
-        key, equals, value = part.partition("=")
-        known = ("frames", "seed", *NAMES)
-        if key not in known or not equals:
-            raise UsageError(f"simulate:{text}: unknown option '{part}'. {suggest(key, known)}")
-        if key in values:
-            raise UsageError(f"simulate:{text}: {key} is given twice. Remove one")
-        values[key] = (
-            _whole(key, unquote(value), text) if key in ("frames", "seed") else parse_value(key, unquote(value), text)
-        )
-    return values
-
-
-def _whole(key: str, value: str, text: str) -> int:
-    try:
-        return int(value)
-    except ValueError:
-        raise UsageError(f"simulate:{text}: {key} = {value!r}: give a whole number") from None
+    place = f"simulate:{text}"
+    return {
+        key: whole(place, key, value) if key in ("frames", "seed") else parse_value(key, value, place)
+        for key, value in options_of(place, query, ("frames", "seed", *NAMES)).items()
+    }
