@@ -145,9 +145,15 @@ class BlockGrid:
         return self._rolling.exists if self._rolling else np.ones(len(self), np.bool_)
 
     def neighbours(self) -> I32:
-        """(len, 27) int32: numbers of the blocks around each block, by x, y and z; -1 if absent. For rolling grids."""
-        assert self._rolling is not None
-        return self._rolling.neighbours()
+        """(len, 27) int32: numbers of the blocks around each block, by x, y and z; -1 if absent.
+
+        If blocks come and go, the array is kept up to date.
+        """
+        if self._rolling:
+            return self._rolling.neighbours()
+        shifts = np.array(list(product((-1, 0, 1), repeat=3))) @ (1 << SHIFTS)
+        keys = self._blocks @ (1 << SHIFTS)  # sorted
+        return np.stack([_positions(keys, keys + shift) for shift in shifts], 1).reshape(-1, 27)
 
     def remaining(self, blocks: I32) -> I32:
         """Those of some blocks (K,) from the last scan that still exist."""
@@ -254,6 +260,14 @@ def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
         blocks = blocks[((blocks >> 4 >= bounds[0]) & (blocks >> 4 <= bounds[1])).all(1)]
         packed.append(((blocks + REACH) << SHIFTS).sum(1))
     return unpack(np.unique(np.concatenate(packed)))
+
+
+def _positions(keys: I64, wanted: I64) -> I32:
+    """Positions of the wanted keys among sorted keys; -1 if absent."""
+    if not len(keys):
+        return np.empty(0, np.int32)
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[at] == wanted, at, -1).astype(np.int32)
 
 
 def _lowest(cells: I64) -> F32:

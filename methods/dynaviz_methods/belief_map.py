@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -12,10 +11,8 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.blocks.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.contracts.extent import Extent
-from dynaviz.spatial.grid import SHIFTS
 from dynaviz_methods.voids import widened
 
-AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # offsets, in the order of a block's neighbours
 CHANGE = 0.005  # probability that a voxel changes its state between two scans, as published
 CAP = 75  # square voxels: from here on, the likelihood of free is 1 in double precision
 
@@ -74,7 +71,7 @@ class BeliefMap(BlockGrid):
         self._used, self._is_used = np.empty(0, np.int32), own(np.zeros(n, np.bool_))  # blocks with observed voxels
         self._first = own(np.full(n, never := kernels.beliefs.NEVER), never)  # by block; see ``kernels.beliefs.expire``
         self._marks = lane_marks(n)
-        self._neighbours = self.neighbours() if self.rolls else neighbours_of(self._blocks)
+        self._neighbours = self.neighbours()
         self._likelihoods = np.exp(-np.arange(CAP + 1) / 2)
         self._before = np.empty(0, np.int64)  # occupied voxels of the last scan
         self.number = 0  # of the scan, from 1
@@ -196,17 +193,3 @@ def merged(bits: U64, touched: Bool, order: I32) -> tuple[I32, U64]:
     """The blocks that any lane marked, (K,), sorted, and the bits of their voxels, (K, 8); clears the marks."""
     blocks: I32 = np.sort(kernels.integer_lines.collect(touched, order))
     return blocks, kernels.integer_lines.merge(blocks, bits)
-
-
-def neighbours_of(blocks: I64) -> I32:
-    """(B, 27) int32: the numbers of the blocks around each of a grid's blocks (B, 3), in its order; -1 if absent."""
-    keys = blocks @ (1 << SHIFTS)  # sorted
-    return np.stack([_find(keys, keys + shift @ (1 << SHIFTS)) for shift in AROUND], 1).reshape(-1, 27)
-
-
-def _find(keys: I64, wanted: I64) -> I32:
-    """Positions of the wanted keys among sorted keys; -1 if absent."""
-    if not len(keys):
-        return np.empty(0, np.int32)
-    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[at] == wanted, at, -1).astype(np.int32)

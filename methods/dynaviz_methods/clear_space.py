@@ -13,7 +13,7 @@ from dynaviz.blocks.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.blocks.window import Window
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.belief_map import lane_marks, merged, neighbours_of
+from dynaviz_methods.belief_map import lane_marks, merged
 from dynaviz_methods.lookups import around, known
 from dynaviz_methods.voids import widened
 
@@ -56,7 +56,7 @@ class ClearSpace(BlockGrid):
         # The port skips blocks that are free entirely, which depends on blocks far from any point.
         super().__init__(_filled(extent, 24 * size) if params.port else widened(extent, 2 * size), size)
         self._params, n, own = params, len(self), self.per_block
-        self._neighbours = self.neighbours() if self.rolls else neighbours_of(self._blocks)
+        self._neighbours = self.neighbours()
         self.free, self.seen, self.often, self.revoked, self._hit = (own(np.zeros((n, 8), np.uint64)) for _ in range(5))
         self._recorded = own(np.zeros(n, np.bool_))
         self._free_count, self._hit_count = own(np.zeros((n, VOXELS), np.int32)), own(np.zeros((n, VOXELS), np.int32))

@@ -20,7 +20,6 @@ from dynaviz.spatial.grid import SHIFTS
 
 Bits = tuple[I32, U64]
 
-AROUND = np.array(list(product((-1, 0, 1), repeat=3)))  # offsets, in the order of a block's neighbours
 KEY = 1 << SHIFTS  # packs the indices of a block into one number; the order is that of the grid
 LONG_AGO = -(2**30)
 
@@ -84,15 +83,14 @@ class FreeSpace:
         shifts = np.array(list(product(range(-reach, reach + 1), repeat=3)), np.int32)
         cells = np.unique((extent.cells[:, None] + shifts).reshape(-1, 3), axis=0)
         self.grid = BlockGrid(Extent(extent.low - reach * CELL, extent.high + reach * CELL, cells), size)
-        self._blocks, inner = _blocks_of(self.grid), _blocks_of(BlockGrid(extent, size))
-        keys = self._blocks @ KEY
-        self._inner = np.isin(keys, inner @ KEY)
+        self._blocks = self.grid.blocks.copy()
+        self._inner = np.isin(self._blocks @ KEY, BlockGrid(extent, size).blocks @ KEY)
         self._outer = np.append(~self._inner, True)  # the last entry is for points without a block
-        self.neighbours = np.stack([_find(keys, keys + shift @ KEY) for shift in AROUND], 1).reshape(-1, 27)
+        self.neighbours = self.grid.neighbours()
         full = np.where(self._inner, ~np.uint64(0), np.uint64(0))
         self._needed = kernels.ever_free.spread(np.repeat(full[:, None], 8, 1), self.neighbours)
         self._first = np.append(0, np.cumsum(np.bitwise_count(self._needed).sum(1, dtype=np.int64)))
-        return len(keys)
+        return len(self.grid)
 
     def _follow(self, window: Window) -> int:
         """Let blocks come and go with a window, with all voxels of each; return for how many there is room.
@@ -225,16 +223,3 @@ class FreeSpace:
         """(3, 512) float32, metres, sensor axes: from a block's corner to the centres of its voxels."""
         places = np.stack(np.unravel_index(np.arange(VOXELS), (8, 8, 8)))
         return np.ascontiguousarray(self._axes @ (places + 0.5) * self._params.resolution, np.float32)
-
-
-def _blocks_of(grid: BlockGrid) -> I64:
-    """(B, 3) int64: indices of a grid's blocks from the world's origin, in the order of the grid."""
-    return grid.keys(VOXELS * np.arange(len(grid))).astype(np.int64) >> 3
-
-
-def _find(keys: I64, wanted: I64) -> I32:
-    """Positions of the wanted keys among sorted keys; -1 if absent."""
-    if not len(keys):
-        return np.empty(0, np.int32)
-    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[at] == wanted, at, -1).astype(np.int32)
