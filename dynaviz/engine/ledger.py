@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import Bool
-from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Verdict, voxels_around
-from dynaviz.contracts.method import Reason
+from dynaviz.arrays import F64, I64, Bool
+from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Term, Verdict, voxels_around
+from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.engine.loop import Listener, RunSpec, execute
-from dynaviz.engine.ray_geometry import geometry, normals, touching
+from dynaviz.engine.loop import Listener, RunSpec, execute, repeat
+from dynaviz.engine.ray_geometry import Touching, normals
 from dynaviz.errors import PluginError, UsageError
-from dynaviz.progress import Progress, silent
 from dynaviz.sources.summary import SequenceSummary
 
 EDGE = 0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
+TRUTH = {Label.STATIC: "static", Label.DYNAMIC: "dynamic"}
 GRAZING = 10.0  # degrees: a ray that meets the surface at a smaller angle only grazes it
 
 
@@ -151,18 +152,17 @@ class PointLedger:
 
 
 class Ledger(Listener):
-    """Keeps the ledgers of some points of one frame while a run is executed.
+    """Keeps the ledgers of some points while a run is executed.
 
     Args:
-        frame: position in the run.
-        points: rows in its scan.
+        points: by frame, rows in its scan.
 
     Attributes:
-        ledgers: one for each point, after the frame was labelled and all scans were searched.
+        ledgers: by frame, one for each of its points; after the run.
     """
 
-    def __init__(self, frame: int, points: Sequence[int]) -> None:
-        self._frame, self._rows = frame, np.array(points, np.int64)
+    def __init__(self, points: Mapping[int, Sequence[int]]) -> None:
+        self._rows = {frame: np.array(rows, np.int64) for frame, rows in points.items()}
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Read the points.
@@ -171,128 +171,82 @@ class Ledger(Listener):
             UsageError: for a frame or a point that does not exist.
         """
         sequence, labeller = run.sequence, run.labeller
-        if not 0 <= self._frame < len(sequence):
-            raise UsageError(f"frame {self._frame}: the run has the frames 0 to {len(sequence) - 1}")
-        scan = sequence[self._frame]
-        if (wrong := self._rows[(self._rows < 0) | (self._rows >= len(scan))]).size:
-            raise UsageError(f"point {wrong[0]}: frame {self._frame} has the points 0 to {len(scan) - 1}")
-        # Only the raw map has rows, and counting them means reading the earlier scans again.
-        first = sum(len(sequence[k]) for k in range(self._frame)) if labeller.info.needs_map else 0
-        self._asked, self._truth = Asked(scan.without_truth(), self._rows, first), scan.labels
         self._run, self._explains = run, labeller if isinstance(labeller, Explains) else None
-        self._cells = voxels_around(self._asked.points, EDGE)
-        self._normals = normals(scan.points, self._asked.points)
-        self._books = [_Book() for _ in self._rows]
-        self._verdict, self._searched, self._over = Verdict(), 0, False
-        self._quantities: tuple[Quantity, ...] = ()
-        self.ledgers: tuple[PointLedger, ...] = ()
+        self._books: dict[int, _Book] = {}
+        for frame, rows in self._rows.items():
+            if not 0 <= frame < len(sequence):
+                raise UsageError(f"frame {frame}: the run has the frames 0 to {len(sequence) - 1}")
+            scan = sequence[frame]
+            if (wrong := rows[(rows < 0) | (rows >= len(scan))]).size:
+                raise UsageError(f"point {wrong[0]}: frame {frame} has the points 0 to {len(scan) - 1}")
+            self._books[frame] = _Book(frame, scan, rows)
+        if labeller.info.needs_map:  # only the raw map has rows, and counting them means reading the scans again
+            first = 0
+            for frame in range(max(self._rows, default=-1) + 1):
+                if frame in self._books:
+                    self._books[frame].start_at(first)
+                first += len(sequence[frame])
+        self.ledgers: dict[int, tuple[PointLedger, ...]] = {}
 
     def observing(self, frame: int, scan: Scan) -> None:
         """Keep the scan."""
         self._scan = scan
 
     def observed(self, frame: int) -> None:
-        """Enter the scan, unless an earlier one settled the labels."""
-        if not self._over:
-            self._enter(frame, self._scan)
+        """Enter the scan, except where an earlier one settled the labels."""
+        self._enter(frame, self._scan)
 
     def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
-        """Enter the scan of a labeller that observes none; take the label and the rules that decided it."""
+        """Enter the scan of a labeller that observes none; take the labels and the rules that decided them."""
         if self._run.method is None:
             self._enter(labelled.frame, labelled.scan)
-        if labelled.frame == self._frame:
-            if (evidence := self._evidence()) is not None:
-                self._verdict.add(evidence)
-            self._over = self._over or self._run.online
-            self._labels = labelled.dynamic[self._rows], labelled.reasons[self._rows]
+        if (book := self._books.get(labelled.frame)) is not None:
+            book.judge(labelled, self._evidence(book), self._run.online)
 
     def finish(self, *_: Any) -> None:
         """Close the ledgers.
 
         Raises:
-            PluginError: if the method's evidence contradicts its label.
+            PluginError: if the method's evidence contradicts its labels.
         """
-        self.ledgers = tuple(self._close(k) for k in range(len(self._rows)))
+        info = self._run.labeller.info
+        self.ledgers = {frame: book.closed(info) for frame, book in self._books.items()}
 
     def _enter(self, frame: int, scan: Scan) -> None:
         """Add an entry to each ledger that the scan concerns."""
-        self._searched += 1
-        evidence = self._evidence()
-        values: tuple[Quantity, ...] = ()
-        held: dict[str, Bool] = {}
-        removed: Bool | None = None
-        if evidence is not None:
-            self._cells, values, self._quantities = evidence.cells, evidence.quantities, evidence.quantities
-            self._verdict.add(evidence)
-            self._over = self._verdict.final
-            held = {rule.name: rule.holds() for rule in evidence.rules}
-            removed = self._verdict.dynamic() if evidence.rules else None
-        for k, (book, rays) in enumerate(zip(self._books, touching(scan, self._cells), strict=True)):
-            changes = book.update(values, k)
-            if evidence is not None:
-                book.compare(evidence, k, frame)
-            read = any(not q.total and not np.isnan(q.values[k]) for q in values)
-            read = read or any(step.applies[k] for q in values for step in q.steps)
-            if len(rays[0]) or len(rays[1]) or changes or read or frame == self._frame:
-                seen = geometry(scan, *rays, self._asked.points[k], self._normals[k])
-                numbers = {q.name: _plain(q.values[k]) for q in values}
-                holds = tuple(name for name, of in held.items() if of[k])
-                so_far = None if removed is None else bool(removed[k])
-                steps = tuple(step.name for q in values for step in q.steps if step.applies[k])
-                book.entries.append(LedgerEntry(frame, scan.index, *seen, numbers, changes, holds, so_far, steps))
+        books = [(book, self._evidence(book)) for book in self._books.values() if not book.over and len(book.points)]
+        if not books:
+            return
+        cells = [book.cells if evidence is None else evidence.cells for book, evidence in books]
+        rays, first = Touching.of(scan, np.concatenate(cells)), 0
+        for book, evidence in books:
+            book.enter(frame, scan.index, evidence, rays, first)
+            first += len(book.points)
 
-    def _evidence(self) -> Evidence | None:
-        """What the method states on the points; for so few, starting threads would take most of the time."""
+    def _evidence(self, book: _Book) -> Evidence | None:
+        """What the method states on points; for so few, starting threads would take most of the time."""
         if self._explains is None:
             return None
         threads = kernels.threads_in_use()
         kernels.set_threads(1)
         try:
-            return self._explains.evidence(self._asked)
+            return self._explains.evidence(book.asked)
         finally:
             kernels.set_threads(threads)
 
-    def _close(self, k: int) -> PointLedger:
-        dynamic, codes = self._labels
-        held, verdict = self._verdict.held(), self._verdict.dynamic()
-        info, row = self._run.labeller.info, int(self._rows[k])
-        if verdict is not None and verdict[k] != dynamic[k]:
-            raise PluginError(
-                f"{info.name}: its evidence contradicts the label of point {row} of frame {self._frame}. "
-                "Check the method with dynaviz.testing.check_method"
-            )
-        rules = tuple(self._books[k].closed(rule, k, bool(held[rule.name][k])) for rule in self._verdict.rules)
-        truth = {Label.STATIC: "static", Label.DYNAMIC: "dynamic"}
-        x, y, z = self._asked.points[k].astype(float).tolist()
-        return PointLedger(
-            frame=self._frame,
-            index=self._asked.scan.index,
-            point=row,
-            position=(x, y, z),
-            truth=None if self._truth is None else truth.get(Label(self._truth[row])),
-            removed=bool(dynamic[k]),
-            reason=info.reasons[codes[k]],
-            verdict=None if verdict is None else bool(verdict[k]),
-            rules=rules,
-            quantities=tuple(map(QuantityInfo.of, self._quantities)),
-            entries=tuple(self._books[k].entries),
-            searched=self._searched,
-        )
-
 
 def replay(
-    run: RunSpec, summary: SequenceSummary, asked: Sequence[tuple[int, Sequence[int]]], progress: Progress = silent
-) -> list[tuple[PointLedger, ...]]:
+    run: RunSpec, summary: SequenceSummary, asked: Sequence[tuple[int, Sequence[int]]]
+) -> tuple[list[tuple[PointLedger, ...]], float]:
     """The ledgers of points, from repeating a run with the same labeller.
 
     Args:
         run: its labeller forgets what it knows, and then knows it again.
         summary: of its sequence.
         asked: frames with rows of their scans; a frame may occur several times.
-        progress: as for ``execute``.
 
     Returns:
-        For each of ``asked`` the ledgers of its points.
+        For each of ``asked`` the ledgers of its points; and the seconds that a whole run takes without any.
 
     Raises:
         PluginError: if the evidence of the method contradicts its labels.
@@ -300,69 +254,194 @@ def replay(
     """
     rows: dict[int, list[int]] = {}
     for frame, points in asked:
-        rows.setdefault(frame, []).extend(points)
-    ledgers = {frame: Ledger(frame, points) for frame, points in rows.items() if points}
-    execute(dataclasses.replace(run, metrics=(), summary=summary), list(ledgers.values()), progress=progress)
-    left = {frame: iter(ledger.ledgers) for frame, ledger in ledgers.items()}
-    return [tuple(next(left[frame]) for _ in points) for frame, points in asked]
+        if points:
+            rows.setdefault(frame, []).extend(points)
+    ledger, run = Ledger(rows), dataclasses.replace(run, metrics=(), summary=summary)
+    if run.method:
+        seconds = repeat(run, ledger, rows)
+        ledger.finish()
+    else:
+        begin = time.perf_counter()
+        execute(run, [ledger])
+        seconds = time.perf_counter() - begin
+    left = {frame: iter(found) for frame, found in ledger.ledgers.items()}
+    return [tuple(next(left[frame]) for _ in points) for frame, points in asked], summary.seconds + seconds
 
 
-@dataclass(slots=True)
 class _Book:
-    """One point's entries so far.
+    """The ledgers of the points of one frame, while they are kept.
+
+    Args:
+        frame: its position in the run.
+        scan: its scan.
+        rows: (K,) the points.
 
     Attributes:
-        entries: by frame.
-        totals: the last values of quantities that accumulate.
-        best: for each lasting rule: how close the closest scan came, as from ``_closeness``, its frame, the terms.
+        asked: the points.
+        points: (K, 3) float32, metres, world frame.
+        cells: (K, 2, 3) float64, metres, world frame, as in ``Evidence``.
+        over: whether later scans change nothing.
     """
 
-    entries: list[LedgerEntry] = field(default_factory=list)
-    totals: dict[str, float] = field(default_factory=dict)
-    best: dict[str, tuple[tuple[int, float], int, tuple[TermValue, ...]]] = field(default_factory=dict)
+    def __init__(self, frame: int, scan: Scan, rows: I64) -> None:
+        self.asked, self._frame, self._truth = Asked(scan.without_truth(), rows, 0), frame, scan.labels
+        self.points = self.asked.points
+        self.cells = voxels_around(self.points, EDGE)
+        self.over = False
+        self._normals = normals(scan.points, self.points)
+        self._entries: list[list[LedgerEntry]] = [[] for _ in rows]
+        self._totals: dict[str, F64] = {}  # the last values of quantities that accumulate
+        self._best: dict[str, _Best] = {}
+        self._verdict, self._searched = Verdict(), 0
+        self._quantities: tuple[Quantity, ...] = ()
 
-    def update(self, values: Sequence[Quantity], k: int) -> dict[str, float]:
-        """Take the values of point k after a scan; returns the changes."""
+    def start_at(self, first: int) -> None:
+        """Set the scan's first row in the raw map."""
+        self.asked = dataclasses.replace(self.asked, first=first)
+
+    def enter(self, frame: int, index: int, evidence: Evidence | None, rays: Touching, first: int) -> None:
+        """Add a scan to the ledgers that it concerns; the points' cells are those from ``first`` on."""
+        self._searched += 1
+        values: tuple[Quantity, ...] = ()
+        held: dict[str, Bool] = {}
+        removed: Bool | None = None
+        mine = slice(first, first + len(self.points))
+        concerned = rays.hits[mine] + rays.crossed[mine] > 0
+        if evidence is not None:
+            self.cells, values, self._quantities = evidence.cells, evidence.quantities, evidence.quantities
+            self._verdict.add(evidence)
+            self.over = self._verdict.final
+            held = {rule.name: rule.holds() for rule in evidence.rules}
+            removed = self._verdict.dynamic() if evidence.rules else None
+            self._compare(evidence, frame)
+        changes = self._changes(values)
+        for quantity in values:
+            if quantity.total:
+                concerned |= changes[quantity.name] != 0
+            else:
+                concerned |= ~np.isnan(quantity.values)
+            for step in quantity.steps:
+                concerned |= step.applies
+        chosen = range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist()
+        for k in chosen:
+            self._entries[k].append(
+                LedgerEntry(
+                    frame,
+                    index,
+                    *rays.seen(first + k, self.points[k], self._normals[k]),
+                    values={q.name: _plain(q.values[k]) for q in values},
+                    changes={name: float(of[k]) for name, of in changes.items() if of[k]},
+                    holds=tuple(name for name, of in held.items() if of[k]),
+                    removed=None if removed is None else bool(removed[k]),
+                    steps=tuple(step.name for q in values for step in q.steps if step.applies[k]),
+                )
+            )
+
+    def judge(self, labelled: Labelled, evidence: Evidence | None, online: bool) -> None:
+        """Take the labels, and the rules that decided them."""
+        if evidence is not None:
+            self._verdict.add(evidence)
+        self.over = self.over or online
+        self._dynamic, self._codes = labelled.dynamic[self.asked.rows], labelled.reasons[self.asked.rows]
+
+    def closed(self, info: MethodInfo) -> tuple[PointLedger, ...]:
+        """The ledgers; raises PluginError if the method's evidence contradicts its labels."""
+        held, verdict = self._verdict.held(), self._verdict.dynamic()
+        if verdict is not None and (wrong := np.flatnonzero(verdict != self._dynamic)).size:
+            raise PluginError(
+                f"{info.name}: its evidence contradicts the label of point {self.asked.rows[wrong[0]]} of frame "
+                f"{self._frame}. Check the method with dynaviz.testing.check_method"
+            )
+        rules = [(rule, *self._deciding(rule)) for rule in self._verdict.rules]
+        quantities = tuple(map(QuantityInfo.of, self._quantities))
+        return tuple(
+            PointLedger(
+                frame=self._frame,
+                index=self.asked.scan.index,
+                point=int(self.asked.rows[k]),
+                position=(float(self.points[k, 0]), float(self.points[k, 1]), float(self.points[k, 2])),
+                truth=None if self._truth is None else TRUTH.get(Label(self._truth[self.asked.rows[k]])),
+                removed=bool(self._dynamic[k]),
+                reason=info.reasons[self._codes[k]],
+                verdict=None if verdict is None else bool(verdict[k]),
+                rules=tuple(
+                    RuleValue(rule.name, terms(k), bool(held[rule.name][k]), frames[k]) for rule, terms, frames in rules
+                ),
+                quantities=quantities,
+                entries=tuple(self._entries[k]),
+                searched=self._searched,
+            )
+            for k in range(len(self.points))
+        )
+
+    def _changes(self, values: Sequence[Quantity]) -> dict[str, F64]:
+        """What a scan added to the quantities that accumulate, (K,) each; 0 where it left them or they are unknown."""
         changes = {}
         for quantity in values:
-            value = float(quantity.values[k])
-            if quantity.total and not math.isnan(value):
-                if change := value - self.totals.get(quantity.name, 0.0):
-                    changes[quantity.name] = change
-                self.totals[quantity.name] = value
+            if quantity.total:
+                now, before = quantity.values, self._totals.setdefault(quantity.name, np.zeros(len(self.points)))
+                known = ~np.isnan(now)
+                changes[quantity.name] = np.where(known, now - before, 0.0)
+                before[known] = now[known]
         return changes
 
-    def compare(self, evidence: Evidence, k: int, frame: int) -> None:
-        """Keep the terms of lasting rules if this scan came closer than all before it."""
+    def _compare(self, evidence: Evidence, frame: int) -> None:
+        """Keep the terms of lasting rules at the points to which this scan came closer than all before it."""
         for rule in evidence.rules:
             if rule.lasting:
-                terms = _terms(rule, k)
-                if rule.name not in self.best or _closeness(terms) > self.best[rule.name][0]:
-                    self.best[rule.name] = _closeness(terms), frame, terms
+                numbers = _Numbers(rule)
+                best = self._best.setdefault(rule.name, _Best(len(self.points)))
+                count, gap = numbers.closeness()
+                closer = (count > best.count) | ((count == best.count) & (gap > best.gap))
+                best.count[closer], best.gap[closer] = count[closer], gap[closer]
+                for k in np.flatnonzero(closer).tolist():
+                    best.frames[k], best.terms[k] = frame, numbers.terms(k)
 
-    def closed(self, rule: Rule, k: int, holds: bool) -> RuleValue:
-        """The rule with the numbers that decided."""
-        if rule.name in self.best:
-            _, frame, terms = self.best[rule.name]
-            return RuleValue(rule.name, terms, holds, frame)
-        return RuleValue(rule.name, _terms(rule, k), holds, None)
-
-
-def _terms(rule: Rule, k: int) -> tuple[TermValue, ...]:
-    found = []
-    for term in rule.terms:
-        values = np.asarray(term.values, np.float64)
-        threshold = float(np.broadcast_to(np.asarray(term.threshold, np.float64), values.shape)[k])
-        value, holds = _plain(values[k]), bool(term.holds()[k])
-        found.append(TermValue(term.name, value, term.test, threshold, term.unit, holds, term.parameter))
-    return tuple(found)
+    def _deciding(self, rule: Rule) -> tuple[Callable[[int], tuple[TermValue, ...]], Sequence[int | None]]:
+        """By point, the terms of a rule with the numbers that decided, and the frame of the scan that set them."""
+        if (best := self._best.get(rule.name)) is not None:
+            return best.terms.__getitem__, best.frames
+        return _Numbers(rule).terms, [None] * len(self.points)
 
 
-def _closeness(terms: Sequence[TermValue]) -> tuple[int, float]:
-    """Number of terms that hold, and minus the distance of the others from their thresholds; larger is closer."""
-    failing = [term for term in terms if not term.holds]
-    gaps = (math.inf if term.value is None else abs(term.value - term.threshold) for term in failing)
-    return len(terms) - len(failing), -sum(gaps)
+class _Best:
+    """For each point the scan that came closest to fulfilling a lasting rule.
+
+    Attributes:
+        count, gap: (K,) as from ``_Numbers.closeness``.
+        frames, terms: of that scan.
+    """
+
+    def __init__(self, points: int) -> None:
+        self.count, self.gap = np.full(points, -1), np.zeros(points)
+        self.frames: list[int | None] = [None] * points
+        self.terms: list[tuple[TermValue, ...]] = [()] * points
+
+
+class _Numbers:
+    """The numbers of a rule at all points."""
+
+    def __init__(self, rule: Rule) -> None:
+        self._terms: list[tuple[Term, F64, F64, Bool]] = []
+        for term in rule.terms:
+            values = np.asarray(term.values, np.float64)
+            thresholds = np.broadcast_to(np.asarray(term.threshold, np.float64), values.shape)
+            self._terms.append((term, values, thresholds, term.holds()))
+
+    def terms(self, k: int) -> tuple[TermValue, ...]:
+        """The terms of a point."""
+        return tuple(
+            TermValue(
+                term.name, _plain(values[k]), term.test, float(limits[k]), term.unit, bool(holds[k]), term.parameter
+            )
+            for term, values, limits, holds in self._terms
+        )
+
+    def closeness(self) -> tuple[I64, F64]:
+        """Number of terms that hold, and minus the distance of the others from their thresholds; larger is closer."""
+        holds = np.array([holds for *_, holds in self._terms])
+        gaps = [np.where(np.isnan(values), np.inf, np.abs(values - limits)) for _, values, limits, _ in self._terms]
+        return holds.sum(0), -np.where(holds, 0.0, gaps).sum(0)
 
 
 def _plain(value: Any) -> float | None:

@@ -184,16 +184,12 @@ def execute(
 
     def label(frame: int, scan: Scan) -> None:
         nonlocal removed, not_finite, at_sensor
-        seen, found = near.hidden(scan) if method else (scan.without_truth(), None)
-        labels = clock.timed(frame, labeller.label, seen)
-        _check(info.name, labels, len(scan))
-        labels = labels if found is None else unjudged(labels, found, info)
-        answer.append(labels.dynamic)
+        labelled = _labelled(run, near, frame, scan, lambda seen: clock.timed(frame, labeller.label, seen))
+        answer.append(labelled.dynamic)
         counts.append(len(scan))
         finite = all_finite(scan.points)
-        removed, not_finite = removed + int((labels.dynamic & finite).sum()), not_finite + int((~finite).sum())
-        at_sensor += int(np.count_nonzero(labels.reasons == info.reasons.index(AT_SENSOR)))
-        labelled = Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
+        removed, not_finite = removed + int((labelled.dynamic & finite).sum()), not_finite + int((~finite).sum())
+        at_sensor += int(np.count_nonzero(labelled.reasons == info.reasons.index(AT_SENSOR)))
         curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
         for listener in listeners:
             listener.labelled(labelled, curves)
@@ -223,6 +219,61 @@ def execute(
     for listener in listeners:
         listener.finish(result, figures)
     return result
+
+
+def repeat(run: RunSpec, listener: Listener, frames: Iterable[int], progress: Progress = silent) -> float:
+    """Let the method of a run observe all scans again, for a listener; only some of them are labelled.
+
+    Args:
+        run: of a method, which forgets what it knows, and then knows it again; with the summary of its sequence.
+        listener: notified of all scans, and of the labels of some; it gets no curves and no result.
+        frames: those to label.
+        progress: as for ``execute``.
+
+    Returns:
+        Seconds that the method, with reading, would take to observe and label all scans, without the listener.
+
+    Raises:
+        PluginError, DataError: as ``execute``.
+    """
+    method, summary, near = run.method, run.summary, AtSensor(run.sequence.sensor)
+    assert method is not None
+    assert summary is not None
+    kernels.set_threads(run.threads)
+    method.begin(_context(run, summary, SILENT))
+    listener.begin(run, summary)
+    listening, begin, total = 0.0, time.perf_counter(), len(run.sequence)
+
+    def heard(call: Callable[..., None], *args: Any) -> None:
+        nonlocal listening
+        start = time.perf_counter()
+        call(*args)
+        listening += time.perf_counter() - start
+
+    for frame, scan in enumerate(stream(run.sequence)):
+        heard(listener.observing, frame, scan)
+        method.observe(near.hidden(scan)[0])
+        heard(listener.observed, frame)
+        if run.online:
+            heard(listener.labelled, _labelled(run, near, frame, scan, method.label), {})
+        progress("observe", frame + 1, total)
+    seconds = time.perf_counter() - begin - listening
+    if run.online:
+        return seconds
+    begin, listening, some = time.perf_counter(), 0.0, sorted({0, *frames})
+    for frame in some:  # from the first on, as in a run, so that no method takes an answer for that of an online run
+        heard(listener.labelled, _labelled(run, near, frame, run.sequence[frame], method.label), {})
+    return seconds + (time.perf_counter() - begin - listening) * total / len(some)
+
+
+def _labelled(run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]) -> Labelled:
+    """A scan with the labels that a call returns."""
+    info = run.labeller.info
+    seen, found = near.hidden(scan) if run.method else (scan.without_truth(), None)
+    labels = call(seen)
+    _check(info.name, labels, len(scan))
+    labels = labels if found is None else unjudged(labels, found, info)
+    return Labelled.of(frame, scan, labels.dynamic, labels.reasons, labels.answered)
 
 
 Step = Callable[[int, Scan], None]

@@ -2,50 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, Intp
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.surface import surface_normal
 
+CUBE = 4.0  # metres: cells in a cube of this edge are searched together
 SURFACES = (0.4, 0.8, 1.6)  # metres: points of the same scan this close to a point are tried as its surface
 
 
-def touching(scan: Scan, cells: F64) -> Iterator[tuple[Intp, Intp]]:
-    """For each of (K, 2, 3) cells the rays of a scan that end in it, and those that pass through it."""
-    for first in range(0, len(cells), kernels.witnesses.MOST):
-        low, high = (np.ascontiguousarray(cells[first : first + kernels.witnesses.MOST, side]) for side in (0, 1))
-        hit, crossed = kernels.witnesses.touched(scan.points, scan.origins, low, high)
-        touching = np.flatnonzero(hit | crossed)
-        hit, crossed = hit[touching], crossed[touching]
-        for k in range(len(low)):
-            bit = np.uint32(1) << np.uint32(k)
-            yield touching[hit & bit > 0], touching[crossed & bit > 0]
+@dataclass(frozen=True, slots=True, eq=False)
+class Touching:
+    """The rays of a scan that touch cells, by cell.
+
+    Attributes:
+        hits, crossed: (K,) int64, number of rays that end in each cell, and that pass through it.
+        origins: (K, 3) float64, metres, world frame: origin of the first ray that touches it, or of the scan.
+        lengths: (K,) float64, metres, of the rays that pass through it, median; NaN without any.
+    """
+
+    hits: I64
+    crossed: I64
+    origins: F64
+    lengths: F64
+
+    @classmethod
+    def of(cls, scan: Scan, cells: F64) -> Touching:
+        """The rays that touch (K, 2, 3) cells."""
+        rays, found, ends = _touched(scan, cells)
+        order = np.lexsort((rays, ~ends, found))  # of each cell, first those that end in it
+        rays, found, ends = rays[order], found[order], ends[order]
+        hits, crossed = (np.bincount(found[chosen], minlength=len(cells)) for chosen in (ends, ~ends))
+        origins, one = np.repeat(scan.origins[:1], len(cells), 0), len(scan.origins) == 1
+        if not one and len(found):
+            touched, first = np.unique(found, return_index=True)
+            origins[touched] = scan.origins[rays[first]]
+        passing, of_cell = rays[~ends], found[~ends]
+        from_sensor = scan.points[passing] - (scan.origins if one else scan.origins[passing])
+        away = np.linalg.norm(from_sensor, axis=1)
+        away = away[np.lexsort((away, of_cell))]
+        lengths, some = np.full(len(cells), np.nan), np.flatnonzero(crossed)
+        first, half = (np.cumsum(crossed) - crossed)[some], crossed[some] // 2
+        lengths[some] = (away[first + half] + away[first + crossed[some] - 1 - half]) / 2
+        return cls(hits, crossed, origins, lengths)
+
+    def seen(self, k: int, point: F32, normal: F64 | None) -> Geometry:
+        """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
+        ray = point - self.origins[k]
+        away, angle, behind = math.sqrt(ray @ ray), None, float(self.lengths[k])
+        if normal is not None and away > 0:
+            angle = float(np.degrees(np.arcsin(min(abs(ray @ normal) / away, 1.0))))
+        x, y, z = self.origins[k].tolist()
+        hits, crossed = int(self.hits[k]), int(self.crossed[k])
+        return (x, y, z), away, angle, hits, crossed, None if math.isnan(behind) else behind - away
 
 
 Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
 
 
-def geometry(scan: Scan, ends: Intp, passes: Intp, point: F32, normal: F64 | None) -> Geometry:
-    """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
-    touching = np.append(ends, passes)
-    one = len(scan.origins) == 1 or not len(touching)
-    origin = scan.origins[0] if one else scan.origins[touching[0]]
-    ray = point - origin
-    away = float(np.linalg.norm(ray))
-    angle = None
-    if normal is not None and away > 0:
-        angle = float(np.degrees(np.arcsin(min(abs(ray @ normal) / away, 1.0))))
-    behind = None
-    if len(passes):
-        origins = scan.origins if len(scan.origins) == 1 else scan.origins[passes]
-        lengths = np.sort(np.linalg.norm(scan.points[passes] - origins, axis=1))
-        behind = float(lengths[len(lengths) // 2] + lengths[~(len(lengths) // 2)]) / 2 - away  # the median
-    x, y, z = origin.tolist()
-    return (x, y, z), away, angle, len(ends), len(passes), behind
+def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
+    """Pairs of a ray and a cell that it touches, and whether it ends there."""
+    cubes = np.floor(np.nan_to_num(cells[:, 0]) / CUBE)
+    order = np.lexsort(cubes.T)
+    edges = np.flatnonzero((cubes[order[1:]] != cubes[order[:-1]]).any(1)) + 1
+    starts = np.concatenate([[0], edges, [len(cells)]])
+    found = []
+    for first in range(0, len(starts) - 1, kernels.witnesses.MOST):
+        some = starts[first : first + kernels.witnesses.MOST + 1]
+        mine = order[some[0] : some[-1]]
+        low, high = (np.ascontiguousarray(cells[mine, side]) for side in (0, 1))
+        rays, boxes, ends = kernels.witnesses.touched(scan.points, scan.origins, some - some[0], low, high)
+        found.append((rays, mine[boxes], ends))
+    rays, boxes, ends = (np.concatenate(each) for each in zip(*found, strict=True))
+    return rays, boxes, ends
 
 
 def normals(points: F32, asked: F32) -> list[F64 | None]:

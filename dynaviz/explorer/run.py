@@ -80,9 +80,9 @@ class ExploredRun:
 
     @property
     def replay_s(self) -> float | None:
-        """Seconds that a replay takes, by what it took when the run was recorded; None if unknown."""
-        measured = self.recording.properties.get("replay_s")
-        return None if measured is None else float(measured) * len(self.passes) / (len(self.passes) - 1)
+        """Seconds that a replay takes, by what its passes took when the run was recorded; None if unknown."""
+        measured = self.recording.properties.get("repeat_s")
+        return None if measured is None else float(measured)
 
     @property
     def title(self) -> str:

@@ -5,16 +5,16 @@ import math
 import numpy as np
 from numba import njit
 
-MOST = 32  # boxes: one bit of a uint32 each
+MOST = 64  # groups of boxes: one bit of a uint64 each
 TINY = 1e-300  # instead of a step of zero, whose inverse would not be a number
-SIDE = 32  # bins along each edge of a cube around the sensor, in which rays look up the boxes in their direction
+SIDE = 32  # bins along each edge of a cube around the sensor, in which rays look up the groups in their direction
 SPREAD = math.asin(math.sqrt(2.0) / SIDE)  # radians: no direction in a bin is farther from that of its middle
 
 
 @njit(cache=True, nogil=True)
 def _in_direction(origin, low, high):
-    """(6 SIDE^2,) uint32: the boxes, as bits, that a ray from the origin may meet if its direction is in each bin."""
-    bins, every = np.zeros(6 * SIDE * SIDE, np.uint32), np.uint32(0)
+    """(6 SIDE^2,) uint64: the boxes, as bits, that a ray from the origin may meet if its direction is in each bin."""
+    bins, every = np.zeros(6 * SIDE * SIDE, np.uint64), np.uint64(0)
     apart, reach, along = np.empty((len(low), 3)), np.empty(len(low)), np.empty(3)
     for b in range(len(low)):
         distance, radius = 0.0, 0.0  # of the ball around the box
@@ -23,7 +23,7 @@ def _in_direction(origin, low, high):
             distance += apart[b, axis] ** 2
             radius += ((high[b, axis] - low[b, axis]) / 2) ** 2
         if distance <= radius * 1.01:
-            every |= np.uint32(1) << np.uint32(b)
+            every |= np.uint64(1) << np.uint64(b)
         distance = max(math.sqrt(distance), TINY)
         apart[b] /= distance
         reach[b] = math.cos(min(math.asin(min(math.sqrt(radius) / distance, 1.0)) + SPREAD, math.pi)) - 1e-6
@@ -37,7 +37,7 @@ def _in_direction(origin, low, high):
                 for b in range(len(low)):
                     cosine = along[0] * apart[b, 0] + along[1] * apart[b, 1] + along[2] * apart[b, 2]
                     if cosine >= reach[b] * length:
-                        found |= np.uint32(1) << np.uint32(b)
+                        found |= np.uint64(1) << np.uint64(b)
                 bins[(face * SIDE + row) * SIDE + column] = found
     return bins
 
@@ -58,53 +58,73 @@ def _bin(x, y, z):
     return ((face if main > 0 else face + 3) * SIDE + row) * SIDE + column
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def touched(points, origins, low, high):
-    """The boxes that each ray of a scan touches, as bits: bit b stands for box b.
+@njit(cache=True, nogil=True, inline="always")
+def _shares(ox, oy, oz, ix, iy, iz, low, high):
+    """Where a ray enters and leaves a box, as shares of its length; never between 0 and 1 if it misses the box."""
+    first, second = (low[0] - ox) * ix, (high[0] - ox) * ix
+    enter, leave = min(first, second), max(first, second)
+    first, second = (low[1] - oy) * iy, (high[1] - oy) * iy
+    enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+    first, second = (low[2] - oz) * iz, (high[2] - oz) * iz
+    return max(enter, min(first, second)), min(leave, max(first, second))
 
-    A slab test, for rays with a common origin only of the boxes in their direction.
+
+@njit(cache=True, nogil=True)
+def _bounds(starts, low, high):
+    """Corners (G, 3) of the box around each group of boxes; boxes with NaN do not count."""
+    around_low, around_high = np.full((len(starts) - 1, 3), np.inf), np.full((len(starts) - 1, 3), -np.inf)
+    for group in range(len(starts) - 1):
+        for b in range(starts[group], starts[group + 1]):
+            for axis in range(3):
+                if low[b, axis] < around_low[group, axis]:
+                    around_low[group, axis] = low[b, axis]
+                if high[b, axis] > around_high[group, axis]:
+                    around_high[group, axis] = high[b, axis]
+    return around_low, around_high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def touched(points, origins, starts, low, high):
+    """The boxes that the rays of a scan touch, by a slab test of the boxes whose group they touch.
 
     Args:
         points: (N, 3) float32, metres, world frame: ends of the rays; a ray with a non-finite end touches nothing.
         origins: (1, 3) or (N, 3) float64, metres, world frame.
-        low, high: (B, 3) float64, metres, world frame: corners of the boxes, at most ``MOST``.
+        starts: (G + 1,) int64: group g has the boxes from ``starts[g]`` to ``starts[g + 1]``; at most ``MOST`` groups.
+        low, high: (B, 3) float64, metres, world frame: corners of the boxes.
 
     Returns:
-        hit: (N,) uint32, boxes that contain the end of the ray.
-        crossed: (N,) uint32, boxes that the ray enters and leaves before its end.
+        rays, boxes: (K,) int64, pairs in the order of rays.
+        ends: (K,) bool: whether the box contains the end of the ray; otherwise the ray enters and leaves it before.
     """
-    n, one = len(points), len(origins) == 1
-    hit, crossed = np.zeros(n, np.uint32), np.zeros(n, np.uint32)
-    bins = _in_direction(origins[0], low, high) if one else np.empty(0, np.uint32)
-    all_boxes = np.uint32((np.uint64(1) << np.uint64(len(low))) - np.uint64(1))
-    for i in range(n):
+    one, groups, count = len(origins) == 1, len(starts) - 1, 0
+    rays, boxes, ends = np.empty(1024, np.int64), np.empty(1024, np.int64), np.empty(1024, np.bool_)
+    around_low, around_high = _bounds(starts, low, high)
+    bins = _in_direction(origins[0], around_low, around_high) if one else np.empty(0, np.uint64)
+    all_groups = ~np.uint64(0) >> np.uint64(MOST - groups)
+    for i in range(len(points)):
         o = origins[0 if one else i]
         ox, oy, oz = o[0], o[1], o[2]
         sx, sy, sz = points[i, 0] - ox, points[i, 1] - oy, points[i, 2] - oz
         if not abs(sx) + abs(sy) + abs(sz) < np.inf:
             continue
-        near = bins[_bin(sx, sy, sz)] if one and (sx or sy or sz) else all_boxes
+        near = bins[_bin(sx, sy, sz)] if one and (sx or sy or sz) else all_groups
         if not near:
             continue
         ix, iy, iz = 1.0 / (sx if sx else TINY), 1.0 / (sy if sy else TINY), 1.0 / (sz if sz else TINY)
-        for b in range(len(low)):
-            if not near >> np.uint32(b) & np.uint32(1):
+        for group in range(groups):
+            if not near >> np.uint64(group) & np.uint64(1):
                 continue
-            # As shares of the way from the origin to the end of the ray.
-            first, second = (low[b, 0] - ox) * ix, (high[b, 0] - ox) * ix
-            enter, leave = min(first, second), max(first, second)
-            if leave < 0.0 or enter > 1.0:
-                continue
-            first, second = (low[b, 1] - oy) * iy, (high[b, 1] - oy) * iy
-            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
+            enter, leave = _shares(ox, oy, oz, ix, iy, iz, around_low[group], around_high[group])
             if enter > leave or leave < 0.0 or enter > 1.0:
                 continue
-            first, second = (low[b, 2] - oz) * iz, (high[b, 2] - oz) * iz
-            enter, leave = max(enter, min(first, second)), min(leave, max(first, second))
-            if enter > leave or leave < 0.0 or enter > 1.0:
-                continue
-            if leave >= 1.0:
-                hit[i] |= np.uint32(1) << np.uint32(b)
-            elif enter > 0.0:
-                crossed[i] |= np.uint32(1) << np.uint32(b)
-    return hit, crossed
+            for b in range(starts[group], starts[group + 1]):
+                enter, leave = _shares(ox, oy, oz, ix, iy, iz, low[b], high[b])
+                if enter > leave or leave < 0.0 or enter > 1.0 or not (leave >= 1.0 or enter > 0.0):
+                    continue
+                if count == len(rays):
+                    rays, boxes = np.append(rays, rays), np.append(boxes, boxes)
+                    ends = np.append(ends, ends)
+                rays[count], boxes[count], ends[count] = i, b, leave >= 1.0
+                count += 1
+    return rays[:count], boxes[:count], ends[:count]

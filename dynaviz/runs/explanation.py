@@ -139,8 +139,8 @@ def explain(
         UsageError, DataError: as ``why``.
     """
     opened = run if isinstance(run, Run) else open_run(run)
-    ledgers = {frame: Ledger(frame, rows) for frame, rows in points.items()}
-    spec = opened.replay(ledgers.values(), at=sequence, threads=threads, progress=progress)
+    ledger = Ledger(points)
+    spec = opened.replay([ledger], at=sequence, threads=threads, progress=progress)
     info, note = spec.labeller.info, ""
     if spec.method is None:
         note = "The labels come from another program, so there is no ledger: only the rays are known."
@@ -148,8 +148,8 @@ def explain(
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {
-        frame: tuple(Why(*facts, found, cause_at(opened.result, found), note) for found in ledger.ledgers)
-        for frame, ledger in ledgers.items()
+        frame: tuple(Why(*facts, each, cause_at(opened.result, each), note) for each in found)
+        for frame, found in ledger.ledgers.items()
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,6 +35,7 @@ class SequenceSummary:
 
     The digest covers points, poses, ray origins and labels of all frames in order: two runs can be compared point by
     point exactly if their digests agree. ``pose_noise`` is None if it was not measured, or too few planes are seen.
+    ``seconds`` is what the pass took; 0 if unknown.
     """
 
     extent: Extent
@@ -41,6 +43,7 @@ class SequenceSummary:
     points: int
     digest: str
     pose_noise: PoseNoise | None = None
+    seconds: float = 0.0
 
 
 def summarize(
@@ -56,7 +59,7 @@ def summarize(
     Raises:
         DynavizError: for points or ray origins farther than ``dynaviz.contracts.extent.FAR`` from the world's origin.
     """
-    growing, digest, points = GrowingExtent(), ScanDigest(), 0
+    begin, growing, digest, points = time.perf_counter(), GrowingExtent(), ScanDigest(), 0
     for done, scan in enumerate(stream(sequence), 1):
         growing.add(scan)
         digest.add(scan)
@@ -65,4 +68,5 @@ def summarize(
         points += len(scan)
         progress(done)
     noise = meter.result() if meter else None
-    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise)
+    seconds = time.perf_counter() - begin
+    return SequenceSummary(growing.extent(), len(sequence), points, digest.hexdigest(), noise, seconds)

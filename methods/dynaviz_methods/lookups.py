@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynaviz.arrays import F64, I32, I64, Bool
-from dynaviz.blocks.blocks import BlockGrid, read
+from dynaviz.blocks.blocks import BlockGrid
 
 
 def known(values: ArrayLike, voxels: I64) -> F64:
@@ -23,12 +23,16 @@ def marked(blocks: I32, bits: NDArray[Any], voxels: I64) -> Bool:
 
     False for -1, and in all other blocks.
     """
-    if not len(blocks):
+    if not len(blocks) or not len(voxels):
         return np.zeros(len(voxels), np.bool_)
-    order = np.argsort(blocks)
-    rows = order[np.minimum(np.searchsorted(blocks, voxels >> 9, sorter=order), len(blocks) - 1)]
-    of_block = np.where(blocks[rows] == voxels >> 9, rows << 9 | voxels & 511, -1)
-    return read(np.ascontiguousarray(bits), of_block)
+    wanted, which = np.unique(voxels >> 9, return_inverse=True)
+    at = np.searchsorted(wanted, blocks)
+    here = np.flatnonzero(wanted[np.minimum(at, len(wanted) - 1)] == blocks)
+    row_of = np.full(len(wanted), -1)
+    row_of[at[here]] = here
+    rows = row_of[which]
+    found: Bool = (rows >= 0) & (bits.view(np.int64)[rows, voxels >> 6 & 7] >> (voxels & 63) & 1 > 0)
+    return found
 
 
 def around(grid: BlockGrid, voxels: I64, margin: int = 1) -> I64:

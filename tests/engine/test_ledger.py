@@ -69,9 +69,9 @@ SCANS = InMemory([line(7, 2.5, 2.0), line(8, 3.5, 1.5), line(9, 2.25, 1.75), lin
 
 
 def ledger(scans: InMemory, frame: int, *points: int, method: type = PassedOnce, online: bool = False) -> Any:
-    kept = Ledger(frame, points)
+    kept = Ledger({frame: points})
     execute(RunSpec(method(NoParams()), scans, NoParams(), online=online), [kept])
-    return kept.ledgers
+    return kept.ledgers[frame]
 
 
 def test_entries_have_the_rays_the_changes_and_the_verdict_so_far() -> None:

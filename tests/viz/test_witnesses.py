@@ -23,14 +23,17 @@ def test_touched_boxes_are_those_that_samples_along_the_rays_meet(one_origin: bo
     origins[:, 1:] = np.where(random.random((len(origins), 1)) < 0.3, 0, origins[:, 1:])
     low = random.uniform(-4, 2, (7, 3))
     high = low + random.uniform(0.3, 3, (7, 3))
-    hit, crossed = kernels.witnesses.touched(points, origins, low, high)
+    starts = np.array([0, 3, 3, 7])
+    rays, boxes, ends = kernels.witnesses.touched(points, origins, starts, low, high)
+    hit, crossed = np.zeros((2, len(low), len(points)), np.bool_)
+    hit[boxes[ends], rays[ends]] = crossed[boxes[~ends], rays[~ends]] = True
     along = origins[:, None] + (points[:, None] - origins[:, None]) * STEPS[:, None]  # (N, samples, 3)
     for box in range(len(low)):
         inside = ((along >= low[box]) & (along <= high[box])).all(2)
         mine = inside.sum(1)
         expected = (mine > 0) & ~inside[:, -1] & ~inside[:, 0]
-        found = crossed >> np.uint32(box) & 1 == 1
-        np.testing.assert_array_equal(hit >> np.uint32(box) & 1 == 1, inside[:, -1])
+        found = crossed[box]
+        np.testing.assert_array_equal(hit[box], inside[:, -1])
         assert found[expected].all()
         between = found & ~expected  # it may cut a corner between two samples
         assert not mine[between].any()
@@ -39,9 +42,9 @@ def test_touched_boxes_are_those_that_samples_along_the_rays_meet(one_origin: bo
 
 def test_rays_without_an_end_touch_nothing() -> None:
     points = np.full((2, 3), np.nan, np.float32)
-    hit, crossed = kernels.witnesses.touched(points, np.zeros((1, 3)), np.full((1, 3), -9.0), np.full((1, 3), 9.0))
-    assert not hit.any()
-    assert not crossed.any()
+    low = np.full((1, 3), -9.0)
+    rays, *_ = kernels.witnesses.touched(points, np.zeros((1, 3)), np.array([0, 1]), low, -low)
+    assert not len(rays)
 
 
 def entry(frame: int, hits: int, crossed: int, angle: float | None = None) -> LedgerEntry:

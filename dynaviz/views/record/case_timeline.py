@@ -41,7 +41,7 @@ CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
 
-Replay = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]  # as ``engine.ledger.replay``
+Replay = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
 
 
 class CaseTimeline:

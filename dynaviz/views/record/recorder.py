@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64
+from dynaviz.arrays import F32, F64, Bool
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
@@ -218,19 +218,24 @@ class Recorder(Listener):
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
-        state = timeline.draw(self._replay, np.array(self._positions), boxes)
+        state = timeline.draw(partial(self._replay, result.labels), np.array(self._positions), boxes)
         return Findings(truth, True, state, curves)
 
-    def _replay(self, asked: Sequence[tuple[int, Sequence[int]]]) -> list[tuple[PointLedger, ...]]:
-        """The ledgers of points; none if the method's evidence is faulty, which must not cost the recording."""
-        begin = time.perf_counter()
+    def _replay(
+        self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]
+    ) -> list[tuple[PointLedger, ...]]:
+        """The ledgers of points with these labels; none if the evidence is faulty: that must not cost the recording."""
         try:
-            found = replay(self._run, self._summary, asked)
-            self._open.properties(replay_s=round(time.perf_counter() - begin, 3))
-            return found
+            found, seconds = replay(self._run, self._summary, asked)
+            for each in (each for ledgers in found for each in ledgers):
+                if each.removed != labels[each.frame][each.point]:
+                    name = self._info.name
+                    raise PluginError(f"{name}: labels point {each.point} of frame {each.frame} differently each time")
         except PluginError as error:
             self._say(f"no evidence: {error}")
             return [()] * len(asked)
+        self._open.properties(repeat_s=round(seconds, 3))
+        return found
 
     @property
     def _open(self) -> sink.RecordingFile:
