@@ -34,8 +34,6 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "no feet": ({}, (FOOT,)),
     "no lone voxels": ({}, (BY_ITSELF,)),
     "poses as they are": ({"ground.OFF": 1e9}, ()),
-    "birth and death of 2 scans": ({"history.BIRTH": 2}, ()),
-    "birth and death of 8 scans": ({"history.BIRTH": 8}, ()),
     "one round": ({"history.ROUNDS": 1}, ()),
     "parts half as wide": ({"history.WIDE": 1}, ()),
     "parts twice as wide": ({"history.WIDE": 6}, ()),

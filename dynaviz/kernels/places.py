@@ -109,51 +109,29 @@ def of_points(voxels, hits, passed, grazed, weights):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def evidence(places, up, hits, passed, grazed, weights, few, prior, found):
+def evidence(places, up, hits, passed, grazed, weights, found, clear):
     """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
 
     The evidence of a place is the mean over its voxels with points of objects, weighted with the scans that hit them;
-    less if there were few such hits; minus the prior.
+    less if these were fewer than ``votes``. ``clear``, (4 B,) int32, is how often its voxels were seen clear in total.
 
     Args:
         up, hits, passed, grazed, weights: as in ``visit`` and ``clearness``.
-        few: hits for full evidence; prior: what evidence must exceed.
     """
     for k in prange(len(places)):
         block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
-        total, summed = 0.0, 0.0
+        total, summed, views = 0.0, 0.0, 0
         for w in range(x0, x0 + 4):
             word = np.uint64(up[block, w]) >> np.uint64(8 * y0)
             for bit in range(32):
                 if word >> np.uint64(bit) & ONE:
                     v = w << 6 | 8 * y0 + bit
                     h, p = hits[block, v], passed[block, v]
+                    views += np.int64(p) - grazed[block, v]
                     if h > 1 or p > 0:
                         summed += h * clearness(h, p, grazed[block, v], weights)
                         total += h
-        found[places[k]] = (summed / total * min(total / few, 1.0) if total > 0 else 0.0) - prior
-
-
-@njit(cache=True, nogil=True)
-def note(places, touched, first, last, visits):
-    """Note visits (V,): how many scans had touched the block at the first and at the last one, (4 B,); and how many."""
-    for p in places:
-        if visits[p] == 0:
-            first[p] = touched[p >> 2]
-        last[p] = touched[p >> 2]
-        visits[p] += 1
-
-
-@njit(cache=True, nogil=True)
-def limits(places, touched, first, last, length, births, deaths):
-    """How many visits count as the birth and as the death of places (K,): none if unseen, all if both are.
-
-    Fills ``births`` and ``deaths``, (4 B,) int32.
-    """
-    for p in places:
-        begun, ended = first[p] > 1, last[p] < touched[p >> 2]
-        births[p] = length if begun else 0 if ended else 1 << 30
-        deaths[p] = length if ended else 0 if begun else 1 << 30
+        found[places[k]], clear[places[k]] = summed / max(total, weights[2]), views
 
 
 @njit(cache=True, nogil=True)
@@ -183,14 +161,15 @@ def inherit(places, parts, around, rank, most, own, first, second, weights, sour
         own: (4 B,) float32: evidence of places.
         first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
             modified.
-        weights: of what a place inherits; evidence for full certainty; weight of a place without any.
+        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
+            without any certainty.
         source: (4 B,) int32: the first scan from which a place inherits; modified to ``now``.
     """
-    link, certain, least = weights
+    link, prior, certain, least = weights
     total, weight = np.zeros(len(around)), np.zeros(len(around))
     for k in range(len(places)):
         p = places[k]
-        f = min(max((own[p] + link * max(first[p], second[p])) / certain, -1.0), 1.0)
+        f = min(max((own[p] - prior + link * max(first[p], second[p])) / certain, -1.0), 1.0)
         total[parts[k]] += f * (least + abs(f))
         weight[parts[k]] += least + abs(f)
     for k in range(len(places)):
@@ -220,18 +199,20 @@ def sweep(starts, part_starts, places, parts, around, rank, most, own, first, se
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, places, height, low, own, born, left, link, empty, alone, highest, codes):
+def outcomes(voxels, places, height, low, own, born, left, shares, empty, alone, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
         voxels, places: (N,) int64, -1 for none.
         height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
             points above the other are too high for a mover, unless infinite, unknown.
-        own, born, left: (4 B,) float32: evidence of places, and what they inherit at both ends; link: its weight.
+        own, born, left: (4 B,) float32: evidence of places, and what they inherit at both ends.
+        shares: the weight of what they inherit, and what the sum must exceed.
         empty: (N,) float32: evidence of the point's own voxel; alone: minimum for a point that is dynamic by itself.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
             removed by the evidence of their place, by what it was born with, by what it was left with, alone.
     """
+    link, prior = shares
     out, near_ground, above, little, never, seen, came, gone, single = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
@@ -242,8 +223,8 @@ def outcomes(voxels, places, height, low, own, born, left, link, empty, alone, h
             found[i] = near_ground
         elif height[i] > highest and height[i] < np.inf:
             found[i] = above
-        elif own[p] + link * max(born[p], left[p]) > 0:
-            found[i] = seen if own[p] > 0 else came if born[p] >= left[p] else gone
+        elif own[p] + link * max(born[p], left[p]) > prior:
+            found[i] = seen if own[p] > prior else came if born[p] >= left[p] else gone
         elif empty[i] > alone:
             found[i] = single
         else:

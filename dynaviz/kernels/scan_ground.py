@@ -11,6 +11,7 @@ BIN = 0.1  # metres: height of a layer among which the level under the sensor is
 DEEPEST = 20.0  # metres below the sensor at which ground is expected
 BENEATH = 0.2  # metres below the sensor above which no ground is expected
 ATTEMPTS = 4  # at finding a layer with enough points
+UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
 FIT = 0.05  # metres: cells that fit worse count less, in inverse proportion
 
 
@@ -293,6 +294,7 @@ def above(points, lift, first, surface, edge):
 
     Args:
         lift: metres, added to the surface; first: (2,) int64, its first cell; edge: of a cell, metres.
+        surface: (X, X) int16, millimetres; 32767 where unknown.
     """
     found, wide = np.full(len(points), np.float32(np.inf)), surface.shape[0]
     for i in prange(len(points)):
@@ -301,11 +303,10 @@ def above(points, lift, first, surface, edge):
             v = min(max(points[i, 1] / edge - 0.5 - first[1], 0.0), wide - 1.0)
             x, y = min(np.int64(u), wide - 2), min(np.int64(v), wide - 2)
             u, v = u - x, v - y
-            south = (1 - u) * surface[x, y] + u * surface[x + 1, y]
-            north = (1 - u) * surface[x, y + 1] + u * surface[x + 1, y + 1]
-            z = points[i, 2] - lift - ((1 - v) * south + v * north)
-            if math.isfinite(z):
-                found[i] = z
+            if surface[x : x + 2, y : y + 2].max() < UNKNOWN:
+                south = (1 - u) * surface[x, y] + u * surface[x + 1, y]
+                north = (1 - u) * surface[x, y + 1] + u * surface[x + 1, y + 1]
+                found[i] = points[i, 2] - lift - ((1 - v) * south + v * north) / 1000
     return found
 
 

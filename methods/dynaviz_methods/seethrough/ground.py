@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I32, I64, Bool
+from dynaviz.arrays import F32, F64, I16, I64, U8, Bool
 from dynaviz.contracts.scan import Scan
 
 EDGE = 0.8  # metres: edge of a cell
@@ -38,15 +38,14 @@ class ScanGround:
     """The ground that one scan shows.
 
     Attributes:
-        height: (X, X) float64, metres above the sensor, of square cells of ``EDGE``; infinite if no ground is known.
-        seen: (X, X) bool: cells in which the scan has points on the ground. number: (X, X) int32: how many.
+        height: (X, X) int16, millimetres above the sensor, of square cells of ``EDGE``; 32767 if no ground is known.
+        number: (X, X) uint8: points of the scan on the ground, at most 255.
         first: (2,) int64: the first cell, counted from the world's origin.
         z: metres, world frame: height of the sensor.
     """
 
-    height: F64
-    seen: Bool
-    number: I32
+    height: I16
+    number: U8
     first: I64
     z: float
 
@@ -64,9 +63,10 @@ class ScanGround:
             lowest[k.pits(lowest, PIT)] = np.inf
         surface = lowest.copy()
         k.lower(surface, k.inclines(lowest, first, AROUND, STEEP * EDGE, SLOPE * EDGE), SLOPE * EDGE)
-        seen = (lowest < np.inf) & (lowest <= surface + SEEN)
-        weight = np.where(seen, np.minimum(number, FULL) / FULL, 0.0)
-        return cls(k.filled(surface, weight, LEVELS), seen, number, first, z)
+        number = np.where((lowest < np.inf) & (lowest <= surface + SEEN), np.minimum(number, 255), 0).astype(np.uint8)
+        weight = np.minimum(number, FULL) / FULL
+        height = np.clip(np.rint(1000 * k.filled(surface, weight, LEVELS)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
+        return cls(height, number, first, z)
 
     def heights(self, points: F32) -> F32:
         """(N,) float32, metres: height of points (N, 3), world frame, above the ground; infinite if unknown."""
@@ -142,11 +142,11 @@ class Level:
         self._keys[x, y, 0], self._keys[x, y, 1] = at
 
 
-def _cells(surface: ScanGround, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, I32]:
+def _cells(surface: ScanGround, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, U8]:
     """The seen cells (K,) up to some metres away: their keys, dx and dy from the sensor, height, number of points."""
-    rows = np.nonzero(surface.seen)
+    rows = np.nonzero(surface.number)
     at = rows[0] + surface.first[0], rows[1] + surface.first[1]
     dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
     near = dx * dx + dy * dy < reach * reach
-    z, number = surface.height[rows] + surface.z, surface.number[rows]
+    z, number = surface.height[rows] / 1000 + surface.z, surface.number[rows]
     return (at[0][near], at[1][near]), dx[near], dy[near], z[near], number[near]

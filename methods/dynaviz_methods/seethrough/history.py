@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, U16
-from dynaviz.blocks.blocks import BlockGrid, Marks
+from dynaviz.blocks.blocks import BlockGrid
 
-BIRTH = 4  # scans: length of the beginning and of the end of a place's life
+ALWAYS = 1 << 30  # visits: the life of a place whose beginning and end nobody saw
 ROUNDS = 2  # sweeps in both directions
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.5  # evidence for full certainty
+LIVE = 2.0  # online, without prior or ends: how much more what a place inherits weighs
 LEAST = 0.1  # weight of a place without evidence, against one that is certain
-FEW = 3.0  # hits for the full evidence of a place
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,7 @@ class Decision:
     Attributes:
         own: float32: evidence of places; born, left: float32: what they inherit at their beginning and at their end.
         came, went: int32: position of the first scan from which they inherit this, in each direction; -1 for none.
+        inherit: weight of what places inherit; prior: what the sum must exceed.
     """
 
     own: F32
@@ -49,6 +50,8 @@ class Decision:
     left: F32
     came: I32
     went: I32
+    inherit: float
+    prior: float
 
 
 class History:
@@ -56,28 +59,26 @@ class History:
 
     Args:
         grid: the grid of the places' blocks.
-        inherited: weight of what a place inherits.
-        prior: what its evidence must exceed.
-        weights: of a crossing near a hit, of a hit; clear crossings for full evidence.
+        inherit: weight of what a place inherits.
+        prior: what the evidence of a place must exceed, with what it inherits.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence, as many as visits of a birth.
         counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
     """
 
     def __init__(
-        self, grid: BlockGrid, inherited: float, prior: float, weights: tuple[float, ...], counts: tuple[U16, ...]
+        self, grid: BlockGrid, inherit: float, prior: float, weights: tuple[float, ...], counts: tuple[U16, ...]
     ) -> None:
         rows, own = len(grid) + 1, grid.per_block
-        self._weights, self._counts, self._prior = weights, counts, prior
-        self.inherited = inherited
+        self._weights, self._counts = weights, counts
+        self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (LIVE * inherit, 0.0, CERTAIN, LEAST)
+        self._birth = int(weights[2])  # visits: the length of births and deaths
         self._visits: dict[int, Visits] = {}
-        self._stamps, self._came = own(np.full((rows, 4), -1, np.int32), -1), own(np.full((rows, 4), -1, np.int32), -1)
-        self._up, self._touched = own(np.zeros((rows, 8), np.uint64)), own(np.zeros(rows, np.int32))
-        self._own, self._born = (
-            own(np.full((rows, 4), -prior, np.float32), -prior),
-            own(np.zeros((rows, 4), np.float32)),
-        )
-        self._first, self._last, self._number = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
-        self._most, self._never = np.zeros((rows, 4), np.int32), np.full((rows, 4), np.int32(-1))
-        self._unknown = np.full((rows, 4), kernels.places.UNKNOWN)
+        self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
+        self._up = own(np.zeros((rows, 8), np.uint64))
+        self._own, self._born = (own(np.zeros((rows, 4), np.float32)) for _ in range(2))
+        # Of each place: its visits, how many are its birth, and how often its voxels were clear at the last one.
+        self._number, self._most, self._clear = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
+        self._never, self._unknown = np.full((rows, 4), np.int32(-1)), np.full((rows, 4), kernels.places.UNKNOWN)
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1
         grid.watch(self._block_came)
@@ -85,45 +86,32 @@ class History:
     def _block_came(self, numbers: I32) -> None:
         self._since[numbers] = self._now + 1
 
-    def add(self, number: int, voxels: I64, objects: I32, marks: Marks) -> None:
-        """Add the visits of a scan, and let its places inherit from what is known so far.
+    def add(self, number: int, voxels: I64, objects: I32) -> None:
+        """Add the visits of a scan that was counted, and let its places inherit from what is known so far.
 
         Args:
             number: position of the scan.
             voxels: (N,) int64, objects: (N,) int32: of each point, -1 for none.
-            marks: the voxels that its rays marked; counted before.
         """
         k, self._now = kernels.places, number
-        self._touched[marks.blocks] += 1
         visits = Visits(number, *k.visit(voxels, objects, self._grid.blocks, WIDE, number, self._up, self._stamps))
-        self._visits[number] = visits
-        k.note(visits.places, self._touched, self._first.ravel(), self._last.ravel(), self._number.ravel())
-        self._weigh(visits.places, self._own)
-        rank = self._number.ravel()[visits.places] - 1
-        self._most.ravel()[visits.places] = np.where(self._first.ravel()[visits.places] > 1, BIRTH, 1 << 30)
-        scan, state = (visits.places, visits.parts, visits.around, rank), (self._own, self._born)
-        k.inherit(
-            *scan,
-            self._most.ravel(),
-            *(of.ravel() for of in state),
-            self._unknown.ravel(),
-            self._shares,
-            self._came.ravel(),
-            number,
-        )
+        self._visits[number], places = visits, visits.places
+        self._weigh(places, self._own, self._clear)
+        visited, most, clear = self._number.ravel(), self._most.ravel(), self._clear.ravel()
+        new = places[visited[places] == 0]
+        most[new] = np.where(clear[new] > 0, self._birth, ALWAYS)
+        scan, state = (places, visits.parts, visits.around, visited[places]), (self._own, self._born, self._unknown)
+        k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number)
+        visited[places] += 1
 
-    @property
-    def _shares(self) -> tuple[float, float, float]:
-        return self.inherited, CERTAIN, LEAST
-
-    def _weigh(self, places: I32, found: F32) -> None:
-        evidence = self._up, *self._counts, self._weights, FEW, self._prior
-        kernels.places.evidence(places, *evidence, found.reshape(-1))
+    def _weigh(self, places: I32, found: F32, clear: I32) -> None:
+        evidence = self._up, *self._counts, self._weights
+        kernels.places.evidence(places, *evidence, found.reshape(-1), clear.reshape(-1))
 
     def so_far(self) -> Decision:
         """What decides the labels of the last scan, by the scans so far."""
         of_places = self._own.ravel(), self._born.ravel(), self._unknown.ravel()
-        return Decision(*of_places, self._came.ravel(), self._never.ravel())
+        return Decision(*of_places, self._came.ravel(), self._never.ravel(), *self._live[:2])
 
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""
@@ -141,18 +129,21 @@ class History:
             )
         )
         existing = np.unique(places)
-        own = np.full(size, -self._prior, np.float32)
-        self._weigh(existing, own)
-        births, deaths = np.zeros(size, np.int32), np.zeros(size, np.int32)
-        k.limits(existing, self._touched, self._first.ravel(), self._last.ravel(), BIRTH, births, deaths)
+        own, clear = np.zeros(size, np.float32), np.zeros(size, np.int32)
+        self._weigh(existing, own, clear)
+        begun, ended = self._most.ravel() == self._birth, clear > self._clear.ravel()
+        births, deaths = (
+            np.where(seen, self._birth, np.where(other, 0, ALWAYS)).astype(np.int32)
+            for seen, other in ((begun, ended), (ended, begun))
+        )
         forward, backward = k.ranks(places, np.zeros(size, np.int32))
         born, left = (np.where(most == 0, k.UNKNOWN, np.float32(0)) for most in (births, deaths))
         came, went = np.full(size, -1, np.int32), np.full(size, -1, np.int32)
         for _ in range(ROUNDS):
             of = starts, part_starts, places, parts, around
-            k.sweep(*of, forward, births, own, born, left, self._shares, came, False)
-            k.sweep(*of, backward, deaths, own, left, born, self._shares, went, True)
-        return Decision(own, born, left, came, went)
+            k.sweep(*of, forward, births, own, born, left, self._whole, came, False)
+            k.sweep(*of, backward, deaths, own, left, born, self._whole, went, True)
+        return Decision(own, born, left, came, went, *self._whole[:2])
 
     def _remaining(self, visits: Visits) -> Visits:
         """Visits of places whose blocks did not go since."""

@@ -8,18 +8,19 @@
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or 0.1 (c - a) / (c + a + 1)
-    place:      u = mean evidence of its voxels with points of objects, minus ``prior``; 4 x 4 x 8 voxels
+    place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
-                m = their mean certainty, f / 0.5 from -1 to 1, in which the certain ones count most
-    birth:      B = mean of m over the first 4 scans with points in the place; death: D over the last 4; no B or D
-                for what was there as soon, or as long, as rays reached it; over all scans if neither was seen
-                f = u + inherit max(B, D); dynamic if f > 0. Sweep forward in time, then backward, twice
-    point:      dynamic if f > 0 in its place, or if the evidence of its own voxel exceeds 0.7
+                m = their mean certainty, (f - prior) / 0.5 from -1 to 1, in which the certain ones count most
+    birth:      B = mean of m over the first ``votes`` scans with its points, if its voxels were seen clear before
+    death:      D = mean of m over the last ones, if they were seen clear afterwards; over all scans if neither
+                f = u + inherit max(B, D); dynamic if f > prior. Sweep forward in time, then backward, twice
+    point:      dynamic if f > prior in its place, or if the evidence of its own voxel exceeds 0.7
     foot:       a low point next to dynamic ones is dynamic, too, if it is 4 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds 0.4
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D: what a place inherits
+weighs twice as much, and the prior is 0.
 """
 
 from __future__ import annotations
@@ -65,10 +66,11 @@ class SeeThroughParams:
     Attributes:
         resolution: edge of a voxel, metres.
         guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
-        votes: number of clear scans for the full evidence of a voxel.
+        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place; of scans that are
+            the beginning or the end of a place's life.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
-        prior: evidence that a place must exceed, from 0 to less than 1.
+        prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1.
         inherit: weight of what a place inherits where it begins or ends.
         ground_height: points up to this above the ground are low, metres.
         gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
@@ -191,11 +193,13 @@ class SeeThrough:
         self._decided: tuple[int, Decision] = -1, self._history.so_far()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._tilts: dict[int, F64] = {}  # by position
+        self._grounds: dict[int, ScanGround] = {}  # by scan index, until it is labelled
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
     def observe(self, scan: Scan) -> None:
         """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
-        p, surface = self.params, ScanGround.of(scan)
+        p = self.params
+        surface = self._grounds[scan.index] = ScanGround.of(scan)
         tilt = self._level.error(surface, scan.position)
         if tilt.any() and self._extent is not None:
             self._widen()
@@ -210,7 +214,7 @@ class SeeThrough:
         kernels.clearance.count(marks.blocks, bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.height > p.ground_height) & ~_high(measured.height)
         objects, _ = kernels.objects.connect(measured.scan.points, chosen, p.gap, TALL * p.gap)
-        self._history.add(now, measured.voxels, objects, marks)
+        self._history.add(now, measured.voxels, objects)
         self._show(measured, marks, near)
 
     def label(self, scan: Scan) -> Labels:
@@ -221,7 +225,8 @@ class SeeThrough:
         if scan.index not in self._reasons:
             number, measured = self._number[scan.index], self._measured
             if measured is None or measured.number != number:
-                measured = self._measure(scan, ScanGround.of(scan))
+                measured = self._measure(scan, self._grounds.get(scan.index) or ScanGround.of(scan))
+            self._grounds.pop(scan.index, None)
             at, decision = self._decided
             if at != self._observed:
                 online = number + 1 == self._observed
@@ -236,6 +241,7 @@ class SeeThrough:
         """Drop what is stored about a scan."""
         number = self._number.pop(index, -1)
         self._reasons.pop(index, None)
+        self._grounds.pop(index, None)
         self._tilts.pop(number, None)
         self._history.forget(number)
 
@@ -275,7 +281,7 @@ class SeeThrough:
         """Reason code of each point of an observed scan, (N,) uint8."""
         empty = kernels.places.of_points(measured.voxels, *self._counts, self._weights)
         of_points = measured.voxels, measured.places, measured.height, np.float32(self.params.ground_height)
-        of_places = decision.own, decision.born, decision.left, float(self.params.inherit)
+        of_places = decision.own, decision.born, decision.left, (decision.inherit, decision.prior)
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, ALONE, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
@@ -320,10 +326,10 @@ class SeeThrough:
             )
             of_places = ("place", own), ("born", born), ("left", left), ("born in", came), ("left in", went)
             quantities += [Quantity(name, of) for name, of in of_places]
-            rules = self._rules(judged, asked.rows, own, np.maximum(born, left))
+            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(born, left))
         return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
 
-    def _rules(self, judged: Judged, rows: I64, own: F64, inherited: F64) -> tuple[Rule, ...]:
+    def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
         """The rules that remove points, for the points in some rows."""
         measured, p = judged.measured, self.params
         empty, height = known(judged.empty[rows], measured.voxels[rows]), measured.height[rows]
@@ -331,7 +337,7 @@ class SeeThrough:
             Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
             Term("more than 4.5 m above the ground", _high(height), "<", 1),
         )
-        place = Term("evidence of its place, with what it inherits", own + p.inherit * inherited, ">", 0)
+        place = Term("evidence of its place, with what it inherits", total, ">", judged.decision.prior)
         under = self._under(measured, judged.reasons)
         wanted = np.zeros(len(under), np.bool_)
         wanted[rows] = measured.voxels[rows] >= 0
