@@ -12,7 +12,6 @@ DEEPEST = 20.0  # metres below the sensor at which ground is expected
 BENEATH = 0.2  # metres below the sensor above which no ground is expected
 ATTEMPTS = 4  # at finding a layer with enough points
 UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
-FIT = 0.05  # metres: cells that fit worse count less, in inverse proportion
 
 
 @njit(cache=True, nogil=True)
@@ -311,12 +310,13 @@ def above(points, lift, first, surface, edge):
 
 
 @njit(cache=True, nogil=True)
-def plane(x, y, z, weight, start, rounds):
+def plane(x, y, z, weight, start, exact, rounds):
     """(3,) float64: the plane c + a x + b y through most points (K,) each: iterated least squares, which tend to L1.
 
     Args:
         x, y, z, weight: (K,) float64, metres, and without unit.
         start: (3,) float64, the first guess of c, a and b.
+        exact: metres: cells that fit worse count less, in inverse proportion.
         rounds: number of iterations.
     """
     c, a, b = start[0], start[1], start[2]
@@ -324,7 +324,7 @@ def plane(x, y, z, weight, start, rounds):
         m = np.zeros((3, 4))
         m[0, 0], m[1, 1], m[2, 2] = 1e-6, 100.0, 100.0  # flat if nothing says otherwise
         for k in range(len(x)):
-            w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), FIT)
+            w = weight[k] / max(abs(z[k] - c - a * x[k] - b * y[k]), exact)
             row = (1.0, x[k], y[k], z[k])
             for i in range(3):
                 for j in range(4):

@@ -15,13 +15,11 @@ EDGE = 0.8  # metres: edge of a cell
 REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
 NEAR = 20.0  # metres around the sensor among which the ground under it is sought
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
-STEEP = (
-    0.2  # metres per metre: steepest ground, as seen from the sensor; anything steeper is an object, or a reflection
-)
+STEEP = 0.2  # metres per metre: steepest ground, as seen from the sensor; steeper are objects and reflections
 PIT = 0.3  # metres: what is lower than that, and than most cells around, is a reflection
 SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
 AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
-SEEN = 0.05  # metres: a cell that is lowered by more is no ground
+EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 LEVELS = 8  # the ground of unknown cells is that of squares of up to 2^LEVELS cells
 
@@ -63,7 +61,7 @@ class ScanGround:
             lowest[k.pits(lowest, PIT)] = np.inf
         surface = lowest.copy()
         k.lower(surface, k.inclines(lowest, first, AROUND, STEEP * EDGE, SLOPE * EDGE), SLOPE * EDGE)
-        number = np.where((lowest < np.inf) & (lowest <= surface + SEEN), np.minimum(number, 255), 0).astype(np.uint8)
+        number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
         height = np.clip(np.rint(1000 * k.filled(surface, weight, LEVELS)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
         return cls(height, number, first, z)
@@ -118,7 +116,7 @@ class Level:
         if known.sum() < LEAST:
             return np.array([start[0], 0.0, 0.0])
         weight = np.minimum(number[known], 2 * FULL).astype(np.float64)
-        fit = dx[known], dy[known], (z - before)[known], weight, start, ROUNDS
+        fit = dx[known], dy[known], (z - before)[known], weight, start, EXACT, ROUNDS
         found: F64 = kernels.scan_ground.plane(*fit)
         return found if abs(found[0]) + 30.0 * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
 

@@ -15,7 +15,7 @@
     death:      D = mean of m over the last ones, if they were seen clear afterwards; over all scans if neither
                 f = u + inherit max(B, D); dynamic if f > prior. Sweep forward in time, then backward, twice
     point:      dynamic if f > prior in its place, or if the evidence of its own voxel exceeds 0.7
-    foot:       a low point next to dynamic ones is dynamic, too, if it is 4 cm above the scan's other low points
+    foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds 0.4
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
@@ -44,7 +44,7 @@ from dynaviz.spatial.grid import SHIFTS
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
-from dynaviz_methods.seethrough.ground import PIT, Level, ScanGround
+from dynaviz_methods.seethrough.ground import EDGE, EXACT, PIT, Level, ScanGround
 from dynaviz_methods.seethrough.history import Decision, History, moved
 from dynaviz_methods.voids import widened
 
@@ -52,9 +52,8 @@ TALL = 3  # height of the cells that join points, in gaps: rings are farther apa
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 ALONE = 0.7  # evidence of a voxel whose points are dynamic by themselves
 EMPTY = 0.4  # evidence of a voxel with points of a foot
-STANDS_OUT = 0.04  # metres above the other low points around: or the height of a foot
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
-GROUND = 3.2, 3  # metres: edge of the cells in which low points are compared; minimum number of them
+GROUND = 4 * EDGE, 3  # metres: edge of the cells in which low points are compared; minimum number of them
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
 OBJECT = 30.0  # metres
 
@@ -285,7 +284,7 @@ class SeeThrough:
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, ALONE, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
-            stands_out = measured.height - self._ground(measured, under, under) > np.float32(STANDS_OUT)
+            stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
             reasons[under & (stands_out | (empty > np.float32(EMPTY)))] = FOOT
         self._judged = Judged(measured, decision, empty, reasons)
         return reasons
@@ -342,7 +341,7 @@ class SeeThrough:
         wanted = np.zeros(len(under), np.bool_)
         wanted[rows] = measured.voxels[rows] >= 0
         level = height - self._ground(measured, under, wanted)[rows]
-        stands = Term("height above the low points around", level, ">", float(np.float32(STANDS_OUT)), "m")
+        stands = Term("height above the low points around", level, ">", float(np.float32(EXACT)), "m")
         near = Term("low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1)
         name = "evidence of its voxel"
         return (
