@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import json
+import re
 import shutil
 from pathlib import Path
 
@@ -158,6 +160,31 @@ def test_earlier_results_have_a_gallery(previous, previous_page):
     assert len(cases) >= 3
     assert "grazing rays" in dv.report(previous, format="md")
     assert "Costliest cases" in dv.report(previous, format="md")
+
+
+def test_objects_over_time_have_a_lane_for_each_method(study):
+    spans = {"moving": [[0, 9]], "kept": [[0, 4]], "removed": [[5, 9]]}
+    kept = failing("a", case(GHOST, 5.0, *box(0), instance=7, spans=spans))
+    page = registry.load("reports", "html")(study(kept, failing("b")))
+    lanes = page[page.index('aria-label="car 7 over time"') :].partition("</div>")[0]
+    assert re.findall(r"<title>(.*?)</title>", lanes) == [
+        "object: moving, frames 0 to 9",
+        "a: kept, frames 0 to 4",
+        "a: removed, frames 5 to 9",
+        "b: removed, frames 0 to 9",  # it has no case on the object
+    ]
+    assert re.findall(r'<rect x="(\d+)" width="(\d+)"', lanes) == [("0", "10"), ("0", "5"), ("5", "5"), ("0", "10")]
+
+
+def test_pictures_and_fields_name_the_command_that_explores_their_run(previous, previous_page):
+    text = previous_page.read_text()
+    runs = json.loads(re.search(r"const runs = (\{.*?\}), shown", text)[1])
+    assert runs
+    for label, (run,) in runs.items():
+        assert (previous / run["recording"]).is_file()
+        assert run["command"].startswith("dynaviz explore ")
+        assert f'data-run="{label}"' in text or f">{label}<" in text
+    assert re.search(r'data-run="[^"]+" data-case="\d+"', text)
 
 
 def test_a_case_without_a_place_is_left_out(study):

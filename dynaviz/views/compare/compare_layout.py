@@ -70,13 +70,13 @@ def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Bl
     views = [_case(side, name) for side, name in zip(SIDES, names, strict=False)]
     world = rrb.Grid(*views, rrb.Tabs(where, who), rrb.Tabs(*frames), grid_columns=2)
     text = rrb.TextDocumentView(name="what and why", origin=CASE_TEXT, contents=[CASE_TEXT])
-    column = rrb.Vertical(text, _column(numbers), row_shares=[1, 3])
+    column = rrb.Vertical(rrb.Tabs(text, object_lanes.view()), _column(numbers), row_shares=[1, 3])
     return blueprint(rrb.Horizontal(world, column, column_shares=[5, 3]), paths.CASE)
 
 
 def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
     """The layout for more than two runs: a small map and a small frame of each; arguments as for ``two``."""
-    numbers = _column(_numbers(names))
+    numbers = _column([object_lanes.view(), *_numbers(names)])
     if places is None:
         return blueprint(numbers)
     maps = [_map(side, name, places) for side, name in zip(SIDES, names, strict=False)]
@@ -90,7 +90,7 @@ def many(names: Sequence[str], places: F64 | None) -> rrb.Blueprint:
 
 
 def _column(numbers: Sequence[Any]) -> Any:
-    words = rrb.Tabs(rrb.TextDocumentView(name="report", origin=REPORT), object_lanes.view())
+    words = rrb.TextDocumentView(name="report", origin=REPORT)
     return rrb.Vertical(words, *numbers, row_shares=[3.5] + [1.0] * len(numbers))
 
 
