@@ -260,8 +260,8 @@ def test_the_evidence_of_a_case_is_there_at_once_and_its_strip_is_linked(page: P
     strip.scroll_into_view_if_needed()
     box = strip.bounding_box()
     page.tab.mouse.move(box["x"] + box["width"] * 0.4, box["y"] + box["height"] / 2)
-    page.tab.wait_for_selector("#case figcaption >> text=/^Frame \\d+: /")
-    frame = int(page.tab.inner_text("#case figcaption").split()[1].rstrip(":"))
+    page.tab.wait_for_selector("#case .ledger figcaption >> text=/^Frame \\d+: /")
+    frame = int(page.tab.inner_text("#case .ledger figcaption").split()[1].rstrip(":"))
     page.draw(10)
     assert any(f"lit={frame}" in url for url in page.requests)  # its rays light up
     page.tab.mouse.click(box["x"] + box["width"] * 0.4, box["y"] + box["height"] / 2)
