@@ -127,8 +127,6 @@ def of_demo(folder: Path) -> None:
     two = folder / "compare.rrd"
     dv.compare(octomap, runs["dufomap"], out=two)
     save(picture(two, folder, 35, None, WIDE), "pictures/compared.jpg")
-    dv.compare(runs["beautymap"], runs["erasor"], out=two)
-    save(picture(two, folder, 20, None, WIDE), "compare.jpg")
 
 
 def overview(measured: dict[str, Any]) -> None:
