@@ -21,7 +21,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView, base_of, stream
-from dynaviz.diagnosis.drives import Agreement, compare_drives
+from dynaviz.diagnosis.drives import DriveAgreement, compare_drives
 from dynaviz.engine.cleaned_map import Judgement, MapFile, WrittenMap, write_maps
 from dynaviz.engine.label_folder import NoParams
 from dynaviz.engine.loop import RunSpec
@@ -33,7 +33,7 @@ from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import RemovedCluster
 from dynaviz.sources.datasets.drives import Drives
-from dynaviz.sources.opening import provenance
+from dynaviz.sources.opening import OpenedSequence, provenance
 from dynaviz.spatial.grid import SHIFTS, in_key_range, pack
 from dynaviz.views.record.quota import parse_bytes
 
@@ -70,7 +70,7 @@ class Changes:
     result: Result
     drives: tuple[str, ...]
     counts: I64
-    agreement: Agreement
+    agreement: DriveAgreement
     maps: tuple[WrittenMap, ...]
     folder: Path
 
@@ -149,14 +149,14 @@ class Pair:
         rows = range(self.first) if which == 0 else range(self.first, len(sequence))
         return SequenceSlice(sequence, rows, sequence.sensor, self.drives[which])
 
-    def compared(self) -> Agreement:
+    def compared(self) -> DriveAgreement:
         """How well the drives agree; raises DataError if they do not."""
         return compare_drives(self.alone(0, self.sequence), self.alone(1, self.sequence))
 
 
 def find_changes(
     pair: Pair,
-    agreement: Agreement,
+    agreement: DriveAgreement,
     together: Result,
     options: RunOptions,
     file: MapFile,
@@ -200,12 +200,13 @@ def find_changes(
     budget = parse_bytes(options.record_budget) if isinstance(options.record_budget, str) else options.record_budget
     spec = RunSpec(
         labeller=labeller,
-        sequence=_WithoutTruth(sequence),
+        sequence=OpenedSequence(
+            _WithoutTruth(sequence), range(len(sequence)), sequence.sensor, sequence.name, provenance(sequence)
+        ),
         params=NoParams(),
         metrics=tuple(metric(labeller.info) for metric in registry.loadable("metrics").values()),
         threads=options.threads,
         command=command,
-        origin=provenance(sequence),
         record=mode,
         folder=folder,
         recording=recording,

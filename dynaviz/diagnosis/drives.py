@@ -20,7 +20,7 @@ _HINT = "Register both drives in one world frame first: in one session of a SLAM
 
 
 @dataclass(frozen=True)
-class Agreement:
+class DriveAgreement:
     """How well two drives agree.
 
     Attributes:
@@ -35,11 +35,11 @@ class Agreement:
 
     def __str__(self) -> str:
         places = f"{self.places} place{'s' * (self.places != 1)}"
-        beside = f"; at {self.apart} of them, one lies beside the other" if self.apart else ""
+        beside = f"; at {self.apart} of them, registration moves one onto the other" if self.apart else ""
         return f"the drives agree within {100 * self.median_m:.1f} cm at {places}{beside}"
 
 
-def compare_drives(first: Sequence, second: Sequence) -> Agreement:
+def compare_drives(first: Sequence, second: Sequence) -> DriveAgreement:
     """Compare scans of two drives at places that both pass.
 
     Raises:
@@ -63,7 +63,7 @@ def compare_drives(first: Sequence, second: Sequence) -> Agreement:
                 f"({worst.vertical:+.2f} m along z) and {worst.degrees:.1f} degrees"
             )
         raise DataError(names, problem, hint=_HINT)
-    return Agreement(len(found), len(apart), float(np.median([_distance(each) for each in found])))
+    return DriveAgreement(len(found), len(apart), float(np.median([_distance(each) for each in found])))
 
 
 def _distance(found: Drift) -> float:

@@ -16,6 +16,7 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SEEN, SEEN_AGAIN
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explorer.run import ExploredRun
 from dynaviz.io.points import read_points
 from dynaviz.sources.datasets.drives import Drives
 from dynaviz.testing import InMemory
@@ -130,3 +131,13 @@ def test_changes_need_two_drives(tmp_path: Path, run_command: Callable[..., tupl
         dv.clean(three, tmp_path / "clean.pcd", changed=True)
     with pytest.raises(UsageError, match="frames of one drive only"):
         dv.clean(Drives.of([drive("monday")] * 2), tmp_path / "clean.pcd", changed=True, frames="0:8")
+
+
+def test_the_explorer_shows_the_changes(cleaned: Any) -> None:
+    explored = ExploredRun(cleaned.changes.folder)
+    assert explored.result.clusters == cleaned.changes.result.clusters
+    assert explored.title == "What changed, by seethrough"
+    found = explored.wrong
+    point = explored.point(int(found.frame[0]), int(found.point[0]))
+    assert point["removed"]
+    assert point["reason"] in NAMES[:2]
