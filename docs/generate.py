@@ -28,9 +28,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from griffe import Docstring, DocstringSectionAttributes
 
+from dynaviz.benchmarking.gain import drawn, interval
 from dynaviz.contracts import registry
+from dynaviz.diagnosis.sampling import TABLE
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -149,7 +152,131 @@ def protocols() -> str:
     return table(("protocol", "counts", "leaves out", "combines", "scores", "source"), rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {each.__name__: each for each in (overview, protocols)}
+@cache
+def real() -> dict[str, Any]:
+    """What benchmarks/real.py counted."""
+    known: dict[str, Any] = json.loads((DOCS / "real.json").read_text(encoding="utf-8"))
+    return known
+
+
+@dataclasses.dataclass(frozen=True)
+class RealScore:
+    """A method on a real drive.
+
+    Attributes:
+        SA, DA, AA: percent; low, high: ends of the interval of AA over drawn movers.
+        found: movers of which at least half of the points are removed; movers: all.
+    """
+
+    SA: float
+    DA: float
+    AA: float
+    low: float
+    high: float
+    found: int
+    movers: int
+
+    @classmethod
+    def of(cls, cell: dict[str, Any]) -> RealScore:
+        """From the counts of a cell."""
+        points = np.array([number for _, number in drive_of(cell)["movers"]])
+        removed, (kept, lost) = np.array(cell["removed"]), cell["static"]
+        SA, DA = kept / (kept + lost), removed.sum() / points.sum()
+        sums = drawn(np.stack([removed, points], 1))
+        low, high = interval(100 * np.sqrt(SA * sums[:, 0] / sums[:, 1]))
+        found = int((2 * removed >= points).sum())
+        return cls(100 * SA, 100 * DA, 100 * float(np.sqrt(SA * DA)), low, high, found, len(points))
+
+    @property
+    def rates(self) -> str:
+        """SA, DA and AA."""
+        return f"{self.SA:.1f} / {self.DA:.1f} / **{self.AA:.1f}**"
+
+    def __str__(self) -> str:
+        return f"{self.rates} ({self.low:.0f} to {self.high:.0f}), {self.found}"
+
+
+def drive_of(cell: dict[str, Any]) -> dict[str, Any]:
+    """The facts of the drive of a cell."""
+    found: dict[str, Any] = next(drive for drive in real()["drives"] if drive["name"] == cell["drive"])
+    return found
+
+
+def real_scores(drive: str, poses: str, tuned: bool = False) -> dict[str, RealScore]:
+    """The scores of each method on a drive, best AA first."""
+    cells = (cell for cell in real()["cells"] if (cell["drive"], cell["poses"]) == (drive, poses))
+    scores = {cell["method"]: RealScore.of(cell) for cell in cells if bool(cell["set"]) == tuned}
+    return dict(sorted(scores.items(), key=lambda each: -each[1].AA))
+
+
+def real_drives() -> str:
+    """Facts of the drives of benchmarks/real.py."""
+    rows = (
+        (
+            f"`{drive['name']}`",
+            drive["where"],
+            drive["sensor"],
+            drive["frames"],
+            drive["labelled"],
+            len(drive["movers"]),
+            drive["licence"],
+        )
+        for drive in real()["drives"]
+    )
+    return table(("drive", "recorded in", "sensor", "frames", "labelled", "movers", "licence"), rows)
+
+
+def real_table() -> str:
+    """All cells of benchmarks/real.py: drives and methods by poses and parameters."""
+    rows, searched = [], {(each["drive"], each["method"]) for each in real()["searches"]}
+    for drive in (each["name"] for each in real()["drives"]):
+        given, estimated = real_scores(drive, "given"), real_scores(drive, "small-gicp")
+        tuned = real_scores(drive, "small-gicp", tuned=True)
+        for name in estimated:
+            last = tuned.get(name, "no proven gain" if (drive, name) in searched else "")
+            rows.append((f"`{drive}`", f"`{name}`", given[name], estimated[name], last))
+    return table(("drive", "method", "given poses", "`small-gicp`", "`small-gicp`, tuned"), rows)
+
+
+def real_first() -> str:
+    """On which drives SeeThrough is first, and which method is where it is not."""
+    ours, poses, others = "seethrough", {"given": "given poses", "small-gicp": "`small-gicp`"}, []
+    for drive in (each["name"] for each in real()["drives"]):
+        for kind, words in poses.items():
+            scores = real_scores(drive, kind)
+            best = next(iter(scores))
+            if best != ours:
+                behind = f"{scores[best].AA:.1f}, SeeThrough {scores[ours].AA:.1f}"
+                others.append(f"`{drive}` with {words} ({methods()[best].info.title} {behind})")
+    total = len(poses) * len(real()["drives"])
+    return (
+        f"Of {total} combinations of a drive and its poses, SeeThrough has the highest AA on {total - len(others)}, at "
+        "default parameters. It is not first on " + "; ".join(others or ["none"]) + "."
+    )
+
+
+def real_five() -> str:
+    """Five methods on the drives with more than a few scans, with estimated poses."""
+    names = [each["name"] for each in real()["drives"] if each["labelled"].startswith("boxes") and each["frames"] > 2]
+    scores = {name: real_scores(name, "small-gicp") for name in names}
+    shown = ("erasor", "octomap_gf", "dufomap", "dynablox", "seethrough")
+    rows = ((methods()[name].info.title, *(scores[drive][name].rates for drive in names)) for name in shown)
+    return table(("SA / DA / AA", *(name.replace("_", " ") for name in names)), rows)
+
+
+def sampling() -> str:
+    """DA of each method by scans that see a place and by rings, on two drives."""
+    rows = json.loads(TABLE.read_text(encoding="utf-8"))
+    columns = sorted({(row["drive"], -row["rings"], -row["looks"]) for row in rows})
+    head = ("method", *(f"{drive[-4:]}: {-seen} scans, {-rings} rings" for drive, rings, seen in columns))
+    found = {(row["method"], row["drive"], -row["rings"], -row["looks"]): f"{row['DA']:.0f}" for row in rows}
+    names = sorted({row["method"] for row in rows})
+    return table(head, ((f"`{name}`", *(found.get((name, *column), "") for column in columns)) for name in names))
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    each.__name__: each for each in (overview, protocols, real_drives, real_table, real_first, real_five, sampling)
+}
 
 
 def facts(kind: Any) -> str:

@@ -61,14 +61,24 @@ def gain(before: Sequence[Result], after: Sequence[Result]) -> Gain:
     static = np.array([_static(results) for results in (before, after)], np.float64)
     counts: I64 = np.concatenate([_movers(one, other) for one, other in zip(before, after, strict=True)])
     sa = static[:, 0] / np.maximum(static.sum(1), 1)
-    rng = np.random.default_rng(0)
-    drawn = counts[rng.integers(len(counts), size=(DRAWS, len(counts)))].sum(1)
-    gains = _gain(sa, drawn)
-    low, high = np.quantile(gains, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = interval(_gain(sa, drawn(counts)))
     shares = (counts[:, 1:] / np.maximum(counts[:, :1], 1)).mean(0)
     by_mover = 100 * float(np.sqrt(sa[1] * shares[1]) - np.sqrt(sa[0] * shares[0]))
     whole = float(_gain(sa, counts.sum(0)[None])[0])
-    return Gain(whole, float(low), float(high), by_mover, 100 * float(sa[1] - sa[0]))
+    return Gain(whole, low, high, by_mover, 100 * float(sa[1] - sa[0]))
+
+
+def drawn(movers: I64) -> I64:
+    """(DRAWS, K) int64: sums over (M, K) counts of movers, which are drawn with replacement."""
+    rows = np.random.default_rng(0).integers(len(movers), size=(DRAWS, len(movers)))
+    totals: I64 = movers[rows].sum(1)
+    return totals
+
+
+def interval(values: F64) -> tuple[float, float]:
+    """The ends of the interval that contains ``LEVEL`` of the values."""
+    low, high = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(low), float(high)
 
 
 def _gain(sa: F64, counts: I64) -> F64:

@@ -16,6 +16,8 @@ from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
+from dynaviz.diagnosis.sampling import looks as looks_at_places
+from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
 from dynaviz.diagnosis.views import ScanView, around, pairs
@@ -89,8 +91,12 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         drift = list(check_drift(_views(checker, list(places), progress)))
         findings += drift
         alignment_findings += drift
-    measured = None if misaligned else noise.result()
-    return Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, measured, alignment_findings)
+    diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings)
+    if misaligned:
+        return diagnosis
+    positions = [pose[:3, 3] for pose in checker.poses]
+    seen = looks_at_places(positions, checker.positions, len(sequence))
+    return replace(diagnosis, pose_noise=noise.result(), sampling=sampling(seen, sequence.sensor.rings))
 
 
 def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:

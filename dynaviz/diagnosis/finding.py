@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
+from dynaviz.diagnosis.sampling import Sampling
 from dynaviz.errors import addressed
 from dynaviz.sources.origin import PoseNoise
 
@@ -82,6 +84,7 @@ class Diagnosis:
         findings: certain ones first.
         pose_noise: None if too few planes are seen, or if the poses are wrong.
         of_poses: the findings on poses, frames, units and columns among them.
+        sampling: which methods have too few scans or rings; None if the poses are wrong.
     """
 
     sequence: str
@@ -90,20 +93,15 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     pose_noise: PoseNoise | None = None
     of_poses: tuple[Finding, ...] = ()
+    sampling: Sampling | None = None
 
     @classmethod
     def of(
-        cls,
-        sequence: str,
-        frames: int,
-        examined: int,
-        findings: Iterable[Finding],
-        pose_noise: PoseNoise | None = None,
-        of_poses: Iterable[Finding] = (),
+        cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding], of_poses: Iterable[Finding] = ()
     ) -> Diagnosis:
         """Sort findings by confidence."""
         ordered = tuple(sorted(findings, key=lambda finding: finding.confidence))
-        return cls(sequence, frames, examined, ordered, pose_noise, tuple(of_poses))
+        return cls(sequence, frames, examined, ordered, of_poses=tuple(of_poses))
 
     @property
     def ok(self) -> bool:
@@ -131,6 +129,7 @@ class Diagnosis:
             "examined": self.examined,
             "findings": rows,
             "pose_noise": noise and {"translation_m": noise.translation_m, "rotation_deg": noise.rotation_deg},
+            "sampling": self.sampling and dataclasses.asdict(self.sampling),
         }
 
     def __str__(self) -> str:
@@ -161,6 +160,8 @@ class Diagnosis:
         yield Text(addressed(f"{self.sequence}: {found}. {self._coverage}"))
         if self.pose_noise:
             yield Text(f"Pose noise: {self.pose_noise}, from the planes that neighbouring frames see.")
+        if self.sampling and self.sampling.poor:
+            yield Text(str(self.sampling))
 
     @property
     def _coverage(self) -> str:

@@ -48,7 +48,6 @@ class MapFile:
         region: write only the points inside.
         voxel_size: write one point per voxel of this edge, metres: the first one. None for all points.
         marked: write all points, with the attributes ``dynamic`` and ``reason``.
-        reason: write only the points with this code of the method; None for all.
     """
 
     path: Path
@@ -59,7 +58,6 @@ class MapFile:
     region: Region | None = None
     voxel_size: float | None = None
     marked: bool = False
-    reason: int | None = None
 
 
 @dataclass
@@ -86,7 +84,7 @@ class Judgement:
 
     Attributes:
         labels: (N,) bool for each frame by position, True for removed points.
-        reasons: (N,) uint8 for each frame, in order: codes of the method; None if no file needs them.
+        reasons: (N,) uint8 for each frame, in order: codes of the method; None if nothing is marked.
     """
 
     labels: Sequence[Bool]
@@ -105,7 +103,7 @@ def write_maps(
 
     Args:
         sequence: what the labels belong to.
-        judgement: labels, and reasons if a file needs them.
+        judgement: labels, and reasons if a file marks points.
         files: what to write; the account is that of the first.
         progress: called after each frame.
         drop_unposed: leave out points that no pose covers. Otherwise they are kept, where their place is known.
@@ -281,8 +279,6 @@ class _Map:
         if points.dynamic is not None and not self._file.marked:
             self._account["removed"] += int(points.dynamic[chosen].sum())
             chosen = chosen[points.dynamic[chosen] == self._file.removed]
-        if (wanted := self._file.reason) is not None:
-            chosen = chosen[:0] if points.reasons is None else chosen[points.reasons[chosen] == wanted]
         if self._file.region is not None:
             chosen = self._take("outside_region", chosen, self._file.region.contains(points.xyz[chosen]))
         if self._file.voxel_size is not None:
