@@ -1,5 +1,7 @@
 """Where a whole command spends its time: a table of its steps, from the start of the process to its end.
 
+Then the time of commands on finished runs, and of a benchmark of the methods.
+
     python benchmarks/whole.py                       140 frames of a simulated street, HDL-64E; octomap and seethrough
     python benchmarks/whole.py SEQ [METHOD ...]
 
@@ -12,12 +14,13 @@ from __future__ import annotations
 import functools
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +104,13 @@ def child(command: str, method: str, source: str, out: str, frames: str | None =
         steps.wrap(outputs.MapFiles, each, "maps")
         steps.wrap(outputs.LabelsFile, each, "labels")
     if command != "none":
+        from dynaviz.views.background import Background
         from dynaviz.views.record.recorder import Recorder
 
         for each in ("begin", "observing", "observed", "labelled", "finish", "__exit__"):
             steps.wrap(Recorder, each, f"recording: {each.strip('_')}")
+        steps.wrap(Recorder, "_replay", "recording: evidence of the cases")
+        steps.wrap(Background, "wait", "recording: waiting for states")
     if command == "clean":
         steps.wrap(cleaned_map, "write_maps", "maps")
     steps.timed("the rest", _run, command, method, source, out, frames)
@@ -133,6 +139,31 @@ def profile(command: str, method: str, source: str, frames: str = "") -> dict[st
     return steps
 
 
+def others(source: str, folder: Path, methods: Sequence[str]) -> None:
+    """Print elapsed and processor seconds of commands on finished runs of two methods, and of a benchmark."""
+    first, second = (str(folder / method) for method in methods[:2])
+    for method in methods[:2]:
+        _command("run", method, source, "-o", str(folder / method))
+    print("\n| command | elapsed / processor seconds |\n|---|---|")
+    for words in (
+        ("--help",),
+        ("info", first, "--failures"),
+        ("compare", first, second, "-o", str(folder / "compare.rrd")),
+        ("report", first, "-o", str(folder / "report.html")),
+        ("bench", *(word for method in methods for word in ("-m", method)), "-s", source, "-o", str(folder / "bench")),
+    ):
+        print("| `{}` | {:.2f} / {:.2f} |".format(" ".join(w for w in words if "/" not in w), *_command(*words)))
+
+
+def _command(*words: str) -> tuple[float, float]:
+    """Elapsed and processor seconds of a command in a process of its own."""
+    begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-m", "dynaviz", *words], stdout=subprocess.DEVNULL, check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return time.perf_counter() - begin, processor
+
+
 def main(source: str | None = None, *methods: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         if source is None:
@@ -140,7 +171,8 @@ def main(source: str | None = None, *methods: str) -> None:
 
             source = str(Path(folder) / "street")
             simulate("street_hdl64", Path(source), frames=140)
-        for method in methods or ("octomap", "seethrough"):
+        methods = methods or ("octomap", "seethrough")
+        for method in methods:
             columns = {}
             for command in ("none", "errors", "clean"):
                 profile(command, method, source, "0:2")
@@ -156,6 +188,8 @@ def main(source: str | None = None, *methods: str) -> None:
                 "{:.1f} / {:.1f}".format(*map(sum, zip(*each.values(), strict=True))) for each in columns.values()
             ]
             print("| all | " + " | ".join(totals) + " |", flush=True)
+        if len(methods) > 1:
+            others(source, Path(folder), methods)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ to the other frames. Moving objects form no such planes, and their patches get l
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -106,7 +107,6 @@ def window_errors(scans: Sequence[Scan]) -> list[Motion]:
     found = []
     for frame, scan in enumerate(scans):
         seen = patches.counts[:, frame] >= FEWEST_POINTS
-        seen &= (patches.counts >= FEWEST_POINTS).sum(1) >= FEWEST_FRAMES
         if seen.sum() >= FEWEST_PATCHES:
             heights, normals, centres = patches.heights(frame, seen)
             if len(heights) >= FEWEST_PATCHES:
@@ -116,7 +116,7 @@ def window_errors(scans: Sequence[Scan]) -> list[Motion]:
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Moments of the points of several frames in patches.
+    """Moments of the points of several frames in the patches that enough of them see.
 
     Attributes:
         counts: (P, F) float64: points of each frame.
@@ -135,17 +135,23 @@ class Patches:
         """Patches of scans, relative to a place near them, (3,) metres."""
         points, frames = zip(*(_points(scan, frame, middle) for frame, scan in enumerate(scans)), strict=True)
         xyz, frame = np.concatenate(points), np.concatenate(frames)
-        cell = np.floor(xyz / PATCH).astype(np.int64) + 2**15
-        _, patch = np.unique(cell @ np.array([1 << 34, 1 << 17, 1]), return_inverse=True)
-        number, key = int(patch.max(initial=0)) + 1, patch * len(scans) + frame
+        x, y, z = (np.floor(column / PATCH).astype(np.int64) + 2**15 for column in xyz.T)
+        _, patch = np.unique(x << 34 | y << 17 | z, return_inverse=True)
+        counts = np.bincount(patch * len(scans) + frame, minlength=(patch.max(initial=-1) + 1) * len(scans))
+        enough = (counts.reshape(-1, len(scans)) >= FEWEST_POINTS).sum(1) >= FEWEST_FRAMES
+        chosen = enough[patch]
+        xyz, frame, patch = xyz[chosen], frame[chosen], (np.cumsum(enough) - 1)[patch[chosen]]
+        number, key = int(enough.sum()), patch * len(scans) + frame
         counts = np.bincount(key, minlength=number * len(scans)).reshape(number, -1).astype(np.float64)
         sums = np.stack([np.bincount(key, each, number * len(scans)) for each in xyz.T], axis=1)
         means = sums.reshape(number, len(scans), 3) / np.maximum(counts, 1)[:, :, None]
         total = np.maximum(counts.sum(1), 1)
         centre = (counts[:, :, None] * means).sum(1) / total[:, None]
         away = xyz - centre[patch]
-        products = [np.bincount(patch, away[:, i] * away[:, j], number) / total for i in range(3) for j in range(3)]
-        values, vectors = np.linalg.eigh(np.stack(products, axis=1).reshape(-1, 3, 3))
+        products = np.empty((number, 3, 3))
+        for i, j in itertools.combinations_with_replacement(range(3), 2):
+            products[:, i, j] = products[:, j, i] = np.bincount(patch, away[:, i] * away[:, j], number) / total
+        values, vectors = np.linalg.eigh(products)
         planar = (values[:, 0] < THIN**2) & (values[:, 0] < FLAT * values[:, 1]) & (values[:, 1] > WIDE * values[:, 2])
         return cls(counts, means, vectors[:, :, 0], planar)
 
