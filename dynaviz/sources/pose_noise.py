@@ -142,7 +142,7 @@ class Patches:
         chosen = enough[patch]
         xyz, frame, patch = xyz[chosen], frame[chosen], (np.cumsum(enough) - 1)[patch[chosen]]
         number, key = int(enough.sum()), patch * len(scans) + frame
-        counts = np.bincount(key, minlength=number * len(scans)).reshape(number, -1).astype(np.float64)
+        counts = np.bincount(key, minlength=number * len(scans)).reshape(number, len(scans)).astype(np.float64)
         sums = np.stack([np.bincount(key, each, number * len(scans)) for each in xyz.T], axis=1)
         means = sums.reshape(number, len(scans), 3) / np.maximum(counts, 1)[:, :, None]
         total = np.maximum(counts.sum(1), 1)
