@@ -35,6 +35,8 @@ OUTCOMES = {  # of a point by whether it was removed, and whether that is right
 }
 TRUTH = {int(Label.STATIC): "static", int(Label.DYNAMIC): "dynamic"}
 
+START = 1.0  # seconds: a replay opens the sequence, and loads the kernels of the method
+
 
 class ExploredRun:
     """A recorded run, in memory.
@@ -82,7 +84,7 @@ class ExploredRun:
     def replay_s(self) -> float | None:
         """Seconds that a replay takes, by what its passes took when the run was recorded; None if unknown."""
         measured = self.recording.properties.get("repeat_s")
-        return None if measured is None else float(measured)
+        return None if measured is None else float(measured) + START
 
     @property
     def title(self) -> str:
