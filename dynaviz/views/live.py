@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 import rerun as rr
@@ -280,7 +279,7 @@ def serving(port: int | None) -> Iterator[tuple[int, tuple[str, str]]]:
         DynavizError: if the viewer ends before it is ready.
     """
     page, inlet = ports(port)
-    address = f"http://{viewer.HOME}:{page}/?url={quote(viewer.url(inlet), safe='')}"
+    address = viewer.page_url(page, inlet)
     command = [
         viewer.program(), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}", f"--web-viewer-port={page}",
         "--server-memory-limit=1GB",

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, TypeVar
+from urllib.parse import quote
 
 import rerun_cli
 from rerun.experimental import ViewerClient
@@ -47,6 +48,16 @@ def free_port() -> int:
 def url(port: int) -> str:
     """The address at which a viewer on this machine receives recordings."""
     return f"rerun+http://{HOME}:{port}/proxy"
+
+
+def page_url(page: int, recordings: int) -> str:
+    """The address of the viewer for browsers; dark, because labels are white.
+
+    Args:
+        page: port that serves the viewer.
+        recordings: port that serves the recordings.
+    """
+    return f"http://{HOME}:{page}/?theme=dark&url={quote(url(recordings), safe='')}"
 
 
 def listens(port: int) -> bool:

@@ -189,7 +189,7 @@ def test_the_page_is_served_until_the_report_is_given(monkeypatch: pytest.Monkey
     monkeypatch.setattr(viewer, "has_screen", lambda: False)
     scans_, options = InMemory(crossing(2)), {"rate": 0, "serve": True, "port": page}
     play_live(scans_, "octomap", **options, announce=announced.append, finished=finished)
-    assert announced[0].startswith(f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?url=")
+    assert announced[0].startswith(f"Watch it in a browser on this machine at http://127.0.0.1:{page}/?theme=dark&url=")
     assert announced[1].startswith(f"From another machine, run 'ssh -L {page}:127.0.0.1:{page} ")
     assert not viewer.listens(page)
     for port in (page, page + 1):

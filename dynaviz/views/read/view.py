@@ -9,7 +9,6 @@ import tempfile
 import webbrowser
 from collections.abc import Iterable
 from pathlib import Path
-from urllib.parse import quote
 
 from dynaviz.errors import UsageError
 from dynaviz.views import viewer
@@ -66,7 +65,7 @@ def ports(page: int | None) -> tuple[int, int]:
 
 
 def _serve(files: list[Path], page: int, port: int) -> None:
-    address = f"http://{viewer.HOME}:{page}/?url={quote(viewer.url(port), safe='')}"
+    address = viewer.page_url(page, port)
     command = [
         viewer.program(), *map(str, files), "--serve-web", f"--bind={viewer.HOME}", f"--port={port}",
         f"--web-viewer-port={page}",
