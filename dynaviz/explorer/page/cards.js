@@ -64,7 +64,7 @@ const chip = card => card.cost === null ? `suspicion ${card.suspicion.toFixed(2)
 /** What a case costs each of two runs, as bars. */
 function costs(card, most) {
   const of = { [card.of]: card, [card.of === 'a' ? 'b' : 'a']: card.other }
-  return ['a', 'b'].map(letter => make('p', { class: 'cost-of' }, letter.toUpperCase(), make('span', { class: 'bar', style: `--share: ${Math.max(worth(of[letter] ?? { cost: 0 }) / most, 0)}` }), of[letter] ? chip(of[letter]) : 'right'))
+  return ['a', 'b'].map(letter => make('p', { class: 'cost-of' }, letter.toUpperCase(), make('span', { class: 'bar', style: `--share: ${Math.max(worth(of[letter] ?? { cost: 0 }) / most, 0)}` }), of[letter] ? chip(of[letter]) : card.by === 'both' ? 'wrong, too' : 'right'))
 }
 
 const span = card => card.first === card.last ? `frame ${card.first}` : `frames ${card.first}–${card.last}`
