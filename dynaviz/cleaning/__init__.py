@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Unpack
 
+from dynaviz.cleaning.changes import Pair, find_changes
 from dynaviz.cleaning.cleaned import Cleaned
 from dynaviz.cleaning.doubt import doubt_of
 from dynaviz.cleaning.trajectory import UsedPoses
@@ -42,6 +43,7 @@ def clean(
     keep_dynamic: str | os.PathLike[str] | None = None,
     mark: bool = False,
     drop_unposed: bool = False,
+    changed: bool = False,
     command: str = "",
     progress: Progress = silent,
     **options: Unpack[SequenceRunKeywords],
@@ -61,6 +63,8 @@ def clean(
             judged) and ``reason`` (code of the method; ``Cleaned.to_dict`` has the legend).
         drop_unposed: leave out points that no pose covers, such as those of a merged map outside the trajectory. They
             are kept otherwise, without judgement, if their place in the world is known.
+        changed: also find what is in one of two drives and not in the other (``Cleaned.changes``). The folder
+            ``clean_changed`` receives maps of it like the clean map, and a recording.
         command, progress: as for ``dynaviz.run``.
         options: as for ``dynaviz.run``. Without ``poses``, they are estimated with small-gicp if the sequence has none.
             With ``tiles``, if ``out`` has a suffix, a folder without it receives a file for each square, and
@@ -86,6 +90,8 @@ def clean(
     if (limit := files[0].region) is not None and region_is_empty(opened, limit):
         hint = "Give it in the coordinates of the map: 'dynaviz info' shows their extent"
         raise UsageError(f"--region {region}: contains no point of {opened.name}. {hint}")
+    pair = Pair.of(opened) if changed else None
+    agreement = pair and pair.compared()
     result = run_method(
         method,
         opened,
@@ -103,6 +109,10 @@ def clean(
     maps, account = write_maps(used, judgement, files, progress, drop_unposed, followed.add)
     trajectory = folder / "trajectory.csv"
     written = followed.write(trajectory)
+    changes = None
+    if pair and agreement:
+        beside = Path(out).with_name(f"{Path(out).stem}_changed")
+        changes = find_changes(pair, agreement, result, running, files[0], beside, command, progress)
     sensor = sentence(estimate_sensor(opened)) if opened.sensor.name == Sensor().name else ""
     facts, source = getattr(base_of(opened), "facts", {}), " ".join(opened.provenance.sources) or "SEQ"
     in_world = facts.get("points in", "").startswith("world")
@@ -119,6 +129,7 @@ def clean(
         doubt=doubt,
         trajectory=trajectory if written else None,
         marked=mark,
+        changes=changes,
     )
     write_atomic(folder / "summary.md", cleaned.markdown().encode())
     return cleaned

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from dynaviz.cleaning.changes import Changes
 from dynaviz.cleaning.doubt import NOISY, Doubt
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
@@ -42,6 +43,7 @@ class Cleaned:
         doubt: why the map should be checked before it is used; None if nothing is unusual.
         trajectory: file with the poses that were used; None for several lidars.
         marked: whether the map has all points, marked.
+        changes: what changed between two drives, if it was asked for.
     """
 
     result: Result
@@ -54,6 +56,7 @@ class Cleaned:
     doubt: Doubt | None = None
     trajectory: Path | None = None
     marked: bool = False
+    changes: Changes | None = None
 
     @property
     def removals(self) -> Removals:
@@ -99,6 +102,7 @@ class Cleaned:
             "range": msgspec.to_builtins(found.range),
             "clusters": msgspec.to_builtins(self.clusters),
             "failures": msgspec.to_builtins(run.failures),
+            "changed": self.changes and self.changes.to_dict(),
             "folder": str(self.folder),
         }
 
@@ -136,6 +140,8 @@ class Cleaned:
             legend = ", ".join(f"{code} {name}" for code, name in enumerate(self._reason_names()))
             yield f"\nThe map has all points. `dynamic`: 0 static, 1 dynamic, 2 not judged. `reason`: {legend}."
         yield from self._about_poses()
+        if self.changes:
+            yield from self.changes.lines()
         yield from _table("Removed by reason", "reason", list(found.reasons.items()), found.removed)
         rows = [(_interval(r.low, r.high), r.removed, r.points) for r in found.range if r.points]
         yield from ["", "## Removed by range", "", "| range | removed | points | share |", "|---|---:|---:|---:|"]

@@ -63,6 +63,9 @@ def clean(
     drop_unposed: Annotated[
         bool, typer.Option("--drop-unposed", help="Leave out points that no pose covers, instead of keeping them.")
     ] = False,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Also find what is in one of two drives and not in the other.")
+    ] = False,
     accept: Annotated[
         bool, typer.Option("--accept", help="Exit with 0 even if much was removed or the poses are likely wrong.")
     ] = False,
@@ -82,6 +85,7 @@ def clean(
     dynaviz clean scans/ --poses trajectory.tum -o clean.pcd --voxel-size 0.1
     dynaviz clean drive.mcap -o map --tiles autoware --keep-dynamic removed.pcd
     dynaviz clean city/ -o city.laz --tiles 200 --workers 4
+    dynaviz clean monday/ tuesday/ -o both.laz --changed
     dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region 500100,5400200,500300,5400400
     """
     from dynaviz import cleaning
@@ -96,6 +100,7 @@ def clean(
             keep_dynamic=keep_dynamic,
             mark=mark,
             drop_unposed=drop_unposed,
+            changed=changed,
             command=typed_command(),
             progress=report,
             **options,
@@ -105,6 +110,8 @@ def clean(
         if options["record"] != "none":
             recording = shlex.quote(str(cleaned.folder / "run.rrd"))
             show(f"Check what was removed with: {program()} view {recording}", f"or: {program()} explore {recording}")
+            if cleaned.changes:
+                show(f"Check what changed with: {program()} explore {shlex.quote(str(cleaned.changes.folder))}")
         show(f"Points: {cleaned.account}")
     if cleaned.doubt and not accept:
         warn(cleaned.doubt)

@@ -69,8 +69,12 @@ def unjudged(labels: Labels, found: Bool, info: MethodInfo) -> Labels:
 
 def cubes_of(scan: Scan, rows: Intp) -> I64:
     """(K, 3) int64: the cubes of edge ``CUBE`` in the sensor frame that contain some points of a scan, (K,) rows."""
-    local: F64 = geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points[rows].astype(np.float64))
-    return np.floor(local / CUBE).astype(np.int64)
+    return np.floor(in_sensor_frame(scan, rows) / CUBE).astype(np.int64)
+
+
+def in_sensor_frame(scan: Scan, rows: Intp) -> F64:
+    """(K, 3) float64, metres: some points of a scan, (K,) rows, in the sensor frame."""
+    return geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points[rows].astype(np.float64))
 
 
 def _keys(cubes: I64) -> I64:

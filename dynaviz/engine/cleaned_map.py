@@ -48,6 +48,7 @@ class MapFile:
         region: write only the points inside.
         voxel_size: write one point per voxel of this edge, metres: the first one. None for all points.
         marked: write all points, with the attributes ``dynamic`` and ``reason``.
+        reason: write only the points with this code of the method; None for all.
     """
 
     path: Path
@@ -58,6 +59,7 @@ class MapFile:
     region: Region | None = None
     voxel_size: float | None = None
     marked: bool = False
+    reason: int | None = None
 
 
 @dataclass
@@ -84,7 +86,7 @@ class Judgement:
 
     Attributes:
         labels: (N,) bool for each frame by position, True for removed points.
-        reasons: (N,) uint8 for each frame, in order: codes of the method; None if nothing is marked.
+        reasons: (N,) uint8 for each frame, in order: codes of the method; None if no file needs them.
     """
 
     labels: Sequence[Bool]
@@ -103,7 +105,7 @@ def write_maps(
 
     Args:
         sequence: what the labels belong to.
-        judgement: labels, and reasons if a file marks points.
+        judgement: labels, and reasons if a file needs them.
         files: what to write; the account is that of the first.
         progress: called after each frame.
         drop_unposed: leave out points that no pose covers. Otherwise they are kept, where their place is known.
@@ -279,6 +281,8 @@ class _Map:
         if points.dynamic is not None and not self._file.marked:
             self._account["removed"] += int(points.dynamic[chosen].sum())
             chosen = chosen[points.dynamic[chosen] == self._file.removed]
+        if (wanted := self._file.reason) is not None:
+            chosen = chosen[:0] if points.reasons is None else chosen[points.reasons[chosen] == wanted]
         if self._file.region is not None:
             chosen = self._take("outside_region", chosen, self._file.region.contains(points.xyz[chosen]))
         if self._file.voxel_size is not None:

@@ -242,7 +242,7 @@ class TiledMap:
         tiles, of = np.unique(np.floor(xyz[:, :2] / self._size).astype(np.int64), axis=0, return_inverse=True)
         order = np.argsort(of.reshape(-1), kind="stable")
         ends = np.searchsorted(of.reshape(-1)[order], np.arange(1, len(tiles) + 1))
-        for (x, y), chosen in zip(tiles.tolist(), np.split(order, ends[:-1]), strict=True):
+        for (x, y), chosen in zip(tiles.tolist(), np.split(order, ends)[:-1], strict=True):
             path = self._spools.setdefault((x, y), self._spool / f"{x}_{y}")
             with open(path, "ab") as file:  # thousands of tiles cannot all be kept open
                 file.write(rows[chosen].tobytes())

@@ -1,4 +1,4 @@
-"""Read poses from text files: KITTI (12 numbers per line), TUM (time, position, quaternion), CSV with a header."""
+"""Read poses: KITTI (12 numbers per line), TUM (time, position, quaternion), CSV with a header, PCD of LIO-SAM."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ import numpy as np
 from dynaviz.arrays import F64, I64, Intp
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
+from dynaviz.io.pcd import read_pcd
 from dynaviz.io.text import read_table
 from dynaviz.spatial import geometry
 
 _FORMATS = (
     "Write 12 numbers per line (KITTI, 3x4 matrix), 8 (TUM, time x y z qx qy qz qw) or 16 (4x4 matrix), "
-    "or CSV with a header: stamp or index, and x y z qx qy qz qw or T00 ... T33"
+    "or CSV with a header: stamp or index, and x y z qx qy qz qw or T00 ... T33; or PCD with x y z roll pitch yaw time"
 )
 _TIME = r"(?:time|timestamp|time_?stamp|stamp|t|sec|secs|seconds)\s*[_\[(]*(ns|nsec|us|ms|s|sec)?[\])]?"
 _SCALES = {"ns": 1, "nsec": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "sec": 10**9}
@@ -39,7 +40,7 @@ class PoseFile:
 
     Attributes:
         path: the file.
-        kind: ``KITTI``, ``TUM``, ``4x4`` or ``CSV``.
+        kind: ``KITTI``, ``TUM``, ``4x4``, ``CSV`` or ``PCD``.
         poses: (K, 4, 4) float64, metres.
         stamps: (K,) int64, nanoseconds; None if the file has none.
         numbers: (K,) int64, scan number of each pose; None if the file has none.
@@ -70,6 +71,8 @@ def read_poses(path: str | os.PathLike[str]) -> PoseFile:
         DataError: if the file cannot be read, or a line has a different length or is not a pose; names the line.
     """
     path = Path(path)
+    if path.suffix.lower() == ".pcd":
+        return _pcd(path)
     with open_file(path, _FORMATS) as file:
         lines = [(n, line.decode("latin-1").strip()) for n, line in enumerate(file, 1)]
     lines = [(n, line) for n, line in lines if line]
@@ -128,6 +131,20 @@ def nanoseconds(text: str, scale: int | None = None) -> int:
 
 
 Rows = list[tuple[int, list[str]]]
+
+
+def _pcd(path: Path) -> PoseFile:
+    """A point per pose, with roll, pitch and yaw in radians (about x, then y, then z) and time, as LIO-SAM writes."""
+    from scipy.spatial.transform import Rotation
+
+    rows = read_pcd(path)
+    table = np.column_stack([rows[name].astype(np.float64) for name in ("x", "y", "z", "roll", "pitch", "yaw")])
+    if not len(table) or not np.isfinite(table).all():
+        raise DataError(path, "contains no poses" if not len(table) else "a value is not finite", hint=_FORMATS)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, 3], poses[:, :3, :3] = table[:, :3], Rotation.from_euler("xyz", table[:, 3:]).as_matrix()
+    times = [(number, [repr(time)]) for number, time in enumerate(rows["time"].tolist(), 1)] if "time" in rows else None
+    return PoseFile(path, "PCD", poses, None if times is None else _stamps(path, times, 0))
 
 
 def _csv(path: Path, header: str, lines: list[tuple[int, str]]) -> PoseFile:

@@ -1,11 +1,11 @@
-"""Estimate what carries the sensor, a vehicle or a mount, from what moves with it."""
+"""Estimate what carries the sensor, a vehicle or a mount, from what moves rigidly with it."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.arrays import F64, I64
-from dynaviz.contracts.at_sensor import CUBE, HOUSING, cubes_of
+from dynaviz.arrays import F64, Intp
+from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
 from dynaviz.contracts.scan import Scan, Sequence, base_of
 from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
@@ -14,11 +14,14 @@ SCANS, FEWEST = 16, 6  # scans that are read, and between which the sensor must 
 STEP, TURN = 1.0, 15.0  # metres or degrees between two of them: static objects do not stay in their cubes
 REACH = 3.0  # metres; a carrier does not extend farther from the sensor
 ALWAYS = 0.8  # share of the scans in which a cube must contain points
+RIGID = 0.04  # metres: standard deviation of their middle; that of a person who keeps step is larger
 ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
 
 
 def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
-    """The cubes in the sensor frame that contain points wherever the sensor is (``Sensor.carrier``).
+    """The cubes in the sensor frame that contain the same points wherever the sensor is (``Sensor.carrier``).
+
+    Who comes along keeps no distance so exactly, nor does a wall: methods judge these.
 
     Simulated sequences have no carrier and are not read. A sensor that does not move shows no carrier.
 
@@ -28,7 +31,7 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < FEWEST:
         return ()
     last: Scan | None = None
-    seen = list[I64]()
+    seen = list[F64]()  # of each scan: the middle of the points in each cube
     for position in np.unique(np.linspace(0, len(sequence) - 1, SCANS).astype(int)).tolist():
         scan = sequence[position]
         if last is not None and not _moved(last.T_world_sensor, scan.T_world_sensor):
@@ -37,14 +40,26 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
         with np.errstate(invalid="ignore"):
             squared = scan.squared_ranges()
             near = np.flatnonzero((squared > HOUSING**2) & (squared < REACH**2))
-        seen.append(np.unique(cubes_of(scan, near), axis=0))
+        local = in_sensor_frame(scan, near)
+        cubes, of = np.unique(np.floor(local / CUBE), axis=0, return_inverse=True)
+        seen.append(_means(local, of.reshape(-1), len(cubes)))
     if last is None or len(seen) < FEWEST:
         return ()
-    cubes, counts = np.unique(np.concatenate(seen), axis=0, return_counts=True)
-    cubes = cubes[counts >= ALWAYS * len(seen)]
+    middles = np.concatenate(seen)
+    found, of, counts = np.unique(np.floor(middles / CUBE), axis=0, return_inverse=True, return_counts=True)
+    apart = middles - _means(middles, of.reshape(-1), len(found))[of.reshape(-1)]
+    spread = np.sqrt(_means(apart**2, of.reshape(-1), len(found)).sum(1))
+    cubes = found[(counts >= ALWAYS * len(seen)) & (spread < RIGID)].astype(np.int64)
     if len(cubes) and (height := height_of(ScanRays.of(last))) is not None:
         cubes = cubes[CUBE * cubes[:, 2] > ABOVE_GROUND - height]
     return tuple((x, y, z) for x, y, z in cubes.tolist())
+
+
+def _means(points: F64, of: Intp, groups: int) -> F64:
+    """(G, 3) float64: mean of the points, (N, 3), of each group, (N,)."""
+    sums = np.stack([np.bincount(of, column, groups) for column in points.T], axis=1)
+    means: F64 = sums / np.bincount(of, minlength=groups)[:, None]
+    return means
 
 
 def _moved(a: F64, b: F64) -> bool:

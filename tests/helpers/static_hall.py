@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -18,17 +20,34 @@ PLACES = 10  # places of the box, on arcs around the sensor
 NOISE = 0.01  # metres, along the ray
 
 
-def hall(frames: int = PLACES, box: bool = True, seed: int = 0) -> list[Scan]:
-    """Scans of a slowly moving sensor; the box is 0.2 m above the ground, 6 to 9 m away."""
+def hall(
+    frames: int = PLACES,
+    box: bool = True,
+    seed: int = 0,
+    standing: Sequence[tuple[F64, F64]] = (),
+    fixed: bool = False,
+) -> list[Scan]:
+    """Scans of a slowly moving sensor; the box is 0.2 m above the ground, 6 to 9 m away.
+
+    Args:
+        frames: number of scans.
+        box: whether there is the box that changes its place.
+        seed: of the noise.
+        standing: centre and half edges, (3,) metres each, of boxes that stand still.
+        fixed: whether the sensor does not move.
+    """
     random, scans = np.random.default_rng(seed), []
     for frame in range(frames):
         T_world_sensor = np.eye(4)
-        T_world_sensor[:3, 3] = origin = np.array([0.07 * frame, 0.03 * frame, HEIGHT])
+        T_world_sensor[:3, 3] = origin = np.array(
+            [0.0 if fixed else 0.07 * frame, 0.0 if fixed else 0.03 * frame, HEIGHT]
+        )
         rays = _rays(random.uniform(0, VIEW / AZIMUTHS))
         with np.errstate(divide="ignore"):
             walls = ((np.where(rays > 0, WALLS, -WALLS) - origin) / rays)[:, :2].min(1)
             ground = np.where(rays[:, 2] < 0, -origin[2] / rays[:, 2], np.inf)
-        still, moving = np.minimum(walls, ground), _to_box(origin, rays, _place(frame)) if box else np.inf
+        still = np.minimum.reduce([walls, ground, *(_to_box(origin, rays, *each) for each in standing)])
+        moving = _to_box(origin, rays, _place(frame), HALF) if box else np.inf
         ranges = np.minimum(still, moving) + random.normal(0, NOISE, len(rays))
         labels = np.where(moving < still, Label.DYNAMIC, Label.STATIC).astype(np.uint8)
         points = (origin + ranges[:, None] * rays).astype(np.float32)
@@ -69,9 +88,9 @@ def _rays(first: float) -> F64:
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1).reshape(-1, 3)
 
 
-def _to_box(origin: F64, rays: F64, centre: F64) -> F64:
+def _to_box(origin: F64, rays: F64, centre: F64, half: F64) -> F64:
     """Ranges to the box, metres; infinite for misses."""
     with np.errstate(divide="ignore"):
-        sides = [(centre + side * HALF - origin) / rays for side in (-1, 1)]
+        sides = [(centre + side * half - origin) / rays for side in (-1, 1)]
     enter, leave = np.minimum(*sides).max(1), np.maximum(*sides).min(1)
     return np.where((enter > 0) & (enter < leave), enter, np.inf)

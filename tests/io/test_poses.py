@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dynaviz.errors import DataError
+from dynaviz.io.pcd import write_pcd
 from dynaviz.io.poses import find_poses, nanoseconds, read_poses
 
 RANDOM = np.random.default_rng(3)
@@ -141,3 +142,24 @@ def test_usual_names_are_found(tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text("")
     with pytest.raises(DataError, match=r"several pose files: drive\.tum, poses\.txt.*poses=FILE"):
         find_poses(tmp_path)
+
+
+def test_keyframes_of_lio_sam(tmp_path: Path) -> None:
+    path = tmp_path / "transformations.pcd"
+    angles = TURNS.as_euler("xyz")
+    axes = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), np.hstack([XYZ, angles]).T, strict=True))
+    fields = {name: column.astype(np.float32) for name, column in axes.items()}
+    write_pcd(path, {**fields, "time": STAMPS / 1e9})
+    found = read_poses(path)
+    assert found.kind == "PCD"
+    np.testing.assert_allclose(found.poses, T, atol=1e-5)
+    assert found.stamps is not None
+    assert np.abs(found.stamps - STAMPS).max() < 1000
+    write_pcd(path, fields)
+    assert read_poses(path).stamps is None
+    write_pcd(path, {name: column for name, column in fields.items() if name != "yaw"})
+    with pytest.raises(DataError, match="field 'yaw' is missing"):
+        read_poses(path)
+    write_pcd(path, {name: column[:0] for name, column in fields.items()})
+    with pytest.raises(DataError, match="contains no poses"):
+        read_poses(path)
