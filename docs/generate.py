@@ -227,15 +227,22 @@ def real_drives() -> str:
 
 
 def real_table() -> str:
-    """All cells of benchmarks/real.py: drives and methods by poses, and by parameters if they were searched."""
+    """All cells of benchmarks/real.py: drives and methods by poses, and by parameters if they were searched.
+
+    Methods with the same scores share a row, and only the first row of a drive names it.
+    """
     rows, searched = [], {(each["drive"], each["method"]) for each in real()["searches"]}
     head = ("drive", "method", "given poses", "`small-gicp`", *(["`small-gicp`, tuned"] if searched else []))
     for drive in (each["name"] for each in real()["drives"]):
         given, estimated = real_scores(drive, "given"), real_scores(drive, "small-gicp")
         tuned = real_scores(drive, "small-gicp", tuned=True)
+        names: dict[tuple[str, ...], list[str]] = {}
         for name in estimated:
             last = tuned.get(name, "no proven gain" if (drive, name) in searched else "")
-            rows.append((f"`{drive}`", f"`{name}`", given[name], estimated[name], last)[: len(head)])
+            cells = (str(given[name]), str(estimated[name]), str(last))[: len(head) - 2]
+            names.setdefault(cells, []).append(f"`{name}`")
+        firsts = [f"`{drive}`", *[""] * (len(names) - 1)]
+        rows += [(first, ", ".join(each), *cells) for first, (cells, each) in zip(firsts, names.items(), strict=True)]
     return table(head, rows)
 
 
