@@ -147,12 +147,14 @@ class Evidence:
         quantities: what changes from scan to scan.
         rules: in these terms the method decides; empty while it cannot, as for points that it judges later.
         final: no later scan changes the labels of these points.
+        alone: rays that touch none of the cells never change any of these numbers, whatever else a scan contains.
     """
 
     cells: F64
     quantities: tuple[Quantity, ...]
     rules: tuple[Rule, ...]
     final: bool = False
+    alone: bool = False
 
 
 @runtime_checkable

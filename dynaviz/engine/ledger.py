@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F64, I64, Bool
+from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule, Term, Verdict, voxels_around
 from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import Listener, RunSpec, execute, repeat
-from dynaviz.engine.ray_geometry import Touching, normals
+from dynaviz.engine.ray_geometry import Touching, normals, touching
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.sources.summary import SequenceSummary
 
@@ -188,6 +188,15 @@ class Ledger(Listener):
                 first += len(sequence[frame])
         self.ledgers: dict[int, tuple[PointLedger, ...]] = {}
 
+    def needed(self, scan: Scan) -> Intp | None:
+        """(K,) the points of a scan whose rays can change what the method knows about the points; None for all."""
+        books = [book for book in self._books.values() if not book.over and len(book.points)]
+        if not all(book.alone for book in books):
+            return None
+        cells = np.concatenate([np.empty((0, 2, 3)), *(book.cells for book in books)])
+        margin = (cells[:, 1] - cells[:, 0]) / 2  # a method's walk along a ray rounds differently
+        return touching(scan, np.stack([cells[:, 0] - margin, cells[:, 1] + margin], 1))
+
     def observing(self, frame: int, scan: Scan) -> None:
         """Keep the scan."""
         self._scan = scan
@@ -258,7 +267,7 @@ def replay(
             rows.setdefault(frame, []).extend(points)
     ledger, run = Ledger(rows), dataclasses.replace(run, metrics=(), summary=summary)
     if run.method:
-        seconds = repeat(run, ledger, rows)
+        seconds = repeat(run, ledger, rows, ledger.needed)
         ledger.finish()
     else:
         begin = time.perf_counter()
@@ -280,6 +289,7 @@ class _Book:
         asked: the points.
         points: (K, 3) float32, metres, world frame.
         cells: (K, 2, 3) float64, metres, world frame, as in ``Evidence``.
+        alone: as in ``Evidence``.
         over: whether later scans change nothing.
     """
 
@@ -287,7 +297,7 @@ class _Book:
         self.asked, self._frame, self._truth = Asked(scan.without_truth(), rows, 0), frame, scan.labels
         self.points = self.asked.points
         self.cells = voxels_around(self.points, EDGE)
-        self.over = False
+        self.alone = self.over = False
         self._normals = normals(scan.points, self.points)
         self._entries: list[list[LedgerEntry]] = [[] for _ in rows]
         self._totals: dict[str, F64] = {}  # the last values of quantities that accumulate
@@ -308,6 +318,7 @@ class _Book:
         mine = slice(first, first + len(self.points))
         concerned = rays.hits[mine] + rays.crossed[mine] > 0
         if evidence is not None:
+            self.alone = evidence.alone
             self.cells, values, self._quantities = evidence.cells, evidence.quantities, evidence.quantities
             self._verdict.add(evidence)
             self.over = self._verdict.final

@@ -8,6 +8,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import msgspec
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import all_finite
+from dynaviz.arrays import Intp, all_finite
 from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
@@ -184,7 +185,7 @@ def execute(
 
     def label(frame: int, scan: Scan) -> None:
         nonlocal removed, not_finite, at_sensor
-        labelled = _labelled(run, near, frame, scan, lambda seen: clock.timed(frame, labeller.label, seen))
+        labelled = _labelled(run, near, frame, scan, partial(clock.timed, frame, labeller.label))
         answer.append(labelled.dynamic)
         counts.append(len(scan))
         finite = all_finite(scan.points)
@@ -221,17 +222,17 @@ def execute(
     return result
 
 
-def repeat(run: RunSpec, listener: Listener, frames: Iterable[int], progress: Progress = silent) -> float:
+def repeat(run: RunSpec, listener: Listener, frames: Iterable[int], needed: Callable[[Scan], Intp | None]) -> float:
     """Let the method of a run observe all scans again, for a listener; only some of them are labelled.
 
     Args:
         run: of a method, which forgets what it knows, and then knows it again; with the summary of its sequence.
         listener: notified of all scans, and of the labels of some; it gets no curves and no result.
         frames: those to label.
-        progress: as for ``execute``.
+        needed: rows of a scan that the method has to observe, if it is not labelled; None for all.
 
     Returns:
-        Seconds that the method, with reading, would take to observe and label all scans, without the listener.
+        Seconds that the method would take to observe and label all scans as a whole.
 
     Raises:
         PluginError, DataError: as ``execute``.
@@ -239,31 +240,31 @@ def repeat(run: RunSpec, listener: Listener, frames: Iterable[int], progress: Pr
     method, summary, near = run.method, run.summary, AtSensor(run.sequence.sensor)
     assert method is not None
     assert summary is not None
+    clock, total = Clock(), len(run.sequence)
+    # From the first on, as in a run, so that no method takes the scan that it observed last for that of an online run.
+    chosen = range(total) if run.online else sorted({0, *frames})
     kernels.set_threads(run.threads)
     method.begin(_context(run, summary, SILENT))
     listener.begin(run, summary)
-    listening, begin, total = 0.0, time.perf_counter(), len(run.sequence)
 
-    def heard(call: Callable[..., None], *args: Any) -> None:
-        nonlocal listening
-        start = time.perf_counter()
-        call(*args)
-        listening += time.perf_counter() - start
+    def label(frame: int, scan: Scan) -> None:
+        timed = partial(clock.timed, len(clock.frames) - 1, method.label)
+        listener.labelled(_labelled(run, near, frame, scan, timed), {})
 
     for frame, scan in enumerate(stream(run.sequence)):
-        heard(listener.observing, frame, scan)
-        method.observe(near.hidden(scan)[0])
-        heard(listener.observed, frame)
+        listener.observing(frame, scan)
+        seen = near.hidden(scan)[0]
+        if frame in chosen:
+            clock.timed(len(clock.frames), method.observe, seen)
+        else:
+            method.observe(seen if (rows := needed(seen)) is None else seen.chosen(rows))
+        listener.observed(frame)
         if run.online:
-            heard(listener.labelled, _labelled(run, near, frame, scan, method.label), {})
-        progress("observe", frame + 1, total)
-    seconds = time.perf_counter() - begin - listening
-    if run.online:
-        return seconds
-    begin, listening, some = time.perf_counter(), 0.0, sorted({0, *frames})
-    for frame in some:  # from the first on, as in a run, so that no method takes an answer for that of an online run
-        heard(listener.labelled, _labelled(run, near, frame, run.sequence[frame], method.label), {})
-    return seconds + (time.perf_counter() - begin - listening) * total / len(some)
+            label(frame, scan)
+    if not run.online:
+        for frame in chosen:
+            label(frame, run.sequence[frame])
+    return sum(clock.frames) * total / len(chosen)
 
 
 def _labelled(run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]) -> Labelled:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I64, Bool
+from dynaviz.arrays import F32, F64, I64, Bool, Intp
 from dynaviz.contracts.scan import Scan
 from dynaviz.spatial.surface import surface_normal
 
@@ -80,6 +80,11 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
         found.append((rays, mine[boxes], ends))
     rays, boxes, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     return rays, boxes, ends
+
+
+def touching(scan: Scan, cells: F64) -> Intp:
+    """(K,) the points of a scan whose rays touch any of some cells, (C, 2, 3)."""
+    return np.unique(_touched(scan, cells)[0]) if len(cells) else np.empty(0, np.intp)
 
 
 def normals(points: F32, asked: F32) -> list[F64 | None]:

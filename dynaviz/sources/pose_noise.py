@@ -137,8 +137,8 @@ class Patches:
         xyz, frame = np.concatenate(points), np.concatenate(frames)
         x, y, z = (np.floor(column / PATCH).astype(np.int64) + 2**15 for column in xyz.T)
         _, patch = np.unique(x << 34 | y << 17 | z, return_inverse=True)
-        counts = np.bincount(patch * len(scans) + frame, minlength=(patch.max(initial=-1) + 1) * len(scans))
-        enough = (counts.reshape(-1, len(scans)) >= FEWEST_POINTS).sum(1) >= FEWEST_FRAMES
+        of_all = np.bincount(patch * len(scans) + frame, minlength=(patch.max(initial=-1) + 1) * len(scans))
+        enough = (of_all.reshape(-1, len(scans)) >= FEWEST_POINTS).sum(1) >= FEWEST_FRAMES
         chosen = enough[patch]
         xyz, frame, patch = xyz[chosen], frame[chosen], (np.cumsum(enough) - 1)[patch[chosen]]
         number, key = int(enough.sum()), patch * len(scans) + frame

@@ -141,6 +141,7 @@ class OctoMap:
         "octomap", "OctoMap", "Hornung et al., Autonomous Robots 2013", REASONS[:4], STATES[:3]
     )
     Params: ClassVar[type[Any]] = OctoMapParams
+    _alone = True  # each voxel is judged by its own rays; ground and noise are found in the whole scan
 
     def __init__(self, params: Any) -> None:
         self.params = params
@@ -206,7 +207,7 @@ class OctoMap:
         )
         limits = "clamp_min", "clamp_max"
         total = Quantity("log-odds", log_odds, total=True, threshold=0.0, steps=steps, limits=limits)
-        return Evidence(voxels_around(asked.points, self.params.resolution), (total,), (rule,))
+        return Evidence(voxels_around(asked.points, self.params.resolution), (total,), (rule,), alone=self._alone)
 
     def _exceptions(self, asked: Asked) -> tuple[Term, ...]:
         return ()
@@ -238,6 +239,7 @@ class OctoMapG(OctoMap):
         "octomap_g", "OctoMap w G", "Zhang et al., ITSC 2023", REASONS[:5], STATES[:5]
     )
     Params: ClassVar[type[Any]] = OctoMapGParams
+    _alone = False
 
     def _find_ground(self, scan: Scan, among: Bool) -> Bool:
         ground = np.zeros(len(scan), np.bool_)

@@ -11,14 +11,16 @@ import pytest
 from helpers.worlds import pose, room
 
 from dynaviz import api
+from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan
-from dynaviz.engine.ledger import Ledger
+from dynaviz.engine.ledger import Ledger, replay
 from dynaviz.engine.loop import RunSpec, execute
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.runs.explanation import explain, why
 from dynaviz.scores.result import Result
+from dynaviz.sources.summary import summarize
 from dynaviz.testing import InMemory
 
 HIT, MISS = np.log(0.7 / 0.3), np.log(0.4 / 0.6)
@@ -143,6 +145,18 @@ def test_the_log_odds_of_octomap_are_its_hits_and_misses() -> None:
             assert entry.values["log-odds"] == pytest.approx(expected, abs=1e-5)
             steps += 1
     assert steps > 50
+
+
+@pytest.mark.parametrize("name", ["octomap", "octomap_g", "dufomap", "seethrough"])
+def test_replaying_only_what_the_points_need_gives_the_ledgers_of_a_whole_run(name: str) -> None:
+    scans, asked = room(frames=8, rays=1500), {2: range(0, 1500, 90), 5: [7]}
+    method = registry.load("methods", name)
+    whole = Ledger(asked)
+    run = RunSpec(method(method.Params()), scans, method.Params())
+    execute(run, [whole])
+    found, seconds = replay(run, summarize(scans), list(asked.items()))
+    assert found == [whole.ledgers[2], whole.ledgers[5]]
+    assert seconds > 0
 
 
 @pytest.mark.parametrize(
