@@ -210,8 +210,6 @@ def _optuna() -> Any:
     try:
         import optuna
     except ImportError:
-        raise MissingDependency(
-            "the parameter search needs optuna. Install it with: pip install 'dynaviz[tune]'"
-        ) from None
+        raise MissingDependency("the parameter search needs optuna. Install it with: pip install optuna") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

@@ -76,9 +76,14 @@ class Region:
         for axis in range(3):
             inside &= (xyz[:, axis] >= self.low[axis]) & (xyz[:, axis] <= self.high[axis])
         if self.polygon is not None:
-            from matplotlib.path import Path as Outline
-
-            chosen = np.flatnonzero(inside)
-            middle = self.polygon.mean(0)  # matplotlib may compute in single precision
-            inside[chosen] = Outline(self.polygon - middle).contains_points(xyz[chosen, :2] - middle)
+            inside &= _in_polygon(xyz[:, 0], xyz[:, 1], self.polygon)
         return inside
+
+
+def _in_polygon(x: F64, y: F64, corners: F64) -> Bool:
+    """(N,) bool: which points are in a polygon: a line from there along x crosses its edges an odd number of times."""
+    inside: Bool = np.zeros(len(x), np.bool_)
+    for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, 1, axis=0), strict=True):
+        if y0 != y1:
+            inside ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+    return inside

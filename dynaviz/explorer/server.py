@@ -24,9 +24,7 @@ try:
     from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
     from starlette.routing import Mount, Route
 except ImportError:
-    raise MissingDependency(
-        "the explorer needs a web server. Install it with: pip install 'dynaviz[explore]'"
-    ) from None
+    raise MissingDependency("the explorer needs a web server. Install it with: pip install starlette uvicorn") from None
 
 from dynaviz.explorer.answers import RRD, Explored, Query
 from dynaviz.explorer.run import ExploredRun
@@ -69,11 +67,11 @@ def viewer_files() -> Path:
         MissingDependency: if they are not installed, or of another version.
     """
     found = find_spec("rerun_notebook")
+    ours = metadata.version("rerun-sdk")
+    fix = f"pip install rerun-notebook=={ours}"
     if found is None or found.origin is None:
-        raise MissingDependency("the explorer needs Rerun's viewer. Install it with: pip install 'dynaviz[explore]'")
-    ours, theirs = metadata.version("rerun-sdk"), metadata.version("rerun-notebook")
-    if ours != theirs:
-        fix = f"pip install rerun-notebook=={ours}"
+        raise MissingDependency(f"the explorer needs Rerun's viewer. Install it with: {fix}")
+    if (theirs := metadata.version("rerun-notebook")) != ours:
         raise MissingDependency(f"rerun-notebook {theirs} does not match rerun-sdk {ours}. Install it with: {fix}")
     return Path(found.origin).with_name("static")
 

@@ -91,7 +91,7 @@ def import_laspy(path: Path) -> Any:
         import laspy
     except ModuleNotFoundError:
         raise MissingDependency(
-            f"{path}: LAS and LAZ files need laspy. Install it with: pip install 'dynaviz[las]'"
+            f"{path}: LAS and LAZ files need laspy. Install it with: pip install 'laspy[lazrs]'"
         ) from None
     return laspy
 

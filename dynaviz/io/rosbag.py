@@ -31,9 +31,7 @@ class Bag:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ModuleNotFoundError:
-            raise MissingDependency(
-                f"{path}: ROS bags need rosbags. Install it with: pip install 'dynaviz[ros]'"
-            ) from None
+            raise MissingDependency(f"{path}: ROS bags need rosbags. Install it with: pip install rosbags") from None
         self.path, self._lock = path, threading.Lock()
         several = path.is_dir() and not (path / "metadata.yaml").exists()
         with self._errors():

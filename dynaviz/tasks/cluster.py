@@ -38,7 +38,7 @@ class DaskExecutor(Generic[AnyTask]):
         try:
             from distributed import Client
         except ImportError:
-            raise MissingDependency("--scheduler needs Dask. Install it with: pip install 'dynaviz[cluster]'") from None
+            raise MissingDependency("--scheduler needs Dask. Install it with: pip install distributed") from None
         try:
             self._client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:

@@ -16,7 +16,7 @@ from dynaviz.benchmarking.plan import BenchCell
 from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.errors import UsageError
 
-distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'dynaviz[cluster]'")
+distributed = pytest.importorskip("distributed", reason="needs Dask: pip install distributed")
 
 
 @pytest.fixture(scope="module")

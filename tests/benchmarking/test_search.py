@@ -13,7 +13,7 @@ from dynaviz.contracts import params, registry
 from dynaviz.errors import DynavizError, UsageError
 from dynaviz.scores.collect import combined
 
-pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
+pytest.importorskip("optuna", reason="needs optuna: pip install optuna")
 
 
 def spec(kind: str = "bayes", trials: int = 6, **ranges: str) -> dict[str, object]:

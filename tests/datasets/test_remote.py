@@ -80,5 +80,5 @@ def test_a_url_without_scans_and_an_unknown_kind_of_url_are_refused() -> None:
 
 def test_without_fsspec_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(MissingDependency, match=r"pip install 'dynaviz\[remote\]'"):
+    with pytest.raises(MissingDependency, match=r"pip install 'fsspec\[http\]'"):
         dv.open("https://example.org/drive")

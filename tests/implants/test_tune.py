@@ -18,7 +18,7 @@ from dynaviz.errors import UsageError
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.synthetic.implants.implant_scene import CLASSES
 
-pytest.importorskip("optuna", reason="needs optuna: pip install 'dynaviz[tune]'")
+pytest.importorskip("optuna", reason="needs optuna: pip install optuna")
 
 MOVERS = "cars=0&trucks=0&cyclists=1&persons=2&parks=0"
 

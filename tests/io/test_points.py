@@ -99,7 +99,7 @@ def test_scale_and_offset_of_las(tmp_path: Path, suffix: str) -> None:
 
 def test_las_without_laspy_names_the_package_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingDependency, match=r"pip install 'dynaviz\[las\]'"):
+    with pytest.raises(MissingDependency, match=r"pip install 'laspy\[lazrs\]'"):
         read_points(tmp_path / "a.las")
 
 

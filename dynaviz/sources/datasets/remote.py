@@ -42,7 +42,7 @@ class RemoteSequence(SequenceView):
         except ImportError as error:
             raise MissingDependency(
                 f"{url}: needs a package that is not installed ({error}). "
-                "Install the one for HTTP with: pip install 'dynaviz[remote]'"
+                "Install the one for HTTP with: pip install 'fsspec[http]'"
             ) from None
         except ValueError as error:
             raise DataError(url, f"is not a URL that can be read ({error})", hint=_HINT) from None

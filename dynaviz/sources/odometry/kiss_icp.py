@@ -32,7 +32,7 @@ class KissIcp:
             from kiss_icp.kiss_icp import KissICP
         except ModuleNotFoundError:
             raise MissingDependency(
-                "estimating poses needs KISS-ICP. Install it with: pip install 'dynaviz[odometry]', or give poses with "
+                "estimating poses needs KISS-ICP. Install it with: pip install kiss-icp, or give poses with "
                 "--poses FILE"
             ) from None
         config: Any = KISSConfig()

@@ -39,7 +39,7 @@ class SmallGicp:
             import small_gicp
         except ModuleNotFoundError:
             raise MissingDependency(
-                "estimating poses needs small-gicp. Install it with: pip install 'dynaviz[odometry]', or give poses "
+                "estimating poses needs small-gicp. Install it with: pip install small-gicp, or give poses "
                 "with --poses FILE"
             ) from None
         self._gicp: Any = small_gicp

@@ -141,7 +141,9 @@ def encoded(pictures: Iterator[bytes], span: CaseSpan) -> bytes:
         if writer is not None:
             writer.release()
         if not file.is_file() or not file.stat().st_size:
-            raise DynavizError("OpenCV cannot write MP4 here. Install opencv-python-headless from PyPI, or give a .png")
+            raise DynavizError(
+                "OpenCV cannot write MP4 here. Reinstall opencv-python-headless with pip, or give a .png"
+            )
         return file.read_bytes()
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from dynaviz.colours import METHODS, method_colour, web
+from dynaviz.errors import MissingDependency
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,8 +64,10 @@ def _number(method: str) -> int:
 @contextlib.contextmanager
 def style() -> Iterator[None]:
     """Matplotlib settings shared by all figures."""
-    import matplotlib as mpl
-
+    try:
+        import matplotlib as mpl
+    except ModuleNotFoundError:
+        raise MissingDependency("reports need matplotlib. Install it with: pip install matplotlib") from None
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_STYLE)
