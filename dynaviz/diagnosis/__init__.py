@@ -5,22 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dynaviz.contracts.scan import Scan, Sequence, SequenceView, base_of
+from dynaviz.contracts.scan import Scan, Sequence, base_of
 from dynaviz.diagnosis import placement, trajectory, upright
 from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
+from dynaviz.diagnosis.probe import GROUPS, Probe
 from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
-from dynaviz.diagnosis.views import ScanView, around, pairs
+from dynaviz.diagnosis.views import MIN_POINTS, ScanView
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
@@ -31,11 +32,7 @@ from dynaviz.sources.pose_noise import PoseNoiseMeter
 __all__ = ["DRIFT", "Confidence", "Diagnosis", "Finding", "doctor", "quick_check"]
 
 MAX_FRAMES, STRETCH = 400, 20  # frames read of a long sequence, and consecutive frames in each stretch
-QUICK_PAIRS, QUICK_GAP = 3, 5  # pairs of frames of a quick check, and frames from one to the other
-QUICK_POINTS = 30_000  # of each of these frames, at most
-PAIRS = 6  # pairs of scans that are compared
 PLACES, QUICK_PLACES = 12, 5  # scans whose places are looked for in later ones, to find drift
-MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 KEEPS_RANGES = ("ground height",)  # findings on poses that do not affect distances from the sensor
 
 
@@ -77,7 +74,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         return Diagnosis.of(
             sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
         )  # the rest follows
-    alignment_findings = list(_check_alignment(checker, progress))
+    probe = Probe(sequence)
+    alignment_findings = list(_check_alignment(probe, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
     findings += alignment_findings  # first among equal confidence: other findings may follow from these
     other_unit = any(finding.name in FACTORS for finding in alignment_findings)
@@ -88,7 +86,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         findings += (jumps := list(trajectory.jumps(checker.positions, checker.indices, checker.poses)))
     if not misaligned and not jumps:
         places = looks(checker.positions, checker.poses, checker.usable, PLACES)
-        drift = list(check_drift(_views(checker, list(places), progress)))
+        ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(_quick_places(probe))
+        drift = list(check_drift(_seen(probe, sorted(ends), progress)))
         findings += drift
         alignment_findings += drift
     diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings)
@@ -100,56 +99,47 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
 
 
 def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
-    """Compare a few scans with each other; if they do not fit, the likely findings of ``doctor`` on poses and frames.
+    """The likely findings of ``doctor`` on poses, frames and units, from the same few frames: at most 52.
 
-    Takes about a second if they fit. Simulated sequences, and copies with implants, are not checked: reading them
-    is slow.
+    Takes about a second if the frames fit, since then only half of the pairs are compared. Simulated sequences, and
+    copies with implants, are not checked: reading them is slow.
     Errors of reading are not reported: reading the whole sequence reports them.
     """
     if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
         return ()
-    gap = min(QUICK_GAP, len(sequence) - 1)
-    starts = np.linspace(0, len(sequence) - 1 - gap, QUICK_PAIRS).astype(int)
-    few = _FewPoints(sequence, {})
-    checker = ScanChecker(few)
+    probe = Probe(sequence)
+    if not probe.checker.positions:
+        return ()
     try:
-        for position in sorted({int(start) + k for start in starts for k in (0, gap)}):
-            checker.check(position, few[position])
-        columns = list(check_columns(sequence, checker.indices[0], checker.positions[0]))
-        found = columns or list(_check_alignment(checker, silent, quick=True)) or list(_quick_drift(few, checker, gap))
-        if all(each.confidence > Confidence.LIKELY for each in found):
-            return ()
-        of_poses = doctor(sequence).of_poses
+        found = list(check_columns(sequence, probe.checker.indices[0], probe.checker.positions[0]))
+        if not found and any(_check_alignment(probe, silent, quick=True)):
+            found = list(_check_alignment(probe, silent))
+        if not any(each.name not in KEEPS_RANGES for each in found):
+            found += check_drift(_seen(probe, _quick_places(probe), silent))
     except DataError:
         return ()
-    likely = (each for each in of_poses if each.confidence <= Confidence.LIKELY)
+    likely = (each for each in found if each.confidence <= Confidence.LIKELY)
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
 
 
-def _quick_drift(few: _FewPoints, checker: ScanChecker, gap: int) -> Iterator[Finding]:
-    """Compare scans over the whole sequence with those that the sensor measures after about ``AWAY``."""
-    ends = np.array([pose[:3, 3] for pose in checker.poses])
-    speed = float(np.median(np.linalg.norm(ends[1::2] - ends[::2], axis=1))) / gap if len(ends) % 2 == 0 else 0.0
-    later = min(int(AWAY / speed) + 1 if speed > AWAY / len(few) else len(few), len(few) - 1)
-    starts = sorted({*np.linspace(0, len(few) - 1 - later, QUICK_PLACES).astype(int).tolist()})
-    yield from check_drift((ScanView(few[k]), ScanView(few[k + later])) for k in starts)
+def _quick_places(probe: Probe) -> list[tuple[int, int]]:
+    """Positions of frames over the whole sequence, and of those that the sensor measures after about ``AWAY``."""
+    track, frames = probe.checker, len(probe.few)
+    ways = np.linalg.norm(np.diff(np.array(track.poses)[:, :3, 3], axis=0), axis=1) / np.diff(track.positions)
+    speed = float(np.median(ways)) if len(ways) else 0.0
+    later = min(int(AWAY / speed) + 1 if speed > AWAY / frames else frames, frames - 1)
+    return [(k, k + later) for k in np.unique(np.linspace(0, frames - 1 - later, QUICK_PLACES).astype(int)).tolist()]
 
 
-@dataclass(frozen=True)
-class _FewPoints(SequenceView):
-    """A sequence of which each frame is read once, with at most ``QUICK_POINTS`` points."""
-
-    whole: Sequence
-    kept: dict[int, Scan]
-
-    def __getitem__(self, position: int) -> Scan:
-        if position not in self.kept:
-            scan = self.whole[position].without_truth()
-            step = -(-len(scan) // QUICK_POINTS) or 1
-            origins = scan.origins if len(scan.origins) == 1 else scan.origins[::step]
-            times = None if scan.times is None else scan.times[::step]
-            self.kept[position] = replace(scan, points=scan.points[::step], origins=origins, times=times)
-        return self.kept[position]
+def _seen(probe: Probe, places: list[tuple[int, int]], progress: Progress) -> Pairs:
+    """Pairs of scans by their positions; those with too few points are left out."""
+    views = []
+    for done, pair in enumerate(places, 1):
+        seen = [ScanView(scan) for position in pair if (scan := probe.scan(position)) is not None]
+        if len(seen) == 2 and min(len(each.points) for each in seen) > MIN_POINTS:
+            views.append((seen[0], seen[1]))
+        progress("comparing", done, len(places))
+    return views
 
 
 def _positions_to_read(frames: int) -> list[int]:
@@ -199,20 +189,27 @@ _MISSING = (
 _LIDAR = "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
 
 
-def _check_alignment(checker: ScanChecker, progress: Progress, quick: bool = False) -> Iterator[Finding]:
-    """Check whether poses and clouds match; the first explanation found is the only one reported."""
+def _check_alignment(probe: Probe, progress: Progress, quick: bool = False) -> Iterator[Finding]:
+    """Check whether poses and clouds match; the first explanation found is the only one reported.
+
+    Args:
+        probe: the frames.
+        progress: called for each pair of frames.
+        quick: compare every other pair, if there is one for each group.
+    """
+    checker = probe.checker
     if found := check_units(checker.read, checker.with_points, checker.positions, checker.poses):
         yield found
         return
     same = trajectory.identical(checker.poses) if len(checker.poses) > 1 else None
     if same:
         for gap in (1, 10):
-            if motion := placement.moving_clouds(_views(checker, checker.pairs_apart(gap), progress)):
+            if motion := placement.moving_clouds(probe.views(probe.pairs_apart(gap), progress)):
                 yield Finding("poses missing", motion[1], f"{same}, but {motion[0]}", _MISSING)
                 return
-    track, number = (checker.positions, checker.poses, checker.usable), QUICK_PAIRS if quick else PAIRS
-    views = _views(checker, pairs(*track, number), progress)
-    others = lambda: _views(checker, pairs(*track, number, skipped=1), progress)  # noqa: E731
+    pairs = probe.pairs()
+    views = probe.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
+    others = lambda: probe.views(probe.pairs(skipped=1), progress)  # noqa: E731
     if explained := [*(better_interpretation(views, others) if views else ()), *upright.check_up(views, checker.poses)]:
         yield explained[0]
     elif views and not quick and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):
@@ -224,15 +221,3 @@ def _check_alignment(checker: ScanChecker, progress: Progress, quick: bool = Fal
         yield from outside
     else:
         yield from upright.ground(views, checker.sequence.sensor.height, checker.sequence.sensor.title)
-
-
-def _views(checker: ScanChecker, chosen: list[tuple[int, int]], progress: Progress) -> Pairs:
-    """Read pairs of scans again for comparison; pairs with too few points are left out."""
-    views = []
-    track = checker.positions, checker.poses, checker.stamps
-    for done, rows in enumerate(chosen, 1):
-        a, b = (ScanView(checker.read(row), around(row, *track)) for row in rows)
-        if min(len(a.points), len(b.points)) > MIN_POINTS:
-            views.append((a, b))
-        progress("comparing", done, len(chosen))
-    return views

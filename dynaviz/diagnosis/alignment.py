@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, Bool
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.trajectory import FAULTS, Pose, facing
+from dynaviz.diagnosis.trajectory import FAULTS, MAX_TILT, Pose, facing, tilt_of
 from dynaviz.diagnosis.views import FLAT, ScanView, ground_layer, hidden
 from dynaviz.spatial import geometry
 
@@ -30,7 +30,7 @@ Pairs = Sequence[tuple[ScanView, ScanView]]
 GAIN, CLEAR_GAIN = 0.06, 0.15  # increase in overlap for a likely and a certain finding
 LESS_HIDDEN = 1.5, 0.008  # factor and share by which another interpretation must reduce hidden points
 ENOUGH = 5_000  # points by which overlap is measured
-SHIFT = 0.5  # metres; median way by which an interpretation must move a cloud: errors of poses are smaller
+SHIFT = 0.3  # metres; median way by which an interpretation must move a cloud: errors of poses are smaller
 OTHER_PLACE = 1.0  # metres; by which it must move the sensor, if only the position differs
 LAG = 2.0  # metres; way by which the middle of a cloud changes even if the sensor stays in it
 HIGHEST = 7.0  # metres above the ground; higher sensors do not show it
@@ -172,24 +172,37 @@ def better_interpretation(views: Pairs, others: Callable[[], Pairs]) -> Iterator
 
 def _by_overlap(found: Interpretations) -> tuple[Interpretation, Finding] | None:
     given = found.overlap(AS_GIVEN)
-    tried = []
-    for each in INTERPRETATIONS:
-        far = found.shifts(each) > SHIFT
-        if far.mean() >= MOST:
-            tried.append((each, float((found.overlap(each) - given)[far].mean()), far))
-    top = max((gain for _, gain, _ in tried), default=0.0)
-    if top <= GAIN:
+    better = [each for each in INTERPRETATIONS if _gain(found, each)[0] > GAIN]
+    if not better:
         return None
-    near = [(each, gain, far, found.hidden(each)[0].mean()) for each, gain, far in tried if gain > top - 0.02]
-    least = min(share for *_, share in near)
-    best, gain, far = next(row[:3] for row in near if row[3] <= LESS_HIDDEN[0] * least + LESS_HIDDEN[1])
+    most = max(found.overlap(each).mean() for each in better)
+    near = [each for each in INTERPRETATIONS if found.overlap(each).mean() > most - 0.02]
+    hides = {each: found.hidden(each)[0].mean() for each in near}
+    near = [each for each in near if hides[each] <= LESS_HIDDEN[0] * min(hides.values()) + LESS_HIDDEN[1]]
+    best = min(near, key=lambda each: _lies(found, each))  # the first of those that are upright
+    gain, far = _gain(found, best)
     now, then = given[far], found.overlap(best)[far]
-    better = float((then > now + 0.02).mean())
-    if better < MOST:
+    if (share := float((then > now + 0.02).mean())) < MOST:
         return None
-    confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and better > 0.8 else Confidence.LIKELY
-    shares = f"{then.mean():.0%} of a scan then overlaps the other, instead of {now.mean():.0%}"
-    return best, Finding(best.name, confidence, f"{best.problem}: {shares}", best.fix)
+    confidence = Confidence.CERTAIN if gain > CLEAR_GAIN and share > 0.8 else Confidence.LIKELY
+    figures = f"{then.mean():.0%} of a scan then overlaps the other, instead of {now.mean():.0%}"
+    return best, Finding(best.name, confidence, f"{best.problem}: {figures}", best.fix)
+
+
+def _gain(found: Interpretations, each: Interpretation) -> tuple[float, Bool]:
+    """Mean increase in overlap on the pairs in which an interpretation moves the cloud, and (P,) bool: these pairs.
+
+    If it moves the cloud in too few pairs, no increase, and all pairs.
+    """
+    far = found.shifts(each) > SHIFT
+    if far.mean() < MOST:
+        return 0.0, np.ones(len(far), np.bool_)
+    return float((found.overlap(each) - found.overlap(AS_GIVEN))[far].mean()), far
+
+
+def _lies(found: Interpretations, each: Interpretation) -> bool:
+    """Whether the sensor lies on its side or its back: turning the whole world leaves the overlap as it is."""
+    return tilt_of(np.array([each.pose(b.T) for _, b in found.views])) > MAX_TILT
 
 
 def _gains(found: Interpretations, each: Interpretation) -> bool:

@@ -257,16 +257,6 @@ class ScanChecker:
         """Read the scan of a row of ``positions`` again."""
         return self.sequence[self.positions[row]]
 
-    def pairs_apart(self, gap: int, number: int = 6) -> list[tuple[int, int]]:
-        """Pairs of usable frames, ``gap`` frames apart, over the whole sequence; rows of ``positions``."""
-        gap = min(gap, len(self.positions) - 1)
-        rows = [k for k in range(len(self.positions) - gap) if self.usable[k] and self.usable[k + gap]]
-        return (
-            [(rows[k], rows[k] + gap) for k in sorted({*np.linspace(0, len(rows) - 1, number).astype(int)})]
-            if rows
-            else []
-        )
-
     def findings(self) -> Iterator[Finding]:
         """Findings on scans, labels, frame numbers and times."""
         for check, occurrences in zip(CHECKS, self._occurrences, strict=True):
@@ -284,7 +274,7 @@ class ScanChecker:
         if self._outside.count > len(self.positions) / 2:
             problem = f"the sensor's position is up to {self._outside.worst:,.0f} m outside its own cloud"
             fix = "Give poses and points in the same world frame, positions in metres; 'dynaviz info' shows the extent"
-            yield self._finding("origin outside", Confidence.LIKELY, problem, fix, self._outside)
+            yield Finding("origin outside", Confidence.LIKELY, problem, fix)
 
     def _finding(self, name: str, confidence: Confidence, problem: str, fix: str, occurrences: Occurrences) -> Finding:
         file = file_of(self.sequence, occurrences.frames[0])

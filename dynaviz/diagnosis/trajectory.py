@@ -15,6 +15,8 @@ from dynaviz.spatial import geometry
 # Camera axes (x right, y down, z forward) in the lidar frame (x forward, y left, z up).
 T_LIDAR_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
+MAX_TILT = 45.0  # degrees between the sensor's z axis and the world's
+
 Pose = Callable[[F64], F64]
 
 
@@ -49,7 +51,6 @@ _INVERT = "Invert each pose, numpy.linalg.inv(T), to give the sensor's position 
 _CAMERA = ("Convert each pose on both sides: T_lidar_cam @ T @ T_cam_lidar, with the calibration of camera and lidar. "
            "KITTI's layout with calib.txt (semantickitti:PATH) does this")  # fmt: skip
 _CAMERA_AXES = "Multiply each pose by the calibration on the right only: T_world_lidar = T_world_cam @ T_cam_lidar"
-_QUATERNION = "Swap the order: VIEWPOINT has tx ty tz qw qx qy qz, a TUM file has x y z qx qy qz qw"
 INVERTED = PoseFault("poses inverted", "poses are T_sensor_world, not T_world_sensor", _INVERT, geometry.inverse)
 CAMERA = PoseFault("poses of a camera", "poses are a camera's (z forward, y down), not the lidar's", _CAMERA, camera)
 CAMERA_AXES = PoseFault(
@@ -58,29 +59,21 @@ CAMERA_AXES = PoseFault(
     _CAMERA_AXES,
     lambda T: T @ geometry.inverse(T_LIDAR_CAMERA),
 )
-W_LAST = PoseFault(
-    "quaternion order",
-    "quaternions were written as x y z w, but read as w x y z",
-    _QUATERNION,
-    lambda T: swapped(T, (3, 0, 1, 2)),
-)
-W_FIRST = PoseFault(
-    "quaternion order",
-    "quaternions were written as w x y z, but read as x y z w",
-    _QUATERNION,
-    lambda T: swapped(T, (1, 2, 3, 0)),
-)
 
 
-def _other_order(order: tuple[int, ...]) -> PoseFault:
-    """Quaternions in an order that no convention has, such as w z y x after bytes were swapped."""
-    read = " ".join("wxyz"[order.index(k)] for k in range(4))
-    problem = f"the components of quaternions are in another order: what was read as w x y z is {read}"
-    return PoseFault("quaternion order", problem, _QUATERNION, lambda T: swapped(T, order))
+def _order(order: tuple[int, ...], problem: str = "the components of quaternions are in another order") -> PoseFault:
+    """Quaternions of which the components w x y z were read at these positions of w x y z."""
+    held = ["q" + "wxyz"[order.index(k)] for k in range(4)]
+    fix = (
+        f"Swap the components: those read as qx qy qz qw hold {' '.join([*held[1:], held[0]])}. "
+        "A TUM file has x y z qx qy qz qw, VIEWPOINT has tx ty tz qw qx qy qz"
+    )
+    return PoseFault("quaternion order", problem, fix, lambda T: swapped(T, order))
 
 
-_KNOWN = ((0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0))
-_OTHERS = tuple(_other_order(order) for order in permutations(range(4)) if order not in _KNOWN)
+W_LAST = _order((3, 0, 1, 2), "quaternions were written as x y z w, but read as w x y z")
+W_FIRST = _order((1, 2, 3, 0), "quaternions were written as w x y z, but read as x y z w")
+_OTHERS = map(_order, sorted({*permutations(range(4))} - {(0, 1, 2, 3), (3, 0, 1, 2), (1, 2, 3, 0)}))
 FAULTS = (INVERTED, CAMERA, CAMERA_AXES, W_LAST, W_FIRST, *_OTHERS)
 
 
@@ -134,12 +127,16 @@ def tilt_of(T: F64, percent: float = 50) -> float:
 
 
 def facing(T: F64) -> float:
-    """Median cosine between the x axis and the direction of travel; 0 for a stationary sensor."""
+    """Median cosine between the x axis and the direction of travel; 0 for a stationary sensor.
+
+    Long ways, between frames that are far apart, are left out: they cut corners.
+    """
     steps = np.diff(T[:, :3, 3], axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     moving = lengths > 0.02
     if not moving.any():
         return 0.0
+    moving &= lengths <= 5 * np.median(lengths[moving])
     return float(np.median((steps[moving] * T[:-1, :3, 0][moving]).sum(1) / lengths[moving]))
 
 

@@ -9,10 +9,9 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.diagnosis.alignment import Pairs
 from dynaviz.diagnosis.finding import Confidence, Finding, settable
-from dynaviz.diagnosis.trajectory import CAMERA, FAULTS, W_LAST, backwards, tilt_of
+from dynaviz.diagnosis.trajectory import CAMERA, FAULTS, MAX_TILT, W_LAST, backwards, tilt_of
 from dynaviz.diagnosis.views import FLAT, ScanView, ground_layer, to_z
 
-MAX_TILT = 45.0  # degrees between the sensor's z axis and the world's
 UPRIGHT = 20.0  # degrees of tilt that are left after a correction, at most
 SOME_GROUND = 0.1  # the same share, if the sensor's axis agrees: ground may slope
 NARROWER = 0.7  # factor by which the right axis makes the vertical field of view narrower

@@ -19,6 +19,7 @@ REACH = 80.0  # metres from the median along each axis; farther points are too s
 ON_SURFACE = 0.1  # metres; largest distance from a plane of a point that lies on it
 MIN_MOVE, MIN_TURN = 1.0, 5.0  # metres and degrees between the two scans of a pair
 MAX_APART = 40  # frames between the two scans of a pair
+MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 SWEEP = 0.1  # seconds; duration of a sweep, at most, if frames have times
 FLAT = 0.3  # share of the square metres around the sensor whose lowest points form one layer: ground
 NEIGHBOUR = 5  # frames to a neighbour that shows the speed

@@ -203,10 +203,7 @@ def test_a_region_without_points_is_an_error_before_the_run(tmp_path: Path) -> N
     assert not (tmp_path / "map_run").exists()
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param("poses", marks=pytest.mark.xfail(reason="four small scans are too few for the doctor")), "share"],
-)
+@pytest.mark.parametrize("kind", ["poses", "share"])
 @pytest.mark.filterwarnings("ignore:.*quaternion|.*inverted|.*overlap")
 def test_a_doubtful_map_ends_with_a_box_and_code_3(
     run_command: Command, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
