@@ -117,6 +117,7 @@ IN_THE_DEMO = [name for name in METHODS if name not in LATE]
     [
         ("README.md", r"one of (\w+) methods", METHODS),
         ("docs/index.md", r"(\w+) published methods", [name for name in METHODS if name != BEST]),
+        ("README.md", r"run (\w+) methods,", IN_THE_DEMO),
         ("docs/index.md", r"run (\w+) methods", IN_THE_DEMO),
         ("docs/tutorial.md", r"[Rr]uns? (\w+) methods", IN_THE_DEMO),
     ],

@@ -212,7 +212,7 @@ def _check_alignment(probe: Probe, progress: Progress, quick: bool = False) -> I
     others = lambda: probe.views(probe.pairs(skipped=1), progress)  # noqa: E731
     if explained := [*(better_interpretation(views, others) if views else ()), *upright.check_up(views, checker.poses)]:
         yield explained[0]
-    elif views and not quick and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):
+    elif views and (same or not quick) and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):
         if same:
             yield Finding("poses missing", Confidence.LIKELY, f"{same}, but {problem}", _MISSING)
         else:

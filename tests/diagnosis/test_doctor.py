@@ -194,7 +194,7 @@ def spinning(columns: int, order: tuple[int, ...] = (0, 1, 2, 3)) -> F32:
     ("rows", "confidence", "problem"),
     [
         (spinning(5), Confidence.CERTAIN, "5 columns (x y z intensity ring), but this layout reads 4"),
-        (spinning(4, (3, 0, 1, 2)), Confidence.LIKELY, "column 4 is negative at"),
+        (spinning(4, (3, 0, 1, 2)), Confidence.LIKELY, "column 4 has negative values at"),
     ],
 )
 def test_wrong_columns(tmp_path: Path, rows: F32, confidence: Confidence, problem: str) -> None:
