@@ -100,6 +100,12 @@ def _reach(points: Points, position: F64) -> float:
     return float(np.median(np.linalg.norm(finite - position, axis=1))) if len(finite) else 0.0
 
 
+def _extent(points: Points) -> float:
+    """Median distance of the finite points from their middle, given units."""
+    finite = points[np.isfinite(points).all(1)]
+    return _reach(finite, np.median(finite, axis=0)) if len(finite) else 0.0
+
+
 def _step(positions: Sequence[int], poses: Sequence[F64]) -> float:
     """Median way between neighbouring frames, given units."""
     ways = np.linalg.norm(np.diff(np.array(poses)[:, :3, 3], axis=0), axis=1)
@@ -131,7 +137,7 @@ def _overlap(
         for row in chosen:
             scan = read(row)
             points, position = convert(scan, factor)
-            if check and not USUAL[0] < _reach(points, position) < USUAL[1]:
+            if check and not (USUAL[0] < _reach(points, position) < USUAL[1] and USUAL[0] < _extent(points)):
                 break
             T = scan.T_world_sensor.copy()
             T[:3, 3] = position

@@ -367,7 +367,8 @@ def test_long_sequences_are_sampled_and_reported_so() -> None:
     read: list[int] = []
     found = doctor(Long([]))
     assert found.ok, found
-    assert (found.examined, len(set(read))) == (400, 400)
+    assert found.examined == 400
+    assert 400 <= len(set(read)) <= 452  # and those that are compared
     assert max(read) - min(read) == 2999
     assert "400 of 3,000 frames" in str(found)
 
