@@ -108,6 +108,8 @@ def cases() -> Iterator[tuple[str, str, Files]]:
         where = scene[0].split(":")[1].split("_")[0]
         own, world = correct(scene, "sensor"), correct(scene, "world")
         for k, (name, (finding, change)) in enumerate(ORDERS.items()):
+            if name == "quaternion y x z w":
+                continue  # hardly turns a sensor that turns about z
             if k % 2 == (scene is HALL) or name in USUAL:
                 yield f"{where}: {name}", finding, own.posed(change)
         for name, (finding, change) in {**POSES, **USUAL}.items():
