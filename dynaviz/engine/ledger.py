@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from dynaviz.contracts.evidence import Asked, Evidence, Explains, Quantity, Rule
 from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.engine.loop import Listener, RunSpec, execute, repeat
+from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.engine.ray_geometry import Touching, normals, touching
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.sources.summary import SequenceSummary
@@ -163,6 +162,7 @@ class Ledger(Listener):
 
     def __init__(self, points: Mapping[int, Sequence[int]]) -> None:
         self._rows = {frame: np.array(rows, np.int64) for frame, rows in points.items()}
+        self.ledgers: dict[int, tuple[PointLedger, ...]] = {}
 
     def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
         """Read the points.
@@ -183,10 +183,9 @@ class Ledger(Listener):
         if labeller.info.needs_map:  # only the raw map has rows, and counting them means reading the scans again
             first = 0
             for frame in range(max(self._rows, default=-1) + 1):
-                if frame in self._books:
-                    self._books[frame].start_at(first)
+                if (book := self._books.get(frame)) is not None:
+                    book.asked = dataclasses.replace(book.asked, first=first)
                 first += len(sequence[frame])
-        self.ledgers: dict[int, tuple[PointLedger, ...]] = {}
 
     def needed(self, scan: Scan) -> Intp | None:
         """(K,) the points of a scan whose rays can change what the method knows about the points; None for all."""
@@ -244,39 +243,6 @@ class Ledger(Listener):
             kernels.set_threads(threads)
 
 
-def replay(
-    run: RunSpec, summary: SequenceSummary, asked: Sequence[tuple[int, Sequence[int]]]
-) -> tuple[list[tuple[PointLedger, ...]], float]:
-    """The ledgers of points, from repeating a run with the same labeller.
-
-    Args:
-        run: its labeller forgets what it knows, and then knows it again.
-        summary: of its sequence.
-        asked: frames with rows of their scans; a frame may occur several times.
-
-    Returns:
-        For each of ``asked`` the ledgers of its points; and the seconds that a whole run takes without any.
-
-    Raises:
-        PluginError: if the evidence of the method contradicts its labels.
-        DataError: for data that cannot be read.
-    """
-    rows: dict[int, list[int]] = {}
-    for frame, points in asked:
-        if points:
-            rows.setdefault(frame, []).extend(points)
-    ledger, run = Ledger(rows), dataclasses.replace(run, metrics=(), summary=summary)
-    if run.method:
-        seconds = repeat(run, ledger, rows, ledger.needed)
-        ledger.finish()
-    else:
-        begin = time.perf_counter()
-        execute(run, [ledger])
-        seconds = time.perf_counter() - begin
-    left = {frame: iter(found) for frame, found in ledger.ledgers.items()}
-    return [tuple(next(left[frame]) for _ in points) for frame, points in asked], summary.seconds + seconds
-
-
 class _Book:
     """The ledgers of the points of one frame, while they are kept.
 
@@ -305,18 +271,13 @@ class _Book:
         self._verdict, self._searched = Verdict(), 0
         self._quantities: tuple[Quantity, ...] = ()
 
-    def start_at(self, first: int) -> None:
-        """Set the scan's first row in the raw map."""
-        self.asked = dataclasses.replace(self.asked, first=first)
-
     def enter(self, frame: int, index: int, evidence: Evidence | None, rays: Touching, first: int) -> None:
         """Add a scan to the ledgers that it concerns; the points' cells are those from ``first`` on."""
         self._searched += 1
         values: tuple[Quantity, ...] = ()
         held: dict[str, Bool] = {}
         removed: Bool | None = None
-        mine = slice(first, first + len(self.points))
-        concerned = rays.hits[mine] + rays.crossed[mine] > 0
+        concerned = (rays.hits + rays.crossed)[first : first + len(self.points)] > 0
         if evidence is not None:
             self.alone = evidence.alone
             self.cells, values, self._quantities = evidence.cells, evidence.quantities, evidence.quantities
@@ -333,8 +294,7 @@ class _Book:
                 concerned |= ~np.isnan(quantity.values)
             for step in quantity.steps:
                 concerned |= step.applies
-        chosen = range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist()
-        for k in chosen:
+        for k in range(len(concerned)) if frame == self._frame else np.flatnonzero(concerned).tolist():
             self._entries[k].append(
                 LedgerEntry(
                     frame,

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import Intp, all_finite
+from dynaviz.arrays import all_finite
 from dynaviz.contracts.at_sensor import AtSensor, unjudged
 from dynaviz.contracts.attributes import unposed_of
 from dynaviz.contracts.extent import Extent
@@ -170,7 +170,7 @@ def execute(
     near, info = AtSensor(run.sequence.sensor), labeller.info
     if method:
         _warm_up(method, run, probe)
-    clock.prepare(lambda: labeller.begin(_context(run, summary, probe)))
+    clock.prepare(lambda: labeller.begin(context_of(run, summary, probe)))
     for listener in listeners:
         listener.begin(run, summary)
 
@@ -185,7 +185,7 @@ def execute(
 
     def label(frame: int, scan: Scan) -> None:
         nonlocal removed, not_finite, at_sensor
-        labelled = _labelled(run, near, frame, scan, partial(clock.timed, frame, labeller.label))
+        labelled = labelled_by(run, near, frame, scan, partial(clock.timed, frame, labeller.label))
         answer.append(labelled.dynamic)
         counts.append(len(scan))
         finite = all_finite(scan.points)
@@ -222,53 +222,12 @@ def execute(
     return result
 
 
-def repeat(run: RunSpec, listener: Listener, frames: Iterable[int], needed: Callable[[Scan], Intp | None]) -> float:
-    """Let the method of a run observe all scans again, for a listener; only some of them are labelled.
-
-    Args:
-        run: of a method, which forgets what it knows, and then knows it again; with the summary of its sequence.
-        listener: notified of all scans, and of the labels of some; it gets no curves and no result.
-        frames: those to label.
-        needed: rows of a scan that the method has to observe, if it is not labelled; None for all.
-
-    Returns:
-        Seconds that the method would take to observe and label all scans as a whole.
+def labelled_by(run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]) -> Labelled:
+    """A scan with the labels that a call returns for the scan as methods receive it.
 
     Raises:
-        PluginError, DataError: as ``execute``.
+        PluginError: for labels of the wrong type or shape.
     """
-    method, summary, near = run.method, run.summary, AtSensor(run.sequence.sensor)
-    assert method is not None
-    assert summary is not None
-    clock, total = Clock(), len(run.sequence)
-    # From the first on, as in a run, so that no method takes the scan that it observed last for that of an online run.
-    chosen = range(total) if run.online else sorted({0, *frames})
-    kernels.set_threads(run.threads)
-    method.begin(_context(run, summary, SILENT))
-    listener.begin(run, summary)
-
-    def label(frame: int, scan: Scan) -> None:
-        timed = partial(clock.timed, len(clock.frames) - 1, method.label)
-        listener.labelled(_labelled(run, near, frame, scan, timed), {})
-
-    for frame, scan in enumerate(stream(run.sequence)):
-        listener.observing(frame, scan)
-        seen = near.hidden(scan)[0]
-        if frame in chosen:
-            clock.timed(len(clock.frames), method.observe, seen)
-        else:
-            method.observe(seen if (rows := needed(seen)) is None else seen.chosen(rows))
-        listener.observed(frame)
-        if run.online:
-            label(frame, scan)
-    if not run.online:
-        for frame in chosen:
-            label(frame, run.sequence[frame])
-    return sum(clock.frames) * total / len(chosen)
-
-
-def _labelled(run: RunSpec, near: AtSensor, frame: int, scan: Scan, call: Callable[[Scan], Any]) -> Labelled:
-    """A scan with the labels that a call returns."""
     info = run.labeller.info
     seen, found = near.hidden(scan) if run.method else (scan.without_truth(), None)
     labels = call(seen)
@@ -361,7 +320,12 @@ def peak_rss_mb() -> float | None:
     return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
-def _context(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
+def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
+    """What a method is given before the first scan.
+
+    Raises:
+        UsageError: for a sequence with too many points for the method.
+    """
     info, raw_map = run.labeller.info, None
     if info.needs_map:
         if summary.points > MAX_MAP_POINTS:

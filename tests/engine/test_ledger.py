@@ -15,8 +15,9 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan
-from dynaviz.engine.ledger import Ledger, replay
+from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import RunSpec, execute
+from dynaviz.engine.replay import replay
 from dynaviz.errors import DataError, PluginError, UsageError
 from dynaviz.runs.explanation import explain, why
 from dynaviz.scores.result import Result

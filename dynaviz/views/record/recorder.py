@@ -19,8 +19,9 @@ from dynaviz.arrays import F32, F64, Bool
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
-from dynaviz.engine.ledger import PointLedger, replay
+from dynaviz.engine.ledger import PointLedger
 from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.replay import replay
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.io.atomic import sha256
 from dynaviz.scores.comparison import frame_answers
