@@ -16,7 +16,7 @@ from dynaviz.diagnosis.alignment import Pairs, better_interpretation
 from dynaviz.diagnosis.columns import check_columns
 from dynaviz.diagnosis.drift import AWAY, DRIFT, check_drift, looks
 from dynaviz.diagnosis.finding import Confidence, Diagnosis, Finding
-from dynaviz.diagnosis.probe import GROUPS, Probe
+from dynaviz.diagnosis.frame_groups import GROUPS, FrameGroups
 from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
@@ -74,8 +74,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         return Diagnosis.of(
             sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
         )  # the rest follows
-    probe = Probe(sequence)
-    alignment_findings = list(_check_alignment(probe, progress))
+    groups = FrameGroups(sequence)
+    alignment_findings = list(_check_alignment(groups, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
     findings += alignment_findings  # first among equal confidence: other findings may follow from these
     other_unit = any(finding.name in FACTORS for finding in alignment_findings)
@@ -86,8 +86,8 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         findings += (jumps := list(trajectory.jumps(checker.positions, checker.indices, checker.poses)))
     if not misaligned and not jumps:
         places = looks(checker.positions, checker.poses, checker.usable, PLACES)
-        ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(_quick_places(probe))
-        drift = list(check_drift(_seen(probe, sorted(ends), progress)))
+        ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(_quick_places(groups))
+        drift = list(check_drift(_seen(groups, sorted(ends), progress)))
         findings += drift
         alignment_findings += drift
     diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings)
@@ -107,35 +107,37 @@ def quick_check(sequence: Sequence) -> tuple[PoseFinding, ...]:
     """
     if getattr(type(base_of(sequence)), "nested", False) or len(sequence) < 2:
         return ()
-    probe = Probe(sequence)
-    if not probe.checker.positions:
+    groups = FrameGroups(sequence)
+    if not groups.checker.positions:
         return ()
     try:
-        found = list(check_columns(sequence, probe.checker.indices[0], probe.checker.positions[0]))
-        if not found and any(_check_alignment(probe, silent, quick=True)):
-            found = list(_check_alignment(probe, silent))
+        found = list(check_columns(sequence, groups.checker.indices[0], groups.checker.positions[0]))
+        if not found and any(_check_alignment(groups, silent, quick=True)):
+            found = list(_check_alignment(groups, silent))
         if not any(each.name not in KEEPS_RANGES for each in found):
-            found += check_drift(_seen(probe, _quick_places(probe), silent))
+            found += check_drift(_seen(groups, _quick_places(groups), silent))
     except DataError:
         return ()
     likely = (each for each in found if each.confidence <= Confidence.LIKELY)
     return tuple(PoseFinding(each.name, each.problem, each.fix, each.option) for each in likely)
 
 
-def _quick_places(probe: Probe) -> list[tuple[int, int]]:
+def _quick_places(groups: FrameGroups) -> list[tuple[int, int]]:
     """Positions of frames over the whole sequence, and of those that the sensor measures after about ``AWAY``."""
-    track, frames = probe.checker, len(probe.few)
+    track, frames = groups.checker, len(groups.few)
+    if len(track.positions) < 2:
+        return []
     ways = np.linalg.norm(np.diff(np.array(track.poses)[:, :3, 3], axis=0), axis=1) / np.diff(track.positions)
-    speed = float(np.median(ways)) if len(ways) else 0.0
+    speed = float(np.median(ways))
     later = min(int(AWAY / speed) + 1 if speed > AWAY / frames else frames, frames - 1)
     return [(k, k + later) for k in np.unique(np.linspace(0, frames - 1 - later, QUICK_PLACES).astype(int)).tolist()]
 
 
-def _seen(probe: Probe, places: list[tuple[int, int]], progress: Progress) -> Pairs:
+def _seen(groups: FrameGroups, places: list[tuple[int, int]], progress: Progress) -> Pairs:
     """Pairs of scans by their positions; those with too few points are left out."""
     views = []
     for done, pair in enumerate(places, 1):
-        seen = [ScanView(scan) for position in pair if (scan := probe.scan(position)) is not None]
+        seen = [ScanView(scan) for position in pair if (scan := groups.scan(position)) is not None]
         if len(seen) == 2 and min(len(each.points) for each in seen) > MIN_POINTS:
             views.append((seen[0], seen[1]))
         progress("comparing", done, len(places))
@@ -189,27 +191,29 @@ _MISSING = (
 _LIDAR = "Give the pose of the lidar, not of the vehicle or the IMU, in the world frame of the points"
 
 
-def _check_alignment(probe: Probe, progress: Progress, quick: bool = False) -> Iterator[Finding]:
+def _check_alignment(groups: FrameGroups, progress: Progress, quick: bool = False) -> Iterator[Finding]:
     """Check whether poses and clouds match; the first explanation found is the only one reported.
 
     Args:
-        probe: the frames.
+        groups: the frames.
         progress: called for each pair of frames.
         quick: compare every other pair, if there is one for each group.
     """
-    checker = probe.checker
+    checker = groups.checker
+    if not checker.positions:
+        return
     if found := check_units(checker.read, checker.with_points, checker.positions, checker.poses):
         yield found
         return
     same = trajectory.identical(checker.poses) if len(checker.poses) > 1 else None
     if same:
         for gap in (1, 10):
-            if motion := placement.moving_clouds(probe.views(probe.pairs_apart(gap), progress)):
+            if motion := placement.moving_clouds(groups.views(groups.pairs_apart(gap), progress)):
                 yield Finding("poses missing", motion[1], f"{same}, but {motion[0]}", _MISSING)
                 return
-    pairs = probe.pairs()
-    views = probe.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
-    others = lambda: probe.views(probe.pairs(skipped=1), progress)  # noqa: E731
+    pairs = groups.pairs()
+    views = groups.views(pairs[::2] if quick and len(pairs) == GROUPS else pairs, progress)
+    others = lambda: groups.views(groups.pairs(skipped=1), progress)  # noqa: E731
     if explained := [*(better_interpretation(views, others) if views else ()), *upright.check_up(views, checker.poses)]:
         yield explained[0]
     elif views and (same or not quick) and (problem := placement.measured_elsewhere(views, 1.5 if same else 2.0)):

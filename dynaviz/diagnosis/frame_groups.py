@@ -38,7 +38,7 @@ class FewPoints(SequenceView):
         return self.kept[position]
 
 
-class Probe:
+class FrameGroups:
     """Groups of frames of a sequence. In each, the sensor moves 1 m or turns 5 degrees, if it does within 40 frames.
 
     Args:
