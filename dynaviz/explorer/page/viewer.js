@@ -3,7 +3,7 @@ import widget from './viewer/widget.js'
 
 const BACKGROUND = [18, 20, 26] // of 3D views, in every theme
 const SHARE = 0.1 // of the canvas that has this colour when a 3D view is drawn
-const PATIENCE = 60000 // ms until the viewer counts as drawn, if its canvas cannot be read
+const EMPTY = 100 // pictures after which a canvas that stays empty cannot be read, and counts as drawn
 const afterFrame = new Set() // called after the viewer has drawn, because its canvas is empty later
 
 const request = window.requestAnimationFrame.bind(window)
@@ -122,15 +122,16 @@ export class Viewer {
       afterFrame.delete(look)
       setTimeout(() => this.on.drawn())
     }
+    let empty = 0
     const look = () => {
       context.drawImage(canvas, 0, 0, small.width, small.height)
       const pixels = context.getImageData(0, 0, small.width, small.height).data
       let same = 0
+      if (!pixels.some(Boolean) && ++empty >= EMPTY) done()
       for (let k = 0; k < pixels.length; k += 4) same += BACKGROUND.every((value, part) => Math.abs(pixels[k + part] - value) < 4)
       if (same > SHARE * small.width * small.height) done()
     }
     afterFrame.add(look)
-    setTimeout(done, PATIENCE)
   }
 
   /** Of things behind each other take the points, which may lie behind a box; a ray drawn in front stands for the place. */
