@@ -6,6 +6,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import dynaviz as dv
 from dynaviz.arrays import F64
@@ -41,6 +42,15 @@ def test_what_moves_with_the_sensor_is_its_carrier() -> None:
 def test_a_standing_sensor_has_no_carrier() -> None:
     still = [dataclasses.replace(with_points(SCANS[0], ROOF), index=k) for k in range(16)]
     assert estimate_carrier(InMemory(still)) == ()
+
+
+def test_who_keeps_step_with_the_sensor_is_no_carrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = np.stack(np.meshgrid([-1.5], np.linspace(-0.2, 0.2, 9), np.linspace(-0.4, 0.3, 15)), -1).reshape(-1, 3)
+    steps = 0.08 * np.sin(np.arange(len(SCANS)))  # metres, so that it never leaves its cubes
+    followed = [with_points(scan, body + np.array([step, 0, 0])) for scan, step in zip(SCANS, steps, strict=True)]
+    assert estimate_carrier(InMemory(followed)) == ()
+    monkeypatch.setattr("dynaviz.sources.carrier.RIGID", np.inf)
+    assert estimate_carrier(InMemory(followed)) != ()
 
 
 def test_points_at_the_sensor_change_no_other_label(tmp_path: Path) -> None:
