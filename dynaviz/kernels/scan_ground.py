@@ -302,10 +302,10 @@ def above(points, lift, first, surface, edge):
             v = min(max(points[i, 1] / edge - 0.5 - first[1], 0.0), wide - 1.0)
             x, y = min(np.int64(u), wide - 2), min(np.int64(v), wide - 2)
             u, v = u - x, v - y
-            if surface[x : x + 2, y : y + 2].max() < UNKNOWN:
-                south = (1 - u) * surface[x, y] + u * surface[x + 1, y]
-                north = (1 - u) * surface[x, y + 1] + u * surface[x + 1, y + 1]
-                found[i] = points[i, 2] - lift - ((1 - v) * south + v * north) / 1000
+            a, b, c, d = surface[x, y], surface[x + 1, y], surface[x, y + 1], surface[x + 1, y + 1]
+            if max(a, b, c, d) < UNKNOWN:
+                z = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+                found[i] = points[i, 2] - lift - z / 1000
     return found
 
 
