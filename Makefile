@@ -18,7 +18,7 @@ test: .venv/.dev
 slow: .venv/.dev  # the tests that take long and rarely fail: the notebook, the wheel, a cluster, many kills
 	$(BIN)/pytest -q $(ALL_CORES) -m slow
 
-SMOKE := $(addprefix tests/,io kernels/test_threads.py odometry/test_refine.py spatial test_platforms.py)
+SMOKE := $(addprefix tests/,io kernels/test_threads.py sources/test_refine.py spatial test_platforms.py)
 smoke: BIN := build/smoke/bin
 smoke:  # run a part of the tests with another Python: make smoke PYTHON=python3.13
 	@$(PYTHON) -m venv --clear build/smoke
