@@ -81,7 +81,7 @@ def test_a_map_of_more_points_than_can_be_numbered_is_refused() -> None:
     seen = SequenceSummary(Extent.of(*sequence.scans), 9000, loop.MAX_MAP_POINTS + 1, "")
     method = loaded("erasor")
     with pytest.raises(UsageError, match=r"2,147,483,648 in 9,000 frames.*stride=N"):
-        loop._context(RunSpec(method, sequence, method.params), seen, loop.SILENT)
+        loop.context_of(RunSpec(method, sequence, method.params), seen, loop.SILENT)
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ def run_method(
         progress: called with a phase, the number of frames or tiles done and their total.
     """
     kind, resolved = options.resolved(method)
-    findings = _pose_findings(sequence)
-    sequence = suited(kind, resolved.params, sequence)
+    given, sequence = sequence, suited(kind, resolved.params, sequence)  # before frames are read to check poses
+    findings = _pose_findings(given)
     if refine_poses:
         sequence = refined(sequence, out, progress)
     recording, mode = recording_of(options.record, out)

@@ -104,8 +104,9 @@ def in_this_process() -> Iterator[None]:
         patch.object(server, "Explorer", AnsweredExplorer),
         patch.object(Figure, "draw_without_rendering", lambda figure: None),
         patch.object(viewer, "open_window", lambda *files: None),
-        patch.object(shot, "_window", lambda source, size: nullcontext()),
-        patch.object(shot, "_picture", lambda client, view: None),
+        patch.object(shot, "_window", lambda source, size, view: nullcontext()),
+        patch.object(shot, "_picture", lambda client, view: lambda: b""),
+        patch.object(shot, "_go_to", lambda client, timeline, value: None),
         patch.object(shot, "_at_frames", lambda client, frames, picture, report: [b""] * len(frames)),
     ):
         yield

@@ -38,12 +38,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def unchanged(old: Any, new: Any) -> bool:
-    """Whether two JSON values are equal, except for added keys that are null."""
+    """Whether two JSON values are equal, except for added keys without a value."""
     if isinstance(old, dict) and isinstance(new, dict):
         added = new.keys() - old.keys()
         return (
             old.keys() <= new.keys()
-            and all(new[key] is None for key in added)
+            and all(new[key] is None or new[key] == {} for key in added)
             and all(unchanged(value, new[key]) for key, value in old.items())
         )
     if isinstance(old, list) and isinstance(new, list):
