@@ -16,8 +16,8 @@ from dynaviz.benchmarking.runner import BenchCallbacks
 from dynaviz.benchmarking.search import default_ranges
 from dynaviz.contracts import registry
 from dynaviz.contracts.params import read_toml
-from dynaviz.contracts.scan import Scan, SequenceView
 from dynaviz.contracts.scan import Sequence as ScanSequence
+from dynaviz.contracts.scan import WithoutTruth
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
@@ -189,20 +189,6 @@ def _is(row: BenchRow, variant: str, names: Sequence[str]) -> bool:
     return row.cell.parameter_set.variant == variant and row.cell.source.name in names
 
 
-@dataclass(frozen=True)
-class _Blind(SequenceView):
-    """A sequence without its ground truth."""
-
-    whole: ScanSequence
-
-    @property
-    def has_labels(self) -> bool:
-        return False
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[position].without_truth()
-
-
 def _write_implants(
     base: ScanSequence,
     movers: ImplantOptions,
@@ -220,7 +206,7 @@ def _write_implants(
     missing = [name for name in names if not (out / "implants" / name).exists()]
     if not missing:
         return
-    blind = _Blind(base)
+    blind = WithoutTruth(base)
     agreed = votes(blind, movers.panel, progress)
     lidar = LidarModel.measure(blind)
     survey = Survey.of(blind, lambda done, total: progress("survey", done, total), agreed.dynamic)

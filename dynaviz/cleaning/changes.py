@@ -17,17 +17,16 @@ import msgspec
 import numpy as np
 
 from dynaviz.arrays import I64, Bool
-from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
-from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView, base_of, stream
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, WithoutTruth, base_of, stream
 from dynaviz.diagnosis.drives import DriveAgreement, compare_drives
 from dynaviz.engine.cleaned_map import Judgement, MapFile, WrittenMap, write_maps
 from dynaviz.engine.label_folder import NoParams
 from dynaviz.engine.loop import RunSpec
 from dynaviz.errors import UsageError
 from dynaviz.progress import Progress
-from dynaviz.runs.execution import recording_of, run_method, run_spec
+from dynaviz.runs.execution import budget_of, metrics_of, recording_of, run_method, run_spec
 from dynaviz.runs.options import RunOptions
 from dynaviz.scores.labels import reasons_by_frame
 from dynaviz.scores.result import Result
@@ -35,7 +34,6 @@ from dynaviz.scores.sections import RemovedCluster
 from dynaviz.sources.datasets.drives import Drives
 from dynaviz.sources.opening import OpenedSequence, provenance
 from dynaviz.spatial.grid import SHIFTS, in_key_range, pack
-from dynaviz.views.record.quota import parse_bytes
 
 EDGE = 0.4  # metres: edge of a cell, in which the points of a drive agree on whether they changed
 MERGED = 1 << 22  # cells of scans that are summed up at a time
@@ -197,21 +195,20 @@ def find_changes(
     record = "errors" if Path(options.record).suffix == ".rrd" else options.record  # that file has the other run
     recording, mode = recording_of(record, folder)
     labeller = _Labeller(together.method, pair.first, stood, _cells(sequence, pair.first, stood, progress))
-    budget = parse_bytes(options.record_budget) if isinstance(options.record_budget, str) else options.record_budget
     spec = RunSpec(
         labeller=labeller,
-        sequence=OpenedSequence(
-            _WithoutTruth(sequence), range(len(sequence)), sequence.sensor, sequence.name, provenance(sequence)
+        sequence=OpenedSequence(  # its ground truth, of what moves, says nothing about what changed
+            WithoutTruth(sequence), range(len(sequence)), sequence.sensor, sequence.name, provenance(sequence)
         ),
         params=NoParams(),
-        metrics=tuple(metric(labeller.info) for metric in registry.loadable("metrics").values()),
+        metrics=metrics_of(labeller.info),
         threads=options.threads,
         command=command,
         record=mode,
         folder=folder,
         recording=recording,
     )
-    result = run_spec(spec, progress, maps=False, budget=budget)
+    result = run_spec(spec, progress, maps=False, budget=budget_of(options))
     files = [
         replace(
             file,
@@ -225,17 +222,6 @@ def find_changes(
     judged = Judgement(result.labels, reasons_by_frame(folder / "labels.npz", result.labels))
     maps, _ = write_maps(sequence, judged, files, progress)
     return Changes(result, pair.drives, labeller.counts, agreement, tuple(maps), folder)
-
-
-@dataclass(frozen=True)
-class _WithoutTruth(SequenceView):
-    """A sequence whose ground truth, of what moves, says nothing about what changed."""
-
-    whole: Sequence
-    has_labels = False
-
-    def __getitem__(self, position: int) -> Scan:
-        return self.whole[position].without_truth()
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F32, F64
-from dynaviz.contracts.scan import Sequence, SequenceSlice, SequenceView
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice, SequenceView
 
 Attributes = Mapping[str, NDArray[Any]]
 """(N,) integers or floats by name, such as ``intensity`` or ``ring``, in the types of the source."""
@@ -108,6 +108,12 @@ def coordinates_of(sequence: Sequence, position: int) -> F32 | F64 | None:
     if isinstance(sequence, SequenceSlice):
         return coordinates_of(sequence.whole, sequence.positions[position])
     return sequence.coordinates(position) if isinstance(sequence, HasCoordinates) else None
+
+
+def exact_points(sequence: Sequence, position: int, scan: Scan) -> F64:
+    """(N, 3) float64, metres, in the world of the source: as the source states them, otherwise the points of a scan."""
+    given = coordinates_of(sequence, position)
+    return scan.points.astype(np.float64) + origin_of(sequence) if given is None else given.astype(np.float64)
 
 
 def las_file_of(sequence: Sequence) -> Path | None:

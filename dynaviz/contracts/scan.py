@@ -229,6 +229,17 @@ class SequenceView:
 
 
 @dataclass(frozen=True)
+class WithoutTruth(SequenceView):
+    """A sequence without its ground truth."""
+
+    whole: Sequence
+    has_labels = False
+
+    def __getitem__(self, position: int) -> Scan:
+        return self.whole[position].without_truth()
+
+
+@dataclass(frozen=True)
 class SequenceSlice:
     """Selected frames of a sequence (``--frames A:B --stride K``), optionally with another sensor or name."""
 

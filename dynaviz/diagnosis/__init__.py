@@ -21,7 +21,7 @@ from dynaviz.diagnosis.sampling import looks as looks_at_places
 from dynaviz.diagnosis.sampling import sampling
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import FACTORS, check_units
-from dynaviz.diagnosis.views import MIN_POINTS, ScanView
+from dynaviz.diagnosis.views import ScanView, comparable
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
@@ -138,7 +138,7 @@ def _seen(groups: FrameGroups, places: list[tuple[int, int]], progress: Progress
     views = []
     for done, pair in enumerate(places, 1):
         seen = [ScanView(scan) for position in pair if (scan := groups.scan(position)) is not None]
-        if len(seen) == 2 and min(len(each.points) for each in seen) > MIN_POINTS:
+        if len(seen) == 2 and comparable(seen):
             views.append((seen[0], seen[1]))
         progress("comparing", done, len(places))
     return views

@@ -10,12 +10,11 @@ import numpy as np
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.diagnosis.drift import AWAY, SEEN_AGAIN, Drift
-from dynaviz.diagnosis.views import ScanView
+from dynaviz.diagnosis.views import ScanView, comparable
 from dynaviz.errors import DataError
 
 PLACES = 6  # at which a scan of each drive is compared
 COARSE = 48  # scans of each drive among which places are looked for first
-MIN_POINTS = 50  # downsampled points that a scan needs to be compared
 _HINT = "Register both drives in one world frame first: in one session of a SLAM system, or with its localisation"
 
 
@@ -81,7 +80,7 @@ def _pairs(first: Sequence, second: Sequence) -> Iterator[tuple[ScanView, ScanVi
         b = other.nearest(a.position)
         if np.linalg.norm(a.position - b.position) < 2 * AWAY:
             views = ScanView(a), ScanView(b)
-            if min(len(view.points) for view in views) > MIN_POINTS:
+            if comparable(views):
                 yield views
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from dynaviz.contracts.scan import Scan, Sequence, SequenceView
 from dynaviz.diagnosis.scans import ScanChecker
 from dynaviz.diagnosis.units import LONG_STEPS
-from dynaviz.diagnosis.views import MAX_APART, MIN_POINTS, ScanView, apart, around
+from dynaviz.diagnosis.views import MAX_APART, ScanView, apart, around, comparable
 from dynaviz.errors import DataError
 from dynaviz.progress import Progress
 
@@ -97,7 +97,7 @@ class FrameGroups:
         track = checker.positions, checker.poses, checker.stamps
         for done, pair in enumerate(rows, 1):
             a, b = (ScanView(checker.read(row), around(row, *track)) for row in pair)
-            if min(len(a.points), len(b.points)) > MIN_POINTS:
+            if comparable((a, b)):
                 views.append((a, b))
             progress("comparing", done, len(rows))
         return views

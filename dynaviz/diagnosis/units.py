@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dynaviz.arrays import F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.diagnosis.finding import Confidence, Finding
-from dynaviz.diagnosis.views import MIN_POINTS, ScanView, hidden, pairs
+from dynaviz.diagnosis.views import ScanView, comparable, hidden, pairs
 
 FAR_POINTS = 250.0  # metres; scans whose median range is larger may have another unit
 LONG_STEPS = 20.0  # metres; median way between two frames
@@ -142,7 +142,7 @@ def _overlap(
             T = scan.T_world_sensor.copy()
             T[:3, 3] = position
             views.append(ScanView(Scan(scan.index, points.astype(np.float32), T, scan.stamp_ns)))
-        if len(views) == 2 and min(len(each.points) for each in views) > MIN_POINTS:
+        if len(views) == 2 and comparable(views):
             a, b = views
             figures.append((a.surface.overlap(b.points), hidden(b.sample, b.T[None, :3, 3])))
     if not figures:

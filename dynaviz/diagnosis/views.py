@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -167,6 +167,11 @@ def apart(a: F64, b: F64) -> bool:
     """Whether the sensor moved or turned enough between two poses for interpretations to differ."""
     T = geometry.inverse(a) @ b
     return bool(np.linalg.norm(T[:3, 3]) > MIN_MOVE or angle(T) > MIN_TURN)
+
+
+def comparable(views: Iterable[ScanView]) -> bool:
+    """Whether each scan has enough points to be compared."""
+    return all(len(view.points) > MIN_POINTS for view in views)
 
 
 def around(row: int, positions: Sequence[int], poses: Sequence[F64], stamps: Sequence[int | None]) -> F64 | None:

@@ -18,6 +18,7 @@ from dynaviz.contracts.attributes import (
     Unposed,
     attributes_of,
     coordinates_of,
+    exact_points,
     las_file_of,
     origin_of,
     unposed_of,
@@ -129,9 +130,8 @@ def write_maps(
         for position, codes in zip(range(len(sequence)), reasons, strict=False):
             scan = sequence[position]
             seen(scan)
-            xyz = coordinates_of(sequence, position)
             points = _Points(
-                xyz=scan.points.astype(np.float64) + origin if xyz is None else xyz.astype(np.float64),
+                xyz=exact_points(sequence, position, scan),
                 finite=all_finite(scan.points),
                 attributes=conform(attributes_of(sequence, position), len(scan), position),
                 dynamic=judgement.labels[position],

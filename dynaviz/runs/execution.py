@@ -14,6 +14,8 @@ import msgspec
 
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
+from dynaviz.contracts.method import MethodInfo
+from dynaviz.contracts.metric import Metric
 from dynaviz.contracts.probe import SILENT, Probe
 from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.external import External
@@ -66,7 +68,7 @@ def run_method(
         labeller=kind(resolved.params),
         sequence=sequence,
         params=resolved.params,
-        metrics=tuple(metric(kind.info) for metric in registry.loadable("metrics").values()),
+        metrics=metrics_of(kind.info),
         online=bool(options.online if options.online is not None else resolved.online),
         seed=options.seed if options.seed is not None else resolved.seed or 0,
         variant=options.variant,
@@ -79,7 +81,7 @@ def run_method(
         folder=out,
         recording=recording,
     )
-    budget = parse_bytes(options.record_budget) if isinstance(options.record_budget, str) else options.record_budget
+    budget = budget_of(options)
     if (size := options.tile_size) is not None:
         tiles = TileOptions(size, options.workers, options.scheduler, budget)
         result = _run_tiles(spec, tiles, options.maps, progress)
@@ -109,7 +111,7 @@ def score_external(
         labeller=external,
         sequence=sequence,
         params=external.params,
-        metrics=tuple(metric(external.info) for metric in registry.loadable("metrics").values()),
+        metrics=metrics_of(external.info),
         threads=threads,
         command=command,
         scoring=external.scoring,
@@ -118,6 +120,17 @@ def score_external(
         recording=recording,
     )
     return run_spec(spec, progress, check=source_check(external))
+
+
+def metrics_of(info: MethodInfo) -> tuple[Metric, ...]:
+    """All installed metrics, for the answers of a method."""
+    return tuple(metric(info) for metric in registry.loadable("metrics").values())
+
+
+def budget_of(options: RunOptions) -> int | None:
+    """The budget of the recording, bytes; None for any size."""
+    budget = options.record_budget
+    return parse_bytes(budget) if isinstance(budget, str) else budget
 
 
 def recording_of(record: str | os.PathLike[str], folder: Path | None) -> tuple[Path | None, RecordMode | None]:

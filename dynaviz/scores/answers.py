@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from dynaviz.arrays import F64, all_finite
-from dynaviz.contracts.attributes import coordinates_of, origin_of
+from dynaviz.contracts.attributes import exact_points
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
 from dynaviz.io.pcd import read_pcd
@@ -48,11 +48,11 @@ class RunAnswers:
 
     def static_map(self) -> F64:
         """As ``Answers``; only finite points."""
-        origin, parts = origin_of(self.sequence), [np.empty((0, 3))]
+        parts = [np.empty((0, 3))]
         for position in range(len(self.sequence)):
-            points, given = self.sequence[position].points, coordinates_of(self.sequence, position)
-            kept = ~self.labels[position] & all_finite(points)
-            parts.append(points[kept].astype(np.float64) + origin if given is None else given[kept].astype(np.float64))
+            scan = self.sequence[position]
+            kept = ~self.labels[position] & all_finite(scan.points)
+            parts.append(exact_points(self.sequence, position, scan)[kept])
         return np.concatenate(parts)
 
 
