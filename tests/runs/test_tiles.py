@@ -332,6 +332,22 @@ def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
     assert len(frames[0]) == 0, "an empty scan stands for a frame that does not see the tile"
 
 
+def test_the_evidence_of_a_tile_is_that_of_its_points(long_room: InMemory, tmp_path: Path) -> None:
+    dv.run("octomap", long_room, out=tmp_path, tiles=SIZE)
+    ledgers = 0
+    for path in tmp_path.glob("tiles/*/run.rrd"):
+        column, row = map(int, path.parent.name.split("_"))
+        low, high = TileGrid(SIZE).bounds((column, row))
+        recording = RunRecording(path)
+        for ledger in (each for case in range(1, 21) for each in recording.ledgers(case)):
+            assert ((ledger.position[:2] >= low) & (ledger.position[:2] < high)).all()
+            scan = next(scan for scan in long_room.scans if scan.index == ledger.index)
+            own = TileGrid(SIZE).rows(scan, (column, row), np.zeros(3))
+            assert scan.points[own[ledger.point]].tolist() == list(ledger.position)
+            ledgers += 1
+    assert ledgers > 50
+
+
 def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
     run, room_folder = tmp_path / "run", write_room(tmp_path / "room", frames=6)
     code, out, err = run_command("run", "dufomap", room_folder, "-o", run, "--tiles", "12")

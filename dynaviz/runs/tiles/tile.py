@@ -149,7 +149,7 @@ class TileTask:
         from dynaviz.views.record.recorder import Recorder
 
         metrics = tuple(OwnMetric(each(kind.info), own) for each in registry.loadable("metrics").values())
-        with Recorder(folder / self.files[0], self.record, budget=self.budget) as recorder:
+        with Recorder(folder / self.files[0], self.record, budget=self.budget, rows=own.rows) as recorder:
             spec = dataclasses.replace(spec, metrics=metrics)
             execute(spec, [OwnListener(recorder, own), answers], recorder, progress)
 

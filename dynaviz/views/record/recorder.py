@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
@@ -15,7 +15,7 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, Bool
+from dynaviz.arrays import F32, F64, Bool, Intp
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
@@ -56,6 +56,7 @@ class Recorder(Listener):
         live: open a viewer that follows the run; it may be closed at any time.
         budget: bytes of the file, about; states are left out first, then drawn points. Labels, ground truth and reasons
             are always stored. None for any size.
+        rows: of a scan of the run, (K,) the points that the recorder is given; None for all.
 
     Raises:
         UsageError: for an unknown mode, or ``live`` without a screen.
@@ -68,6 +69,7 @@ class Recorder(Listener):
         mode: RecordMode = "errors",
         live: bool = False,
         budget: int | None = None,
+        rows: Callable[[Scan], Intp] | None = None,
     ):
         if mode not in get_args(RecordMode):
             raise UsageError(f"--record {mode}: choose from {', '.join(get_args(RecordMode))}")
@@ -78,7 +80,7 @@ class Recorder(Listener):
         self._queue: list[tuple[State, Value]] = []
         self._heading, self._guided = keys.Heading(), set[str]()
         self._outcomes = OutcomeCounts()
-        self._budget, self._quota = budget, Quota(budget, 0, 0)
+        self._budget, self._quota, self._rows = budget, Quota(budget, 0, 0), rows
         # Without states, the runtime of the method is reported as honest, so nothing else may run next to it.
         self._background = Background(inline=mode == "scores")
 
@@ -226,6 +228,9 @@ class Recorder(Listener):
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]
     ) -> list[tuple[PointLedger, ...]]:
         """The ledgers of points with these labels; none if the evidence is faulty: that must not cost the recording."""
+        recorded, scans = asked, self._run.sequence
+        if self._rows is not None:
+            asked = [(frame, self._rows(scans[frame])[list(rows)].tolist()) for frame, rows in asked]
         try:
             found, seconds = replay(self._run, self._summary, asked)
             for each in (each for ledgers in found for each in ledgers):
@@ -236,7 +241,10 @@ class Recorder(Listener):
             self._say(f"no evidence: {error}")
             return [()] * len(asked)
         self._open.properties(repeat_s=round(seconds, 3))
-        return found
+        return [
+            tuple(dataclasses.replace(each, point=row) for each, row in zip(ledgers, rows, strict=True))
+            for ledgers, (_, rows) in zip(found, recorded, strict=True)
+        ]
 
     @property
     def _open(self) -> sink.RecordingFile:
