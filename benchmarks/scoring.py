@@ -26,7 +26,7 @@ from dynaviz.arrays import F32
 from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Scan, stream
-from dynaviz.io.points import read_points
+from dynaviz.io.fields import read_points
 from dynaviz.spatial.nearest import Nearest, nearest_distance
 from dynaviz_eval.breakdown import BreakdownMetric
 from dynaviz_eval.confusion import Confusion

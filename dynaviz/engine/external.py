@@ -21,8 +21,7 @@ from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.engine.label_folder import UNANSWERED, LabelFolder, NoParams
 from dynaviz.errors import DataError, UsageError
-from dynaviz.io.fields import coordinates, read_fields
-from dynaviz.io.points import read_points
+from dynaviz.io.fields import coordinates, read_fields, read_points
 from dynaviz.scores.labels import RunLabels
 from dynaviz.sources.summary import SequenceSummary
 from dynaviz.spatial.nearest import Nearest
@@ -63,7 +62,7 @@ class ExternalMap:
     """A map cleaned by another program, as a labeller.
 
     Args:
-        path: the map (``dynaviz.io.points.read_points``), in the world frame of the sequence.
+        path: the map (``dynaviz.io.fields.read_points``), in the world frame of the sequence.
         name: for tables.
         radius: metres, 0 or more.
         origin: (3,) float64, metres: subtracted from the map, as from the sequence

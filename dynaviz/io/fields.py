@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32, F64
+from dynaviz.arrays import F32, F64, single
 from dynaviz.errors import DataError
 from dynaviz.io.las import read_las_fields
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import read_pcd
 from dynaviz.io.ply import read_ply_rows
-from dynaviz.io.points import reader_of
 
 Fields = dict[str, NDArray[Any]]
 
@@ -38,11 +37,26 @@ def read_fields(path: str | os.PathLike[str]) -> Fields:
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     path = Path(path)
-    fields = reader_of(path, _READERS)(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        suffixes = ", ".join(sorted(_READERS))
+        raise DataError(path, "unknown point cloud format", hint=f"Give a file with one of the suffixes {suffixes}")
+    fields = reader(path)
     if missing := [axis for axis in AXES if axis not in fields]:
         hint = "Write the cloud with x, y and z"
         raise DataError(path, f"has no {', '.join(missing)} (found: {', '.join(fields)})", hint=hint)
     return fields
+
+
+def read_points(path: str | os.PathLike[str]) -> F32:
+    """Read the coordinates of a PCD, PLY, LAS, LAZ, NPY or NPZ file: (N, 3) float32, metres, in the file's frame.
+
+    A viewpoint in the file is not applied; values may be non-finite.
+
+    Raises:
+        DataError, MissingDependency: as ``read_fields``.
+    """
+    return single(given_coordinates(read_fields(path)))
 
 
 def without_axes(fields: Mapping[str, NDArray[Any]]) -> Fields:
@@ -91,8 +105,9 @@ def _npy(path: Path) -> Fields:
         rows = np.array(array) if isinstance(array, np.ndarray) else np.empty(0)
     if rows.dtype.names:
         return columns_of(rows)
-    if rows.ndim != 2 or rows.shape[1] < 3:
-        raise DataError(path, f"contains an array {rows.shape} of {rows.dtype}", hint=hint)
+    if rows.ndim != 2 or rows.shape[1] < 3 or rows.dtype.kind not in "fiu":
+        problem = f"contains an array {rows.shape} of {rows.dtype}, not (N, 3 or more) numbers"
+        raise DataError(path, problem, hint=hint)
     names = [*AXES, "intensity", *(f"column_{k}" for k in range(4, rows.shape[1]))]
     return {name: rows[:, k] for k, name in zip(range(rows.shape[1]), names, strict=False)}
 
@@ -104,10 +119,12 @@ def _npz(path: Path) -> Fields:
         loaded = {name: arrays[name] for name in arrays}
     if all(axis in loaded for axis in AXES):
         return {name: array for name, array in loaded.items() if array.shape == loaded["x"].shape}
-    clouds = [name for name, array in loaded.items() if array.ndim == 2 and array.shape[1] >= 3]
+    clouds = [
+        name for name, array in loaded.items() if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu"
+    ]
     name = next((name for name in ("points", "xyz") if name in clouds), clouds[0] if clouds else None)
     if name is None:
-        raise DataError(path, "has no array (N, 3 or more)", hint=hint)
+        raise DataError(path, "has no array (N, 3 or more) of numbers", hint=hint)
     points = loaded.pop(name)
     more = ["intensity", *(f"column_{k}" for k in range(4, points.shape[1]))][: points.shape[1] - 3]
     fields = {field: points[:, k] for k, field in enumerate([*AXES, *more])}

@@ -4,37 +4,19 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError, MissingDependency
 from dynaviz.io.atomic import open_file
-
-T = TypeVar("T")
 
 _HINT = "Write or copy the file again"
 _CHUNK = 100_000  # points; laspy allocates memory for as many points as requested
 _RECORD_HEADER = 54  # bytes, minimum size of a variable-length record
 _COMPRESSED = 0x80  # bit of the point format that marks compressed points
-
-
-def read_las(path: str | os.PathLike[str]) -> F32:
-    """Read the points.
-
-    Returns:
-        (N, 3) float32, metres, in the file's frame, with the scale and offset of the header applied.
-
-    Raises:
-        DataError: if the file cannot be read, is corrupt or too short.
-        MissingDependency: if laspy is not installed.
-    """
-    parts = _read_chunks(Path(path), lambda p: np.column_stack([p.x, p.y, p.z]))
-    return single(np.concatenate([np.empty((0, 3)), *parts]))
 
 
 def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
@@ -45,20 +27,10 @@ def read_las_fields(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         other dimensions, of the standard and extra. One with several values per point is split: ``normal_0`` ...
 
     Raises:
-        DataError, MissingDependency: as ``read_las``.
+        DataError: if the file cannot be read, is corrupt or too short.
+        MissingDependency: if laspy is not installed.
     """
-
-    def fields(p: Any) -> dict[str, NDArray[Any]]:
-        found = {axis: np.asarray(p[axis], np.float64) for axis in "xyz"}
-        for name in p.point_format.dimension_names:
-            values = np.array(p[name])
-            if values.ndim > 1:
-                found |= {f"{name}_{k}": values[:, k] for k in range(values.shape[1])}
-            elif name not in ("X", "Y", "Z"):
-                found[name] = values
-        return found
-
-    parts = _read_chunks(Path(path), fields)
+    parts = _read_chunks(Path(path))
     empty = {axis: np.empty(0) for axis in "xyz"}
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else empty
 
@@ -67,7 +39,7 @@ def read_las_header(path: Path) -> Any:
     """The header of a file with its variable-length records, as laspy's ``LasHeader``.
 
     Raises:
-        DataError, MissingDependency: as ``read_las``.
+        DataError, MissingDependency: as ``read_las_fields``.
     """
     laspy = import_laspy(path)
     with open_file(path, _HINT) as file:
@@ -96,8 +68,20 @@ def import_laspy(path: Path) -> Any:
     return laspy
 
 
-def _read_chunks(path: Path, take: Callable[[Any], T]) -> list[T]:
-    """What ``take`` gives for the points of each chunk of a file."""
+def _fields(points: Any) -> dict[str, NDArray[Any]]:
+    """The dimensions of some points, as ``read_las_fields`` gives them."""
+    found = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
+    for name in points.point_format.dimension_names:
+        values = np.array(points[name])
+        if values.ndim > 1:
+            found |= {f"{name}_{k}": values[:, k] for k in range(values.shape[1])}
+        elif name not in ("X", "Y", "Z"):
+            found[name] = values
+    return found
+
+
+def _read_chunks(path: Path) -> list[dict[str, NDArray[Any]]]:
+    """The dimensions of each chunk of a file."""
     laspy = import_laspy(path)
     with open_file(path, _HINT) as file:
         try:
@@ -112,7 +96,7 @@ def _read_chunks(path: Path, take: Callable[[Any], T]) -> list[T]:
                         f"too short: the header states {header.point_count} points, the file has {available}"
                     )
                 with np.errstate(over="ignore", invalid="ignore"):  # a damaged scale or offset
-                    return [take(chunk) for chunk in las.chunk_iterator(_CHUNK)]
+                    return [_fields(chunk) for chunk in las.chunk_iterator(_CHUNK)]
         # laspy and its decompressor raise many types of errors for corrupt files; PanicException is not an Exception.
         except BaseException as error:
             if not isinstance(error, Exception) and type(error).__name__ != "PanicException":

@@ -13,7 +13,6 @@ from typing import IO
 
 import numpy as np
 
-from dynaviz.arrays import F32, single
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
 from dynaviz.io.text import read_rows
@@ -47,19 +46,6 @@ class _Element:
         return np.dtype([(name, order + kind) for name, kind in self.properties])
 
 
-def read_ply(path: str | os.PathLike[str]) -> F32:
-    """Read the vertices.
-
-    Returns:
-        (N, 3) float32, in the file's frame and unit.
-
-    Raises:
-        DataError: if the file cannot be read, is corrupt or too short, or its vertices have no x, y or z.
-    """
-    rows = read_ply_rows(path)
-    return np.stack([single(rows[axis]) for axis in "xyz"], 1)
-
-
 def read_ply_rows(path: str | os.PathLike[str]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """Read the vertices with all properties.
 
@@ -67,7 +53,7 @@ def read_ply_rows(path: str | os.PathLike[str]) -> np.ndarray[tuple[int], np.dty
         (N,) of a structured dtype with the properties of the file.
 
     Raises:
-        DataError: as ``read_ply``.
+        DataError: if the file cannot be read, is corrupt or too short, or its vertices have no x, y or z.
     """
     path = Path(path)
     with open_file(path, "Give a PLY file") as file:

@@ -17,7 +17,7 @@ from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SE
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.io.points import read_points
+from dynaviz.io.fields import read_points
 from dynaviz.sources.datasets.drives import Drives
 from dynaviz.testing import InMemory
 

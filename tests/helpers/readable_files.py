@@ -19,9 +19,9 @@ from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.io.benchmark import BenchmarkWriter
 from dynaviz.io.boxes import read_boxes
 from dynaviz.io.calib import read_calib
+from dynaviz.io.fields import read_points
 from dynaviz.io.maps import open_map
 from dynaviz.io.pcd import ENCODINGS, read_pcd
-from dynaviz.io.points import read_points
 from dynaviz.io.poses import read_poses
 from dynaviz.scores.regression import read_baseline, write_baseline
 from dynaviz.scores.result import Result

@@ -19,7 +19,7 @@ from helpers.scan_folders import WRITERS, XYZ
 
 from dynaviz.errors import DataError
 from dynaviz.io.boxes import read_boxes
-from dynaviz.io.points import read_points
+from dynaviz.io.fields import read_points
 from dynaviz.io.poses import read_poses
 from dynaviz.io.tracklets import read_tracklets
 from dynaviz.sources.datasets import open_sequence

@@ -19,10 +19,9 @@ from dynaviz.contracts.attributes import Attributes, Unposed
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, NoPoses
-from dynaviz.io.fields import coordinates, given_coordinates, read_fields, without_axes
+from dynaviz.io.fields import coordinates, given_coordinates, read_fields, read_points, without_axes
 from dynaviz.io.npy import open_npy
 from dynaviz.io.pcd import Pcd, read_header
-from dynaviz.io.points import read_points
 from dynaviz.io.poses import find_poses, nanoseconds
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
@@ -205,7 +204,7 @@ class ScanFolderSequence:
             return read_velodyne(path, len(self.columns))[:, :3]
         if self.points_in == "world" and self.origin.any():
             return single(coordinates(read_fields(path)) - self.origin)
-        return _npz(path) if path.suffix.lower() == ".npz" else read_points(path)
+        return read_points(path)
 
     def _label_file(self, scan: Path) -> Path | None:
         for folder in (self.folder / "labels", self.folder.parent / "labels"):
@@ -312,21 +311,6 @@ def _viewpoints(folder: Path, scans: Iterable[Path], stamps: I64 | None) -> Matc
     if all(np.array_equal(T, np.eye(4)) for T in poses):
         raise NoPoses(folder, "has no poses: VIEWPOINT is the identity in every scan", hint=_NO_POSES)
     return MatchedPoses(np.arange(len(poses)), np.array(poses), stamps, "VIEWPOINT of each PCD")
-
-
-def _npz(path: Path) -> F32:
-    """The array ``points`` or ``xyz`` of an NPZ file, or its only array with a row per point."""
-    hint = "Save points = (N, 3) float32, metres, with numpy.savez"
-    with open_npy(path, "NPZ file", hint) as arrays:
-        clouds = {name: array for name, array in arrays.items() if array.ndim == 2 and array.shape[1] >= 3}
-    candidates = [clouds[name] for name in ("points", "xyz") if name in clouds] or list(clouds.values())
-    ambiguous = len(candidates) > 1 and not {"points", "xyz"} & set(clouds)
-    if not candidates or ambiguous or candidates[0].dtype.kind not in "fiu":
-        problem = f"contains {len(candidates) or 'no'} arrays (N, 3 or more) and none named points"
-        raise DataError(path, problem, hint=hint)
-    with np.errstate(over="ignore"):  # values beyond float32 become infinite
-        xyz: F32 = candidates[0][:, :3].astype(np.float32)
-    return xyz
 
 
 def _label_array(path: Path, points: int) -> U8:
