@@ -166,9 +166,7 @@ def test_invalid_arrays_are_refused(tmp_path: Path) -> None:
 
 
 def test_an_unknown_suffix_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        DataError, match=r"a\.obj: unknown point cloud format.*\.las, .*\.npy, \.npz, .*\.ply"
-    ):
+    with pytest.raises(DataError, match=r"a\.obj: unknown point cloud format.*\.las, .*\.npy, \.npz, .*\.ply"):
         read_points(tmp_path / "a.obj")
 
 
