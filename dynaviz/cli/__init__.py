@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib
+import itertools
 import os
 import signal
 import sys
@@ -14,28 +16,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from dynaviz.cli import (
-    bench,
-    check,
-    clean,
-    compare,
-    convert,
-    demo,
-    doctor,
-    explore,
-    info,
-    list,
-    live,
-    report,
-    run,
-    score,
-    simulate,
-    tune,
-    view,
-    why,
-)
 from dynaviz.cli.console import set_quiet
-from dynaviz.cli.groups import Command, CommandLineError, Commands
+from dynaviz.cli.groups import GROUPS, Command, CommandLineError, Commands
 from dynaviz.errors import DataError, DynavizError, interrupted, on_command_line
 
 __all__ = ["CommandLineError", "app", "main"]
@@ -51,14 +33,9 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-COMMANDS = (
-    demo, clean, live, explore, view, why, compare, run, score, bench, tune, report, check, info, doctor, list,
-    simulate, convert
-)  # fmt: skip
-for command in COMMANDS:
-    command.add_to(app)
-for registered in app.registered_commands:
-    registered.cls = Command
+for name in itertools.chain(*GROUPS.values()):
+    module = vars(importlib.import_module(f"{__name__}.{name}"))
+    app.command(name, cls=Command)(module[f"{name}_" if f"{name}_" in module else name])  # list_, not to hide list
 
 
 def _show_version(wanted: bool) -> None:

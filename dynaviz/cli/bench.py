@@ -27,11 +27,6 @@ class SearchKind(StrEnum):
     bayes = "bayes"
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("bench")(bench)
-
-
 @takes(SEQUENCE)
 def bench(
     file: Annotated[

@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 ROWS = 40  # rows of a table; passed checks beyond that are only counted
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("check")(check)
-
-
 def check(
     results: Annotated[
         list[Path], typer.Argument(metavar="RESULT.json|DIR...", help="Result files, or folders to search for them.")

@@ -11,12 +11,6 @@ import typer
 from dynaviz.cli.console import print_json, program, progress, show, warn
 from dynaviz.cli.options import RUN, SEQUENCE, Json, Quiet, method_names, takes, typed_command
 
-
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("clean")(clean)
-
-
 TILES = Annotated[
     str | None,
     typer.Option(
@@ -74,7 +68,7 @@ def clean(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Clean a map of moving objects: from raw data to a map, in one command.
+    """Clean a map of moving objects, from raw data to the map.
 
     Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other attributes are kept.
     Writes the map, and next to it a folder with a summary, the labels and a recording. Exit code 3: the map is written,

@@ -12,11 +12,6 @@ from dynaviz.cli.console import print_json, program, progress, show
 from dynaviz.cli.options import Json, Quiet, recording_in
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("compare")(compare)
-
-
 def compare(
     recordings: Annotated[
         list[Path],

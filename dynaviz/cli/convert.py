@@ -14,11 +14,6 @@ from dynaviz.cli.options import SEQUENCE, Moved, refuse, takes
 from dynaviz.errors import UsageError
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("convert")(convert)
-
-
 @takes(SEQUENCE)
 def convert(
     source: Annotated[
@@ -39,7 +34,9 @@ def convert(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Convert a sequence to the public benchmark's layout, or the labels of a run to .label files.
+    """Convert a sequence to the public benchmark's layout.
+
+    Or, with --labels, write the labels of a run as .label files.
 
     \b
     dynaviz convert kitti/sequences/08 out/08 --frames 0:100
@@ -55,8 +52,8 @@ def convert(
     With --labels: one file per frame, NNNNNN.label with the frame number, and one uint32 per point in the order of the
     sequence: 9 for static and 251 for moving, as in SemanticKITTI's moving object segmentation task.
 
-    An interrupted download resumes. The archive is verified, unpacked and deleted; its checksum is kept in
-    OUT/NAME.download.json. A mirror that serves NAME.zip is given by DYNAVIZ_DOWNLOAD_URL.
+    An interrupted download resumes. The archive is verified, unpacked and deleted. DYNAVIZ_DOWNLOAD_URL sets the
+    address of a mirror that serves NAME.zip.
     """
     if sequence is not None and not labels:
         raise UsageError("--sequence: only with --labels")

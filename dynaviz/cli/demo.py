@@ -13,11 +13,6 @@ import typer
 from dynaviz.cli.console import program, progress, show
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("demo")(demo)
-
-
 def demo(
     out: Annotated[Path, typer.Option("-o", "--out", help="Output folder for the sequence and the runs.")] = Path(
         "recordings/demo"

@@ -11,11 +11,6 @@ from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
 from dynaviz.cli.unposed import open_posed_or_not, proposal
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("doctor")(doctor)
-
-
 @takes(SEQUENCE)
 def doctor(
     sequence: Annotated[

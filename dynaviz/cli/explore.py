@@ -10,11 +10,6 @@ import typer
 from dynaviz.cli.options import run_in
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("explore")(explore)
-
-
 def explore(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or its run.rrd.")],
     other: Annotated[
@@ -28,7 +23,7 @@ def explore(
     ] = 0,
     browser: Annotated[bool, typer.Option(help="Open the page in a browser if there is a screen.")] = True,
 ) -> None:
-    """Explore a run in a browser: its failures, and why any clicked point got its label.
+    """Explore a run in a browser: its failures and their reasons.
 
     The server is only reachable from this machine, with the token in the address.
 

@@ -33,11 +33,6 @@ class HasFacts(Protocol):
         ...
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("info")(info)
-
-
 @takes(SEQUENCE)
 def info(
     path: Annotated[
@@ -55,7 +50,7 @@ def info(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Describe a sequence, a recording or a result; list the failures of a run.
+    """Describe a sequence or a run, or list the failures of a run.
 
     For a sequence this shows the detected format, the sensor, the numbers of frames and points, the distance travelled,
     the rate, the share of dynamic points, and the extent.

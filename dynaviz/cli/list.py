@@ -40,11 +40,6 @@ def _completions(incomplete: str) -> list[str]:
     return [name for name in Listing if name.startswith(incomplete)] + method_names(incomplete)
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("list")(list_)
-
-
 @takes(METHOD, without=("seed", "threads"))
 def list_(
     name: Annotated[
@@ -59,7 +54,7 @@ def list_(
     *,
     options: dict[str, Any],
 ) -> None:
-    """List methods, datasets, sensors and more, or the parameters of a method.
+    """List methods, data sets and sensors, or parameters of a method.
 
     Parameters have a meaning, a unit, a range and a value, which is a default or set by a preset, a file or --set.
 

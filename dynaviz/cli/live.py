@@ -19,11 +19,6 @@ if TYPE_CHECKING:
     from dynaviz.online.player import PlayReport
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("live")(live)
-
-
 @takes(SEQUENCE, METHOD)
 def live(
     source: Annotated[
@@ -32,31 +27,34 @@ def live(
     method: Annotated[
         str, typer.Option("-m", "--method", metavar="METHOD", help="Method.", autocompletion=method_names)
     ] = "seethrough",
-    rate: Annotated[float, typer.Option(metavar="X", help="Speed; 0 labels every scan, as fast as possible.")] = 1.0,
+    rate: Annotated[
+        float,
+        typer.Option(metavar="X", help="Speed; 0 labels every scan as fast as possible."),
+    ] = 1.0,
     reach: Annotated[
-        float, typer.Option(metavar="METRES", help="Judge points up to this distance; forget what lies beyond.")
+        float, typer.Option(metavar="METRES", help="Judge points up to this distance, and keep the map up to it.")
     ] = 60.0,
-    view: Annotated[bool, typer.Option("--view", help="Show it in the viewer.")] = False,
-    serve: Annotated[bool, typer.Option("--serve", help="Show it in a browser on this machine.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the scans in the viewer.")] = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Show the scans in a browser on this machine.")] = False,
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve; the next port is used, too."
+            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve. The port after it is also used."
         ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Record the last minutes into this folder.")
     ] = None,
-    minutes: Annotated[float, typer.Option(metavar="N", help="How many minutes that recording keeps.")] = 5.0,
+    minutes: Annotated[float, typer.Option(metavar="N", help="Length of that recording in minutes.")] = 5.0,
     json: Json = None,
     quiet: Quiet = False,
     *,
     options: dict[str, Any],
 ) -> None:
-    """Play a recording to a method as a sensor would: scan by scan, at its own speed, in bounded memory.
+    """Play a recording to a method scan by scan, as a sensor would.
 
-    A scan is dropped if the next one has come before the method is ready for it. The report shows how many were
-    dropped, and how long the others took.
+    Memory is bounded. A scan is dropped if the next one arrives before the method is ready. The report shows how many
+    scans were dropped, and the latency of the others.
 
     \b
     dynaviz live drive.mcap --view

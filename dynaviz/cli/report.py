@@ -12,11 +12,6 @@ from dynaviz.cli.console import progress, show
 from dynaviz.cli.options import refuse
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("report")(report)
-
-
 def report(
     results: Annotated[
         list[Path],
@@ -43,7 +38,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Write tables and figures of one or more results, or a leaderboard.
+    """Write tables and figures of results, or a leaderboard.
 
     \b
     dynaviz report recordings/demo -o report.html

@@ -12,11 +12,6 @@ from dynaviz.cli.console import print_json, program, progress, show, written
 from dynaviz.cli.options import RUN, SEQUENCE, Json, Method, Quiet, takes, typed_command
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("run")(run)
-
-
 @takes(SEQUENCE, RUN)
 def run(
     method: Method,

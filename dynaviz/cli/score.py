@@ -24,11 +24,6 @@ from dynaviz.cli.options import (
 RADIUS = 0.05  # metres
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("score")(score)
-
-
 @takes(SEQUENCE)
 def score(
     map: Annotated[
@@ -65,7 +60,7 @@ def score(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Score a map or labels from another program, or a run with its corrections.
+    """Score maps or labels of other programs, or a run once more.
 
     Writes labels, maps, scores and a recording.
 
@@ -79,8 +74,8 @@ def score(
     Label files are named by frame number (000000.label). They contain 0 and 1, or classes of SemanticKITTI, of which
     251 and above are moving. Scans without a file are not scored.
 
-    With a run alone, its scores with the ground truth of its corrections.json are shown. They are made in the explorer.
-    The run's own files and its sequence stay as they are.
+    With a run alone, the scores with the ground truth of its corrections.json are shown, which the explorer writes. The
+    files of the run and its sequence do not change.
     """
     if sequence is None:
         own = {"out": out, "name": name, "key": key, "json": json, "threads": threads}

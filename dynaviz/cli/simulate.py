@@ -15,11 +15,6 @@ from dynaviz.errors import UsageError
 IMPLANT = "implant:"
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("simulate")(simulate)
-
-
 def simulate(
     scene: Annotated[
         str,
@@ -41,7 +36,7 @@ def simulate(
         typer.Option(metavar="N", help="Random seed. The same seed gives identical files.", show_default="0"),
     ] = None,
 ) -> None:
-    """Simulate a sequence with exact ground truth, or put movers into a recorded one.
+    """Simulate a labelled sequence, or add movers to a recorded one.
 
     Writes it in the public benchmark's layout. Scenes that end in _real have the effects of real scans; single effects
     are options of the scene, separated by &.
@@ -55,10 +50,10 @@ def simulate(
     dynaviz simulate "implant:path/to/sequence?scene=out/implants/implants.toml" out/again
     dynaviz run dufomap "simulate:street_hdl64?frames=20&jitter_m=0.03"
 
-    Movers in a recorded sequence: cars, trucks, cyclists, persons, and parks, cars that arrive and park. The scene file
-    implants.toml is written, too; scene=FILE repeats it. Static world, noise and poses stay yours. If SEQ has no
-    labels, the methods panel=A,B,C vote on which points are static: three fast ones by default, or panel=none. A SEQ
-    that needs options, such as poses, is converted first.
+    Options for a recorded sequence: numbers of cars, trucks, cyclists, persons, and parks (cars that arrive and park).
+    The scene file implants.toml is written with the sequence; scene=FILE uses it again. The static world, the noise and
+    the poses of SEQ do not change. If SEQ has no labels, the methods of panel=A,B,C vote on which points are static
+    (default: three fast methods; panel=none: no vote). If SEQ needs options, such as poses, convert it first.
     """
     if scene.startswith(IMPLANT):
         _implant(scene.removeprefix(IMPLANT), out, seed, frames)

@@ -15,11 +15,6 @@ if TYPE_CHECKING:
     from dynaviz.progress import Progress
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("tune")(tune)
-
-
 @takes(SEQUENCE)
 def tune(
     sequence: Annotated[

@@ -12,11 +12,6 @@ from dynaviz.cli.pictures import render_pictures
 from dynaviz.errors import UsageError
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("view")(view)
-
-
 def view(
     recordings: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Recordings, or folders of runs.")],
     out: Annotated[
@@ -24,7 +19,7 @@ def view(
         typer.Option(
             "-o",
             "--out",
-            help="Write an image instead, without a display. With several frames, each name gets its number.",
+            help="Render a picture to this file, without a display; with several frames, one file per frame.",
         ),
     ] = None,
     frames: Annotated[
@@ -48,11 +43,11 @@ def view(
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --web; the next port is used, too."
+            min=1, max=65534, metavar="PORT", help="Port of the page, with --web. The port after it is also used."
         ),
     ] = None,
 ) -> None:
-    """Open recordings in the viewer, or render pictures and videos of one.
+    """Open recordings in the viewer, or render pictures and videos.
 
     \b
     dynaviz view recordings/demo/octomap/run.rrd

@@ -11,11 +11,6 @@ from dynaviz.cli.console import progress, show
 from dynaviz.cli.options import Moved, Threads, run_in
 
 
-def add_to(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command("why")(why)
-
-
 def why(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder, result.json or run.rrd of a run.")],
     frame: Annotated[
