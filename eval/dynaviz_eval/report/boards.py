@@ -12,7 +12,7 @@ from dynaviz.reports.reporting import Study
 from dynaviz.scores.collect import StudyRun, combined
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percentage_points_lost
-from dynaviz.scores.sections import Reasons, SequenceInfo
+from dynaviz.scores.sections import SequenceInfo
 
 UNKNOWN = "unknown"  # the cause of errors for which the method gives no known cause
 KINDS = {
@@ -128,25 +128,11 @@ def _titles(groups: Mapping[tuple[str, str], Sequence[StudyRun]]) -> dict[tuple[
 _LabelForm = Callable[[Study, StudyRun], str]
 
 
-def _plain_label(study: Study, run: StudyRun) -> str:
-    return run.label
-
-
-def _label_with_source(study: Study, run: StudyRun) -> str:
-    """The label, and the path given by the user in which the run was found."""
-    return f"{run.label} [{run.given.name or run.given}]"
-
-
-def _label_with_path(study: Study, run: StudyRun) -> str:
-    """The label, and the run's own folder or file."""
-    return f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]"
-
-
-def _label_with_folder(study: Study, run: StudyRun) -> str:
-    return f"{run.label} [{run.folder.name}]"
-
-
-_LABEL_FORMS: tuple[_LabelForm, ...] = (_plain_label, _label_with_source, _label_with_folder, _label_with_path)
+_LABEL_FORMS: tuple[_LabelForm, ...] = (
+    lambda study, run: run.label,
+    lambda study, run: f"{run.label} [{run.given.name or run.given}]",  # the path given by the user
+    lambda study, run: f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]",
+)
 
 
 def _labels(study: Study, groups: Iterable[Sequence[StudyRun]]) -> dict[Path, str]:
@@ -206,13 +192,11 @@ class Losses:
 
     Attributes:
         cost: percentage points of SA or DA; None if undefined.
-        causes: percentage points by cause, largest first.
-        by_reason: ``causes`` are the method's own reasons, because a result has no causes.
+        causes: percentage points by cause, largest first; empty for results of earlier versions, which have none.
     """
 
     cost: float | None
     causes: Mapping[str, float]
-    by_reason: bool = False
 
 
 def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
@@ -227,13 +211,9 @@ def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
     whole = sum(result.counts.get(right, 0) + result.counts.get(wrong, 0) for result in results)
     if not whole:
         return Losses(None, {})
-    known = all(result.causes for result in results)
     points: Counter[str] = Counter()
     for result in results:
-        if known:
-            points.update({cause: count.points for cause, count in result.causes.get(kind, {}).items()})
-        else:
-            points.update(getattr(result.sections.reasons or Reasons(), kind))
+        points.update({cause: count.points for cause, count in result.causes.get(kind, {}).items()})
     total = sum(result.counts.get(wrong, 0) for result in results)
     return Losses(
         float(percentage_points_lost(total, whole)),
@@ -242,7 +222,6 @@ def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
             for cause, count in sorted(points.items(), key=_largest)
             if count
         },
-        not known,
     )
 
 

@@ -44,15 +44,14 @@ def cause_table(single: Sequence[ScoreBoard], order: Sequence[str]) -> Table:
             most = max((cost for k in keys for cost in found[k, kind].causes.values()), default=0.0)
             row += _cells(found[key, kind], causes[kind], most)
         rows.append(row)
-    return Table("failures", "Errors by cause", columns, rows, _cause_notes(groups, found))
+    return Table("failures", "Errors by cause", columns, rows, _cause_notes(groups))
 
 
 def _causes(every: Sequence[Losses]) -> list[str]:
     """All causes, costliest first."""
     totals: Counter[str] = Counter()
     for loss in every:
-        if not loss.by_reason:
-            totals.update(loss.causes)
+        totals.update(loss.causes)
     return sorted(totals, key=lambda cause: (-totals[cause], cause))
 
 
@@ -60,7 +59,7 @@ def _cells(loss: Losses, causes: Sequence[str], most: float) -> list[Value]:
     """The fields of one method and kind of error."""
     if loss.cost is None:
         return [Value(NONE)] * (1 + len(causes))
-    if loss.by_reason:
+    if loss.cost and not loss.causes:
         return [percent(loss.cost), *[Value(ABSENT)] * len(causes)]
     return [percent(loss.cost), *(_cell(loss.causes.get(cause, 0.0), most) for cause in causes)]
 
@@ -72,9 +71,7 @@ def _cell(cost: float, most: float) -> Value:
     return Value(f"{cost:.2f}", cost, heat=round(math.sqrt(cost / most), 2))
 
 
-def _cause_notes(
-    groups: Mapping[tuple[str, str], Sequence[ScoreRow]], found: Mapping[tuple[tuple[str, str], str], Losses]
-) -> list[str]:
+def _cause_notes(groups: Mapping[tuple[str, str], Sequence[ScoreRow]]) -> list[str]:
     notes = [
         "Percentage points, over the sequences that a method ran on, with points added up. eval/README.md explains the "
         "causes."
@@ -83,13 +80,6 @@ def _cause_notes(
     fewer = [f"{label} on {len(mine)}" for (label, _), mine in groups.items() if len(mine) < most]
     if fewer:
         notes.append(f"Not on all {most} sequences, so not comparable: {', '.join(fewer)}.")
-    by_reason = []
-    for (key, kind), loss in found.items():
-        if loss.by_reason and loss.causes:
-            reasons = ", ".join(f"{reason} {cost:.2f}" for reason, cost in list(loss.causes.items())[:3])
-            by_reason.append(f"{key[0]}, {ERRORS[kind]}: {reasons}")
-    if by_reason:
-        notes.append(f"Results without failure cases, by the method's own reasons: {'; '.join(by_reason)}.")
     return notes
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from dynaviz.scores.sections import FailureCase, ObjectRow
+from dynaviz.scores.sections import ObjectRow
 from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method
 from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named
 
@@ -65,19 +64,15 @@ def _objects(run: ScoreRow) -> tuple[ObjectRow, ...]:
 
 
 def _fates(run: ScoreRow) -> dict[Key, Fate]:
-    """What a run did to each object; in results of earlier versions, reasons are those of the failure cases."""
-    listed: dict[Key, Counter[str]] = {}
-    for case in run.result.failures:
-        if case.kind == "false_negative":
-            listed.setdefault(_key(case), Counter()).update(case.reasons)
+    """What a run did to each object."""
     fates = {}
     for row in _objects(run):
-        reasons = listed.get(_key(row), {}) if row.reasons is None else row.reasons
+        reasons = row.reasons or {}
         fates[_key(row)] = Fate(row, max(reasons, key=lambda name: reasons[name], default=""))
     return fates
 
 
-def _key(of: ObjectRow | FailureCase) -> Key:
+def _key(of: ObjectRow) -> Key:
     return of.class_, of.instance or None
 
 

@@ -217,11 +217,7 @@ def worst(found: dict[str, Losses]) -> str:
     if not costs:
         return "none" if any(loss.cost == 0 for loss in found.values()) else NONE
     cost, kind, cause = max(costs)
-    prefix = ""
-    if found[kind].by_reason:
-        prefix = "reason "
-    elif cause == UNKNOWN:
-        prefix = "cause "
+    prefix = "cause " if cause == UNKNOWN else ""
     return f"{ERRORS[kind]}: {prefix}{cause} (−{cost:.1f} {KINDS[kind][0]})"
 
 
