@@ -59,12 +59,15 @@ def _section(run: Path) -> Failures | Removals:
     if not run.is_file() and run.with_name("result.json").is_file():
         run = run.with_name("result.json")  # a run without a recording
     if run.suffix == ".rrd":
-        from dynaviz.views.read.failures import failures_of, removals_of
+        from dynaviz.views.read.reader import RunRecording
 
-        return removals_of(run) or failures_of(run)
-    result = Result.load(run)
+        if (recorded := RunRecording(run).result) is None:
+            raise DataError(run, "is of a run that did not finish: its failures are unknown", hint="Run it again")
+        result = recorded
+    else:
+        result = Result.load(run)
     section = result.sections.failures if result.has_truth else result.sections.removals
     if section is None:
         problem = "has no failure cases" if result.has_truth else "has no ground truth and no section on removed points"
-        raise DataError(run, problem, hint="Run the method again, or give its run.rrd")
+        raise DataError(run, problem, hint="Run the method again")
     return section

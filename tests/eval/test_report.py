@@ -189,18 +189,11 @@ def test_parameters_of_another_program_are_unknown(study):
     assert made.runtime.rows[0][-1].text == "n/a"
 
 
-def test_reasons_replace_missing_causes(study):
-    plain = result(
-        "a",
-        sections={
-            "failures": {},
-            "reasons": {"false_negative": {"too_high": 20}, "false_positive": {"low": 5, "seen": 95}},
-        },
-    )
+def test_errors_without_causes_still_have_their_cost(study):
+    plain = result("a", sections={"failures": {}})
     made = tables(study(plain))
-    assert made.glance.rows[0][2].text == "dynamic kept: reason too_high (−20.0 DA)"
+    assert made.glance.rows[0][2].text == "n/a"
     assert [value.text for value in made.failures.rows[0]] == ["a", "10.00", "20.00"]
-    assert "a, static removed: seen 9.50, low 0.50; a, dynamic kept: too_high 20.00" in " ".join(made.failures.notes)
 
 
 def test_published_numbers_of_a_public_sequence(study):

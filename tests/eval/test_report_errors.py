@@ -88,14 +88,6 @@ def test_disputed_objects_come_first(study):
     assert "10 objects with errors not listed" in " ".join(made.notes)
 
 
-def test_earlier_results_take_the_reasons_of_their_failure_cases(study):
-    old = thing(3, 0, 9)
-    del old["reasons"]
-    ghost = case("false_negative", 1.0, (0, 0, 0), (1, 1, 1), instance=3, reasons={"low": 9}, **{"class": 252})
-    made = tables(study(objects(old, failures=[ghost]))).by_board[0].objects
-    assert made.rows[0][-1].detail == "low"
-
-
 def test_range_and_height_have_figures_and_numbers(study):
     near, far = Counts(90, 10, 8, 2), Counts(50, 50, 0, 0)
     by = [{"from": None, "to": 0.5, **near.row()}, {"from": 0.5, "to": None, **far.row()}]

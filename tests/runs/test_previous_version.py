@@ -19,7 +19,6 @@ from dynaviz.runs.run import open_run
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
 from dynaviz.sources.datasets.convert import convert
-from dynaviz.views.read.failures import failures_of
 from dynaviz.views.read.reader import RunRecording
 
 DATA = Path(__file__).resolve().parents[1] / "data/previous"
@@ -77,7 +76,6 @@ def test_recordings_contain_the_labels_and_the_result(files: Path, name: str) ->
         found += np.bincount(answers.outcome, minlength=len(Outcome))
     assert found[Outcome.FALSE_POSITIVE] == result.counts["static_removed"]
     assert found[Outcome.FALSE_NEGATIVE] == result.counts["dynamic_kept"]
-    assert failures_of(recording.path) == result.sections.failures
 
 
 def test_the_comparison_is_the_same(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
