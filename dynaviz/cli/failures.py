@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynaviz.cli.console import print_json, show
-from dynaviz.cli.options import recording_in
+from dynaviz.cli.options import run_in
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -53,19 +53,9 @@ def _clusters(section: Removals, top: int) -> list[RenderableType]:
 def _section(run: Path) -> Failures | Removals:
     """The failures of a run, or its removals without ground truth, from its result file or its recording."""
     from dynaviz.errors import DataError
-    from dynaviz.scores.result import Result
+    from dynaviz.runs.run import open_run
 
-    run = recording_in(run)
-    if not run.is_file() and run.with_name("result.json").is_file():
-        run = run.with_name("result.json")  # a run without a recording
-    if run.suffix == ".rrd":
-        from dynaviz.views.read.reader import RunRecording
-
-        if (recorded := RunRecording(run).result) is None:
-            raise DataError(run, "is of a run that did not finish: its failures are unknown", hint="Run it again")
-        result = recorded
-    else:
-        result = Result.load(run)
+    result = open_run(run_in(run)).result
     section = result.sections.failures if result.has_truth else result.sections.removals
     if section is None:
         problem = "has no failure cases" if result.has_truth else "has no ground truth and no section on removed points"

@@ -33,8 +33,7 @@ def report(
         typer.Option(
             "--sequence",
             metavar="SEQ",
-            help="For a board: sequence of some of the runs, if it is not found by their commands or names. "
-            "Repeatable.",
+            help="For a board: sequence of some of the runs, if it is no longer where they found it. Repeatable.",
         ),
     ] = None,
 ) -> None:
@@ -66,13 +65,11 @@ def _board(results: list[Path], out: Path | None, sequences: list[str]) -> None:
     """Write the board of the results in a folder; scores are computed from the stored labels."""
     from dynaviz.errors import UsageError
     from dynaviz.reports.board.write import write_board
-    from dynaviz.runs.sequences import SequenceFinder
 
     if len(results) > 1:
         raise UsageError("--format board: is for the results in one folder. Give one DIR")
-    finder = SequenceFinder(sequences)
     with progress("board", unit={"score": "runs"}) as report:
-        written = write_board(results[0], out or results[0] / "board", finder, report)
+        written = write_board(results[0], out or results[0] / "board", sequences, report)
     entries = written.board.entries
     for entry in entries:
         if entry.remark:

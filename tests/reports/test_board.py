@@ -14,7 +14,6 @@ from helpers.browser import CHROMIUM, measured
 from helpers.guessing_method import Guess, run_into
 from helpers.html_pages import Page
 from helpers.made_results import result
-from helpers.scan_folders import write_kitti_poses, write_scans
 from helpers.worlds import InMemory, room
 
 from dynaviz.contracts import registry
@@ -24,11 +23,8 @@ from dynaviz.errors import DataError
 from dynaviz.reports.board.entries import read_board
 from dynaviz.reports.board.write import write_board
 from dynaviz.reports.reporting import Study
-from dynaviz.runs.run import open_run
-from dynaviz.runs.sequences import SequenceFinder
 from dynaviz.scores.collect import collect
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import SequenceInfo
 
 PROTOCOLS = {handle.name for handle in registry.handles("protocols")}
 
@@ -52,10 +48,6 @@ def guess(sequence: Sequence, folder: Path) -> None:
     run_into(folder, sequence, recorded=False, metrics=metrics)
 
 
-def finder(sequence: InMemory | None) -> SequenceFinder:
-    return SequenceFinder([] if sequence is None else [sequence])
-
-
 def edit(path: Path, change: Callable[[Any], None]) -> None:
     plain = json.loads(path.read_text())
     change(plain)
@@ -63,7 +55,7 @@ def edit(path: Path, change: Callable[[Any], None]) -> None:
 
 
 def test_entries_have_digests_and_the_scores_of_every_protocol(folder: Path, hall: InMemory) -> None:
-    written = write_board(folder, folder / "site", finder(hall))
+    written = write_board(folder, folder / "site", [hall])
     board = read_board(folder / "site/board.json")
     assert board == written.board
     assert (written.rescored, [entry.path for entry in board.entries]) == (2, ["end", "whole"])
@@ -81,16 +73,16 @@ def test_entries_have_digests_and_the_scores_of_every_protocol(folder: Path, hal
 
 
 def test_known_scores_are_taken_over_by_digest(folder: Path, hall: InMemory) -> None:
-    write_board(folder, folder / "site", finder(hall))
-    assert write_board(folder, folder / "site", finder(None)).rescored == 0
+    write_board(folder, folder / "site", [hall])
+    assert write_board(folder, folder / "site").rescored == 0
     edit(folder / "end/result.json", lambda plain: plain.update(labels_sha256="ab" * 32))
-    changed = write_board(folder, folder / "site", finder(hall)).board
+    changed = write_board(folder, folder / "site", [hall]).board
     remarks = {entry.path: entry.remark for entry in changed.entries}
     assert remarks == {"end": "labels.npz differs from the labels that were scored", "whole": ""}
 
 
 def test_runs_without_their_sequence_keep_their_own_scores(folder: Path) -> None:
-    written = write_board(folder, folder / "site", finder(None))
+    written = write_board(folder, folder / "site")
     assert {entry.remark for entry in written.board.entries} == {"the sequence was not found; give it with --sequence"}
     rows = {row[0]["text"]: row for row in Page(written.page.read_text()).body("main-1")}
     metrics = Result.load(folder / "end/result.json").metrics
@@ -121,7 +113,7 @@ def flip_a_label(folder: Path) -> None:
 )
 def test_changed_runs_are_not_scored(folder: Path, hall: InMemory, change: Callable[[Path], None], remark: str) -> None:
     change(folder)
-    board = write_board(folder, folder / "site", finder(hall)).board
+    board = write_board(folder, folder / "site", [hall]).board
     assert {entry.path: (entry.remark, bool(entry.protocols)) for entry in board.entries} == {
         "end": (remark, False),
         "whole": ("", True),
@@ -130,21 +122,8 @@ def test_changed_runs_are_not_scored(folder: Path, hall: InMemory, change: Calla
 
 def test_labels_of_other_points_are_not_scored(folder: Path) -> None:
     for other, problem in ((room(3, 200), "has 300 labels for frame"), (room(2, 300), "labels for 3 frames, of which")):
-        board = write_board(folder, folder / "site", finder(other)).board
+        board = write_board(folder, folder / "site", [other]).board
         assert any(problem in entry.remark for entry in board.entries)
-
-
-def test_sequences_are_found_by_name_near_the_run(tmp_path: Path, hall: InMemory) -> None:
-    write_kitti_poses(write_scans(tmp_path / "room") / "poses.txt")
-    out = tmp_path / "runs/guess"
-    guess(hall, out)
-    found_run = open_run(out)
-    found = SequenceFinder().find(found_run)
-    assert found is not None
-    assert (found.name, len(found)) == ("room", 5)
-    given = SequenceFinder([tmp_path / "room"])
-    assert given.find(found_run) is not found
-    assert SequenceFinder().find(open_run(Result("m", {}, SequenceInfo("elsewhere")))) is None
 
 
 def made_study(tmp_path: Path, *results: Result, **scores: dict[str, float]) -> Study:
@@ -200,7 +179,7 @@ def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> Non
 
 
 def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:
-    write_board(folder, folder / "site", finder(hall))
+    write_board(folder, folder / "site", [hall])
     for content, problem in (
         ("{}", "is not the file of a board"),
         ('{"entries": [1]}', "is not a valid board"),
@@ -209,4 +188,4 @@ def test_a_damaged_board_is_refused(folder: Path, hall: InMemory) -> None:
     ):
         (folder / "site/board.json").write_text(content)
         with pytest.raises(DataError, match=problem):
-            write_board(folder, folder / "site", finder(hall))
+            write_board(folder, folder / "site", [hall])

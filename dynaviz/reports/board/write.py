@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from dynaviz.contracts import registry
-from dynaviz.errors import DataError
+from dynaviz.contracts.scan import Sequence
+from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.reports.board.entries import FILE, BoardFile, Entry, read_board, save_board, version
 from dynaviz.reports.reporting import Study
 from dynaviz.runs.rescore import rescore
-from dynaviz.runs.run import open_run
-from dynaviz.runs.sequences import SequenceFinder
+from dynaviz.runs.run import Run, open_run
 from dynaviz.scores.collect import StudyRun, collect
 from dynaviz.scores.result import Result
+from dynaviz.sources.opening import Source, open_source
+from dynaviz.sources.options import SequenceOptions
 
 PAGE = "index.html"
 
@@ -31,7 +35,7 @@ class Written:
     rescored: int
 
 
-def write_board(folder: Path, out: Path, finder: SequenceFinder, progress: Progress = silent) -> Written:
+def write_board(folder: Path, out: Path, sequences: Iterable[Source] = (), progress: Progress = silent) -> Written:
     """Write the board of all results in a folder.
 
     Scores of an earlier board in the same place are taken over if the digests of labels and sequence agree, and the
@@ -40,13 +44,15 @@ def write_board(folder: Path, out: Path, finder: SequenceFinder, progress: Progr
     Args:
         folder: contains the runs.
         out: folder of the board.
-        finder: finds the sequences.
+        sequences: those of some of the runs, open or as paths, by their names; all others are opened as their run did.
         progress: called with a phase, the number of steps done, and their total.
 
     Raises:
         DataError: if there are no results, or files cannot be read or written.
+        DynavizError: if a given sequence cannot be opened.
     """
     runs = collect([folder])
+    given = {each.name: each for each in (open_source(one, SequenceOptions()) for one in sequences)}
     protocols = registry.loadable("protocols")
     known = _earlier(out / FILE)
     entries: dict[Path, Entry] = {}
@@ -59,7 +65,7 @@ def write_board(folder: Path, out: Path, finder: SequenceFinder, progress: Progr
         if same is not None and same.protocols.keys() == protocols.keys():
             entry = msgspec.structs.replace(entry, protocols=same.protocols)
         else:
-            entry = scored(entry, run, result, finder)
+            entry = scored(entry, run, result, given)
             rescored += bool(entry.protocols)
         entries[run.file] = entry
     progress("score", len(finished), len(finished))
@@ -72,12 +78,12 @@ def write_board(folder: Path, out: Path, finder: SequenceFinder, progress: Progr
     return Written(out / PAGE, board, rescored)
 
 
-def scored(entry: Entry, run: StudyRun, result: Result, finder: SequenceFinder) -> Entry:
+def scored(entry: Entry, run: StudyRun, result: Result, given: Mapping[str, Sequence]) -> Entry:
     """The entry with its scores, or with a remark why there are none."""
     if not (run.folder / "labels.npz").is_file():
         return msgspec.structs.replace(entry, remark="labels.npz is missing")
     opened = open_run(result)
-    sequence = finder.find(opened)
+    sequence = given.get(result.sequence.name) or _opened(opened)
     if sequence is None:
         return msgspec.structs.replace(entry, remark="the sequence was not found; give it with --sequence")
     try:
@@ -89,6 +95,13 @@ def scored(entry: Entry, run: StudyRun, result: Result, finder: SequenceFinder) 
     if found.labels_sha256 != result.labels_sha256:
         return msgspec.structs.replace(entry, remark="labels.npz differs from the labels that were scored")
     return msgspec.structs.replace(entry, protocols=found.protocols)
+
+
+def _opened(run: Run) -> Sequence | None:
+    """The sequence of a run; None if the data moved."""
+    with contextlib.suppress(DynavizError):
+        return run.sequence()
+    return None
 
 
 def _earlier(path: Path) -> BoardFile:
