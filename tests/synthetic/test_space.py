@@ -53,6 +53,14 @@ def test_what_is_seen_as_often_as_the_ground_blocks(yard: InMemory) -> None:
     assert clear(space, RARE) <= 0
 
 
+def test_the_carrier_of_the_sensor_does_not_block_its_path(yard: InMemory) -> None:
+    roof = np.float32([[0.3, 0.0, -1.0], [0.4, 0.0, -1.0]])
+    carried = [dataclasses.replace(scan, points=np.concatenate([scan.points, roof])) for scan in yard.scans]
+    for nearest, blocked in ((0.1, True), (1.5, False)):
+        sequence = InMemory(carried, "yard", dataclasses.replace(yard.sensor, min_range=nearest))
+        assert (clear(SpaceAboveGround.of(Survey.of(sequence)), (0.3, 0.0)) <= 0) == blocked
+
+
 def test_labelled_points_block_however_rarely_they_are_seen(yard: InMemory) -> None:
     labelled = [dataclasses.replace(scan, labels=np.zeros(len(scan), np.uint8)) for scan in yard.scans]
     assert clear(SpaceAboveGround.of(Survey.of(dataclasses.replace(yard, scans=labelled))), TRAIL) <= 0

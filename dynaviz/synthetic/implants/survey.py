@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U64, Bool
+from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.scan import Label, Scan, Sequence
 from dynaviz.errors import UsageError
 from dynaviz.spatial.grid import pack, unpack
@@ -72,10 +73,10 @@ class Survey:
         """
         voxels, dynamic, farthest = _Voxels(), [], []
         positions, up, indices, stamps = [], [], [], []
-        instances = 0
+        instances, near = 0, AtSensor(sequence.sensor)
         for position in range(len(sequence)):
             scan = sequence[position]
-            points, others = _split(scan, None if moving is None else moving(position))
+            points, others = _split(scan, near.found(scan), None if moving is None else moving(position))
             voxels.add(points, part(position, len(sequence)) if scan.labels is None else ALWAYS)
             _, first = np.unique(pack(others, CELL), return_index=True)
             dynamic.append(others[first])
@@ -178,11 +179,11 @@ def _farthest(scan: Scan) -> F32:
     return reach
 
 
-def _split(scan: Scan, agreed: Bool | None) -> tuple[F32, F32]:
-    """Points near the sensor: those that are not dynamic, and the dynamic ones."""
+def _split(scan: Scan, carrier: Bool, agreed: Bool | None) -> tuple[F32, F32]:
+    """Points within ``REACH`` that are no part of the carrier: those that are not dynamic, and the dynamic ones."""
     offset = scan.points - scan.position.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
-        near = (offset * offset).sum(1) < REACH**2
+        near = ((offset * offset).sum(1) < REACH**2) & ~carrier
     moving = np.zeros(len(scan), np.bool_) if agreed is None else agreed.copy()
     if scan.labels is not None:
         moving = (scan.labels == Label.DYNAMIC) | (moving & (scan.labels == Label.UNLABELLED))
