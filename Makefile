@@ -15,8 +15,8 @@ demo: .venv/.user
 test: .venv/.dev
 	$(BIN)/pytest $(ALL_CORES) -m "not slow"
 
-slow: .venv/.dev  # the tests that take long and rarely fail: the notebook, the wheel, a cluster, many kills
-	$(BIN)/pytest -q $(ALL_CORES) -m slow
+slow: .venv/.dev  # the tests that take long and rarely fail, and further cases of those that make test runs
+	DYNAVIZ_BROWSER=1 $(BIN)/pytest -q $(ALL_CORES) -m slow
 
 SMOKE := $(addprefix tests/,io kernels/test_threads.py sources/test_refine.py spatial test_platforms.py)
 smoke: BIN := build/smoke/bin
@@ -27,7 +27,7 @@ smoke:  # run a part of the tests with another Python: make smoke PYTHON=python3
 	$(BIN)/pytest -q $(ALL_CORES) $(SMOKE)
 
 browser: .venv/.dev  # test the page of the explorer in Chromium, without a GPU
-	DYNAVIZ_BROWSER=1 $(BIN)/pytest -q tests/explorer/test_page.py
+	DYNAVIZ_BROWSER=1 $(BIN)/pytest -q -m "not slow" tests/explorer/test_page.py
 
 lint: .venv/.dev
 	$(BIN)/ruff check

@@ -36,6 +36,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_cleaning_running_and_viewing_need_no_heavy_packages(tmp_path: Path) -> None:
     """A sequence is cleaned inside a polygon, a run recorded, read and explored, while their imports fail."""
     scans = tmp_path / "scans"

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 UNIX_ONLY = ("fcntl", "termios", "resource", "pwd", "grp", "pty", "tty", "posix")
 WITHOUT = f"""
 import builtins, sys
@@ -40,6 +42,7 @@ for sys.argv in {typed!r}:
 """)
 
 
+@pytest.mark.slow
 def test_a_run_is_scored_recorded_and_read_again(tmp_path: Path) -> None:
     scene, out = tmp_path / "square", tmp_path / "out"
     recording = out / "run.rrd"

@@ -53,7 +53,6 @@ def _root(
     ] = False,
 ) -> None:
     """Remove dynamic points from LiDAR maps, score the result point by point, and replay every error."""
-    set_quiet(False)  # of an earlier command in this process
 
 
 def main() -> None:
@@ -62,8 +61,11 @@ def main() -> None:
     Exit codes: 0 done, 1 a check failed, 2 wrong usage or unusable input, 130 interrupted, 143 terminated.
     """
     signal.signal(signal.SIGTERM, _terminate)
-    with on_command_line():
-        _run_command()
+    try:
+        with on_command_line():
+            _run_command()
+    finally:
+        set_quiet(False)  # for whatever this process does next
 
 
 def _run_command() -> None:

@@ -54,9 +54,11 @@ class PluginHandle:
 def handles(kind: str) -> list[PluginHandle]:
     """All plug-ins of a kind, sorted by name. If two have the same name, the first one found is used."""
     found: dict[str, PluginHandle] = {}
+    packages: dict[int, tuple[str, str]] = {}  # a distribution reads its file again for each fact
     for point in metadata.entry_points(group=f"dynaviz.{kind}"):
-        name, version = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
-        found.setdefault(point.name, PluginHandle(kind, point.name, point.value, name, version))
+        if id(point.dist) not in packages:
+            packages[id(point.dist)] = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
+        found.setdefault(point.name, PluginHandle(kind, point.name, point.value, *packages[id(point.dist)]))
     return [found[name] for name in sorted(found)]
 
 

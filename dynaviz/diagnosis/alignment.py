@@ -87,6 +87,7 @@ class Interpretations:
     def __init__(self, views: Pairs) -> None:
         self.views = views
         self._figures: dict[bytes, float] = {}
+        self._shifts: dict[bytes, float] = {}
         self._hidden: dict[bytes, tuple[float, float]] = {}
 
     def overlap(self, each: Interpretation) -> F64:
@@ -131,8 +132,11 @@ class Interpretations:
         return self._figures[key]
 
     def _shift(self, k: int, T: F64) -> float:
-        points = self.views[k][1].points
-        return float(np.median(np.linalg.norm(geometry.apply(T, points) - points, axis=1)))
+        key = _key(k, T)
+        if key not in self._shifts:
+            points = self.views[k][1].points
+            self._shifts[key] = float(np.median(np.linalg.norm(geometry.apply(T, points) - points, axis=1)))
+        return self._shifts[key]
 
     def _hides(self, each: Interpretation, k: int) -> tuple[float, float]:
         (a, b), path, T = self.views[k], self._path(each, k), self._between(each, k)

@@ -11,6 +11,7 @@ from dynaviz.diagnosis.views import ScanView, Surface, hidden
 from dynaviz.spatial import geometry
 
 FEW = 8_000  # points by which candidates are ranked
+SHRINKS, SETTLED = 12, 1e-4  # steps of registration whose distance limit shrinks; metres and radians of the last one
 
 
 def moving_clouds(views: Pairs) -> tuple[str, Confidence] | None:
@@ -83,4 +84,6 @@ def register(surface: Surface, points: F64) -> F64:
         delta[:3, :3] = Rotation.from_rotvec(x[:3]).as_matrix()
         delta[:3, 3] = middle + x[3:] - delta[:3, :3] @ middle
         T = delta @ T
+        if step >= SHRINKS and np.abs(x).max() < SETTLED:
+            break
     return T

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import permutations
 
 import numpy as np
@@ -22,6 +23,12 @@ Pose = Callable[[F64], F64]
 
 def swapped(T: F64, order: tuple[int, ...]) -> F64:
     """The pose with the components of its quaternion (w, x, y, z) in another order."""
+    return _swapped(T.tobytes(), order).copy()
+
+
+@lru_cache(4096)  # the same few poses are interpreted again and again
+def _swapped(pose: bytes, order: tuple[int, ...]) -> F64:
+    T = np.frombuffer(pose).reshape(4, 4)
     return geometry.pose(T[:3, 3], geometry.quaternion(T[:3, :3])[list(order)])
 
 

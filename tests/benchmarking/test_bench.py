@@ -100,7 +100,7 @@ def test_labels_do_not_depend_on_the_workers_and_timing_has_all_cores(
     assert not timed.instrumented
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("end", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_an_interrupted_bench_resumes(toy: None, rooms: list[Path], tmp_path: Path, end: signal.Signals) -> None:
     out, gate = tmp_path / "out", tmp_path / "gate"
     typed = ["bench", "-m", "toy", "-s", rooms[0], "-o", out, "--record", "none", "--grid", f"toy.act=wait:{gate}"]

@@ -28,7 +28,7 @@ def tried(out: Path) -> list[str]:
     return sorted(path.parent.name for path in out.glob("one/*/result.json"))
 
 
-@pytest.mark.parametrize("kind", ["random", "bayes"])
+@pytest.mark.parametrize("kind", [pytest.param("random", marks=pytest.mark.slow), "bayes"])
 def test_the_best_trial_is_found_and_its_file_can_be_used(
     in_process: type[InProcessExecutor], rooms: list[Path], tmp_path: Path, kind: str
 ) -> None:

@@ -106,6 +106,7 @@ def test_changes_are_listed_with_their_places_and_written(cleaned: Any, both: Dr
     assert cleaned.to_dict()["changed"]["drives"]["monday"]["disappeared"] == changes.counts[0, DISAPPEARED]
 
 
+@pytest.mark.slow
 def test_tiles_find_the_same_changes(cleaned: Any, both: Drives, tmp_path: Path) -> None:
     tiled = dv.clean(both, tmp_path / "clean.pcd", changed=True, tiles=15.0, record="none")
     assert tiled.changes.counts.tolist() == cleaned.changes.counts.tolist()

@@ -76,7 +76,12 @@ def records(path: Path) -> list[tuple[str, int, str, bytes]]:
 
 
 @pytest.mark.parametrize(
-    ("version", "point_format", "suffix"), [("1.2", 1, ".laz"), ("1.4", 6, ".las"), ("1.4", 7, ".laz")]
+    ("version", "point_format", "suffix"),
+    [
+        pytest.param("1.2", 1, ".laz", marks=pytest.mark.slow),
+        pytest.param("1.4", 6, ".las", marks=pytest.mark.slow),
+        ("1.4", 7, ".laz"),
+    ],
 )
 def test_a_survey_is_cleaned_twice(tmp_path: Path, version: str, point_format: int, suffix: str) -> None:
     path, poses = survey(tmp_path / "survey.laz", version, point_format)

@@ -13,7 +13,8 @@ from dynaviz.spatial import geometry
 from dynaviz.testing.world import crossing
 
 SCANS = crossing()
-FAULTS = ["camera's axes", "quaternion y x w z", "millimetres", "world"]
+FAULTS = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("camera's axes", "quaternion y x w z")]
+FAULTS += [pytest.param(kind) for kind in ("millimetres", "world")]
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,14 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate("demo", tmp_path_factory.mktemp("demo") / "street", frames=FRAMES)
 
 
-@pytest.mark.parametrize("page", [name for name, commands in COMMANDS.items() if commands])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "tutorial.md" else [])
+        for name, commands in COMMANDS.items()
+        if commands
+    ],
+)
 def test_commands_work(
     page: str,
     street: Path,
@@ -76,6 +83,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     return lambda path: (folder / path).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_each_method_has_a_page_that_tells_what_its_code_tells(site: Site) -> None:
     for handle in registry.handles("methods"):
         if handle.package == "dynaviz_methods":
@@ -86,17 +94,20 @@ def test_each_method_has_a_page_that_tells_what_its_code_tells(site: Site) -> No
             assert "{{" not in page
 
 
+@pytest.mark.slow
 def test_formulas_need_no_script(site: Site) -> None:
     assert "<mfrac>" in site("protocol.html")
     assert "mathjax" not in site("protocol.html").lower()
 
 
+@pytest.mark.slow
 def test_pages_load_nothing_from_elsewhere(site: Site) -> None:
     for page in ("index.html", "tutorial.html", "methods/octomap.html", "reference/python.html"):
         assert re.findall(r'<(?:script|img|iframe)[^>]*src="https?:', site(page)) == []
         assert re.findall(r'<link[^>]*rel="stylesheet"[^>]*href="https?:', site(page)) == []
 
 
+@pytest.mark.slow
 def test_readmes_are_part_of_the_site_with_links_that_lead_somewhere(site: Site) -> None:
     page = site("protocol.html")
     assert 'href="evaluation.html' in page

@@ -51,6 +51,7 @@ def test_every_drive_has_every_method_with_both_poses() -> None:
             assert {len(cell["removed"]) for cell in cells} == {len(drive["movers"])}
 
 
+@pytest.mark.slow
 def test_a_cell_follows_from_the_data(real_data: Path) -> None:
     result = dv.run(METHOD, dv.open(real_data / "nuscenes"), record="none", maps=False)
     assert [result.counts["static_kept"], result.counts["static_removed"]] == CELL["static"]

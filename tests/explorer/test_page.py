@@ -314,6 +314,7 @@ def test_no_request_left_the_machine(page: Page) -> None:
     assert not page.errors
 
 
+@pytest.mark.slow
 def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, Path]) -> None:
     with dv.explore(runs["fine"], runs["coarse"]) as explorer:
         page = Page(browser, explorer)
@@ -346,6 +347,7 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["cleaned", "arrays"])
 def test_runs_of_clean_and_of_arrays_explain_a_point(browser: Any, made: str, tmp_path: Path) -> None:
     scans = room(4, 700).scans

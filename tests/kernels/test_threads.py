@@ -91,11 +91,13 @@ def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) ->
     assert json.loads(python(IN_THREADS, NUMBA_THREADING_LAYER="workqueue")) == [serial, "workqueue"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [LAYER, OPEN3D + LAYER, LAYER + OPEN3D], ids=["alone", "open3d first", "open3d last"])
 def test_the_threading_layer_does_not_depend_on_the_order_of_imports(code: str) -> None:
     assert python(code) == ("omp" if has_openmp() else "workqueue")
 
 
+@pytest.mark.slow
 def test_the_user_may_select_the_threading_layer() -> None:
     assert python(LAYER, NUMBA_THREADING_LAYER_PRIORITY="workqueue omp tbb") == "workqueue"
 

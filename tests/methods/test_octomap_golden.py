@@ -8,6 +8,7 @@ import pytest
 from dynaviz_methods.octomap import OctoMap, OctoMapG, OctoMapGF
 
 
+@pytest.mark.slow
 def test_octomap_matches_the_public_program_except_on_borders(golden):
     ours, theirs = golden.run(OctoMap), golden.removed["octomap"]
     assert (ours == theirs).mean() > 0.9999

@@ -155,6 +155,7 @@ def test_published_figures_are_never_mixed_with_measured_ones(tmp_path: Path) ->
     assert not published & {cell["text"] for table in elsewhere.values() for row in table for cell in row}
 
 
+@pytest.mark.slow
 def test_several_sequences_have_a_table_for_each_protocol(tmp_path: Path) -> None:
     runs = [result(m, s) for m in ("octomap", "erasor") for s in ("semantickitti_08", "hall")]
     runs += [result("removert", "hall"), result("map", "hall", scoring="nn")]

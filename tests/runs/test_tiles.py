@@ -42,7 +42,13 @@ def labels(folder: Path) -> tuple[bytes, bytes]:
 
 
 @pytest.mark.filterwarnings("ignore:the sensor is unknown")
-@pytest.mark.parametrize("method", ["octomap", "octomap_g", "octomap_gf", "dufomap", "seethrough", "freedom"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        *("octomap", "dufomap", "seethrough"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("octomap_g", "octomap_gf", "freedom")),
+    ],
+)
 def test_labels_and_reasons_equal_those_of_one_run(method: str, long_room: InMemory, tmp_path: Path) -> None:
     settings = ("sky=false",) if method == "freedom" else ()
     whole = dv.run(method, long_room, out=tmp_path / "whole", record="none", settings=settings)
@@ -63,7 +69,7 @@ def test_online_labels_are_tiled_too(long_room: InMemory, tmp_path: Path) -> Non
     assert tiled.labels_sha256 == whole.labels_sha256
 
 
-@pytest.mark.parametrize("method", ["octomap", "dufomap"])
+@pytest.mark.parametrize("method", [pytest.param("octomap", marks=pytest.mark.slow), "dufomap"])
 def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str, tmp_path: Path) -> None:
     def placed(scan: Scan, x: float) -> Scan:
         points = np.round(scan.points * 64) / 64  # exact in float32 at both places, and so is the pose
@@ -79,6 +85,7 @@ def test_a_map_far_from_the_origin_is_judged_like_one_at_the_origin(method: str,
     assert tiled.labels_sha256 == whole.labels_sha256
 
 
+@pytest.mark.slow
 def test_two_processes_run_all_tiles_with_the_same_labels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started = []
 

@@ -195,6 +195,7 @@ def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(tmp_path, f
             assert again.read_bytes() == path.read_bytes(), path.name
 
 
+@pytest.mark.slow
 def test_several_processes_give_the_same_bytes(tmp_path, folder, monkeypatch):
     started = []
     monkeypatch.setattr(parallel, "WORTH", 1)

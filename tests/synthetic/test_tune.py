@@ -42,6 +42,7 @@ def tuned(street: Path, out: Path, movers: str = MOVERS, trials: int = 2) -> Tun
     return tune(path, "erasor", out, trials=trials, seeds=1, holdout=1, ranges=ranges, frames=":5")
 
 
+@pytest.mark.slow
 def test_parameters_are_found_scored_and_kept(street_folder: Path, tmp_path: Path, cheap: None) -> None:
     found = tuned(street_folder, tmp_path)
     assert [(score.scored_on, score.parameters) for score in found.scores] == [

@@ -58,6 +58,7 @@ dv.compare(recording.path, recording.path, out={out!r} + "/compare.rrd")
 """
 
 
+@pytest.mark.slow
 def test_without_the_modules_of_linux_a_run_is_recorded(tmp_path: Path) -> None:
     code = WITHOUT_PIPES.format(folders=[str(Path(__file__).parents[1])], out=str(tmp_path / "out"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -51,12 +51,14 @@ def test_pictures_of_frames_and_views(recording: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "no.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("graphics")
 def test_pictures_of_a_comparison(merged: dict[str, Path], tmp_path: Path) -> None:
     made = shot(merged["two"], tmp_path / "x.png", frames=(1, 3), view="A octomap resolution=0.15", size=(500, 300))
     assert len(made) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("graphics")
 def test_a_picture_and_a_clip_of_a_case(runs: dict[str, Path], tmp_path: Path) -> None:
     run = runs["errors/coarse"] / "run.rrd"
