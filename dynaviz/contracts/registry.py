@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import sys
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -53,12 +55,15 @@ class PluginHandle:
 
 def handles(kind: str) -> list[PluginHandle]:
     """All plug-ins of a kind, sorted by name. If two have the same name, the first one found is used."""
+    return list(_handles(kind, tuple(sys.path)))
+
+
+@cache  # the files of all installed packages are read once, and again for another path
+def _handles(kind: str, path: tuple[str, ...]) -> list[PluginHandle]:
     found: dict[str, PluginHandle] = {}
-    packages: dict[int, tuple[str, str]] = {}  # a distribution reads its file again for each fact
     for point in metadata.entry_points(group=f"dynaviz.{kind}"):
-        if id(point.dist) not in packages:
-            packages[id(point.dist)] = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
-        found.setdefault(point.name, PluginHandle(kind, point.name, point.value, *packages[id(point.dist)]))
+        name, version = (point.dist.name, point.dist.version) if point.dist else ("?", "?")
+        found.setdefault(point.name, PluginHandle(kind, point.name, point.value, name, version))
     return [found[name] for name in sorted(found)]
 
 

@@ -224,12 +224,10 @@ def _peaks(elevations: F64) -> int | None:
     """Number of separate peaks in the histogram of elevations; None if they overlap."""
     counts = np.bincount(np.round((elevations + 90) / BIN).astype(int), minlength=int(180 / BIN) + 1)
     smooth = np.convolve(counts, np.ones(5), "same")
-    peaks = [
-        k for k in np.flatnonzero(smooth)
-        if smooth[k] == smooth[max(k - 6, 0) : k + 7].max() and smooth[k] > smooth[max(k - 6, 0) : k].max(initial=0)
-    ]  # fmt: skip
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(smooth, 6), 13)
+    peaks = np.flatnonzero((smooth == around.max(1)) & (smooth > around[:, :6].max(1)))
     heights = smooth[peaks]
-    strong = np.array(peaks)[heights > FEW * np.median(np.sort(heights)[-max(len(heights) // 2, 1) :])]
+    strong = peaks[heights > FEW * np.median(np.sort(heights)[-max(len(heights) // 2, 1) :])]
     if not 2 <= len(strong) <= MOST_ROWS:
         return None
     inside = sum(counts[max(k - 4, 0) : k + 5].sum() for k in strong)

@@ -265,7 +265,7 @@ def test_duplicate_frames_missing_numbers_and_bad_stamps() -> None:
 
 
 def test_ground_height_differs_from_the_sensor_file() -> None:
-    found = diagnose(FEW, dataclasses.replace(SENSOR, height=0.4))
+    found = diagnose(SCANS, dataclasses.replace(SENSOR, height=0.4))
     assert names(found) == ["ground height"], found
     assert "1.8 m below" in found.findings[0].problem or "1.7 m below" in found.findings[0].problem
 
