@@ -22,7 +22,7 @@ from dynaviz.contracts import registry
 # Read when numba loads its threading layer, and inherited by subprocesses.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-hypothesis.settings.register_profile("patient", deadline=None)  # the first call may compile a kernel
+hypothesis.settings.register_profile("patient", deadline=None, max_examples=50)  # the first call may compile a kernel
 hypothesis.settings.load_profile("patient")
 
 if (

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from helpers.mos_files import write_helimos
 
 
+@pytest.mark.slow
 def test_write_again_and_after_a_move(run_command, tmp_path: Path) -> None:
     root = write_helimos(tmp_path / "data")
     words = ("run", "dufomap", f"helimos_val:{root}", "--frames", "1:4", "--record", "none", "-o", tmp_path / "runs/a")

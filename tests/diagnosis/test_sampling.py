@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import dynaviz as dv
 from dynaviz.contracts import registry
@@ -54,6 +55,7 @@ def test_a_dense_drive_suits_every_method() -> None:
     assert "A place is seen" not in str(diagnosis)
 
 
+@pytest.mark.slow
 def test_a_real_drive_at_two_hertz(real_data: Path) -> None:
     diagnosis = doctor(dv.open(real_data / "nuscenes"))
     assert diagnosis.sampling

@@ -159,7 +159,9 @@ def test_every_recipe_is_tried() -> None:
 @pytest.mark.filterwarnings(
     "ignore:the sensor is unknown", "ignore:.*outside the time span", "ignore:.*the poses drift"
 )
-@pytest.mark.parametrize("recipe", WRITERS)
+@pytest.mark.parametrize(
+    "recipe", [pytest.param(name, marks=[] if name == "FAST-LIO" else pytest.mark.slow) for name in WRITERS]
+)
 def test_recipe(
     recipe: str, run_command: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def test_every_method_has_the_reason() -> None:
         assert method.info.reasons[-1] == AT_SENSOR
 
 
+@pytest.mark.slow
 def test_a_car_that_sees_itself(real_data: Path) -> None:
     drive = dv.open(real_data / "nuscenes")
     assert estimate_carrier(drive)

@@ -65,6 +65,7 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path) -> None:
         mutants.read(seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in SLOW])
 def test_commands_read_or_refuse_damaged_files(name: str, tmp_path: Path) -> None:
     mutants = Mutants(name, tmp_path)

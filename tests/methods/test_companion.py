@@ -32,7 +32,7 @@ def followed() -> tuple[InMemory, int]:
     return InMemory(scans, "followed", load_sensor(preset.sensor)), len(scene.movers)
 
 
-@pytest.mark.parametrize("method", ["seethrough", "octomap"])
+@pytest.mark.parametrize("method", ["seethrough", pytest.param("octomap", marks=pytest.mark.slow)])
 def test_an_operator_who_follows_is_removed(method: str, followed: tuple[InMemory, int]) -> None:
     drive, operator = followed
     result = dv.run(method, drive)

@@ -117,8 +117,10 @@ def waiting(frames: int, arrives: int) -> list[Scan]:
     [
         ({}, 0),
         ({"min_range": 1.5, "max_range": 5.0}, 1),
-        ({"resolution": 0.45, "max_weight": 2, "revoke_after": 3}, 2),
-        ({"resolution": 0.33, "burn_in": 1, "cluster_distance": 1.0, "min_cluster": 12}, 3),
+        pytest.param({"resolution": 0.45, "max_weight": 2, "revoke_after": 3}, 2, marks=pytest.mark.slow),
+        pytest.param(
+            {"resolution": 0.33, "burn_in": 1, "cluster_distance": 1.0, "min_cluster": 12}, 3, marks=pytest.mark.slow
+        ),
         ({"resolution": 0.5, "truncation": 1.2, "occupied_distance": 0.6, "temporal_buffer": 2, "max_cluster": 30}, 4),
         ({"field_of_view": 60.0, "image_rows": 13, "burn_in": 0, "temporal_buffer": 0}, 5),
     ],

@@ -92,6 +92,7 @@ def write(folder: Path, scans: list[Scan], offset: F64) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_poses_are_refined_once_and_kept_in_the_coordinates_of_the_source(tmp_path: Path) -> None:
     scans = write(tmp_path / "scans", disturbed(0.04, 0.2), FAR)
     results = [

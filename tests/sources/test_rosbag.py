@@ -384,6 +384,7 @@ def real_tracking(shared: Path, tmp_path: Path) -> Path:
     return tmp_path / "kitti_tracking/training"
 
 
+@pytest.mark.slow
 def test_a_bag_of_real_sweeps_gives_the_same_labels_as_the_folder(real_tracking: Path, tmp_path: Path) -> None:
     from dynaviz.io.velodyne import read_velodyne
     from dynaviz.sources.datasets.kitti_tracking import KittiTrackingSequence

@@ -22,13 +22,14 @@ NOT_MET = {("beautymap", "scores_alike_in_a_moved_world")}
 
 
 # Checks that feed kernels unusual indices: empty scans, points without a voxel, points outside the extent.
-INDICES = {"survives_few_points", "keeps_points_without_a_place", "survives_odd_places"}
+INDICES = ("survives_few_points", "keeps_points_without_a_place", "survives_odd_places")
+MARKS = {**dict.fromkeys(INDICES, ("boundscheck",)), "scores_alike_in_a_moved_world": ("slow",)}
 
 
 @pytest.mark.parametrize(
     "check",
     [
-        pytest.param(check, id=name, marks=[pytest.mark.boundscheck] if name in INDICES else [])
+        pytest.param(check, id=name, marks=[getattr(pytest.mark, mark) for mark in MARKS.get(name, ())])
         for name, check in CHECKS.items()
     ],
 )

@@ -38,12 +38,10 @@ def pixels(png: Path) -> np.ndarray:
 
 @pytest.mark.usefixtures("graphics")
 def test_pictures_of_frames_and_views(recording: Path, tmp_path: Path) -> None:
-    made = shot(recording, tmp_path / "map.png", frames=(0, 2), view="map", size=(640, 400))
-    assert [p.name for p in made] == ["map-0000.png", "map-0002.png"]
-    colours = {tuple(c) for c in pixels(made[1]).reshape(-1, 3)}
-    assert len(colours) > 100
-    behind_a_tab = shot(recording, tmp_path / "reasons.png", view="reasons", size=(640, 400))
-    assert len({tuple(c) for c in pixels(behind_a_tab[0]).reshape(-1, 3)}) > 10
+    made = shot(recording, tmp_path / "map.png", frames=(0,), view="map", size=(640, 400))
+    assert len({tuple(c) for c in pixels(made[0]).reshape(-1, 3)}) > 100
+    made = shot(recording, tmp_path / "reasons.png", frames=(2,), view="reasons", size=(640, 400))  # behind a tab
+    assert len({tuple(c) for c in pixels(made[0]).reshape(-1, 3)}) > 10
     with pytest.raises(UsageError, match=r"--frame 3: .* has the frames 0 to 2"):
         shot(recording, tmp_path / "no.png", frames=(3,))
     with pytest.raises(UsageError, match=r"--view-name nothing: choose from .*map"):
@@ -55,7 +53,7 @@ def test_pictures_of_frames_and_views(recording: Path, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("graphics")
 def test_pictures_of_a_comparison(merged: dict[str, Path], tmp_path: Path) -> None:
     made = shot(merged["two"], tmp_path / "x.png", frames=(1, 3), view="A octomap resolution=0.15", size=(500, 300))
-    assert len(made) == 2
+    assert [path.name for path in made] == ["x-0001.png", "x-0003.png"]
 
 
 @pytest.mark.slow
