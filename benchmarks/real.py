@@ -4,8 +4,8 @@
 
 Runs every method on each labelled drive in FOLDER, with the given poses and with those of small-gicp, at its default
 parameters. With --tune, also at those that a short ``dynaviz tune`` finds on the drive with implants and poses of
-small-gicp, where their gain is proven. Writes counts, also of each mover, to docs/real.json, from which
-docs/generate.py draws the tables. Finished cells and searches in OUT are kept; cells whose code changed run again.
+small-gicp, where their gain on other implants is proven. Writes counts, also of each mover, to docs/real.json, from
+which docs/generate.py draws the tables. Finished cells and searches in OUT are kept; cells of changed code run again.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.sources.datasets import is_sequence
+from dynaviz.synthetic.implants.panel import default_panel
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 STORED = DOCS / "real.json"
@@ -73,7 +74,8 @@ def run(place: Path, name: str, poses: str, **cells: Any) -> list[BenchRow]:
 def search(place: Path, drive: Sequence, method: str) -> tuple[str, dict[str, Any] | None]:
     """The gain of a search in words, and the variant that it found if the gain is proven."""
     ranges = dict([*default_ranges(method).items()][:PARAMETERS])
-    out, stride = Path(TUNED, drive.name, method), len(drive) // FRAMES
+    stride = len(drive) // FRAMES
+    out = Path(TUNED, drive.name, "-".join(default_panel(without=method)))  # methods with one panel share implants
     try:
         found = tune(
             place, method, out, trials=TRIALS, seeds=1, holdout=1, ranges=ranges, stride=stride, poses=ESTIMATED
@@ -131,8 +133,9 @@ def main() -> None:
                 gain, variant = search(place, drive, method)
                 searches.append({"drive": drive.name, "method": method, "gain": gain})
                 print(f"{drive.name}, {method}: {gain}", flush=True)
-                if variant:
-                    rows += [(ESTIMATED, row) for row in run(place, drive.name, ESTIMATED, variants=[variant])]
+                for poses in (GIVEN, ESTIMATED) if variant else ():
+                    found = run(place, drive.name, poses, variants=[variant])
+                    rows += [(poses, row) for row in found if row.cell.parameter_set.variant]
             counted = [cell(drive.name, poses, row) for poses, row in rows]
             cells += [counts for counts, _ in counted]
             where, licence, labelled = FACTS.get(drive.name, ("", "", ""))

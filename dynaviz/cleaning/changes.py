@@ -75,7 +75,7 @@ class Changes:
     @property
     def clusters(self) -> tuple[RemovedCluster, ...]:
         """Changed points that belong together, the largest first."""
-        return tuple(sorted(self.result.clusters, key=lambda each: -each.points))
+        return self.result.clusters
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -101,11 +101,11 @@ class Changes:
         yield from (f"- `{each.path}`: {each.points:,} points" for each in self.maps)
         yield ""
         for number, each in enumerate(self.clusters[:LISTED], 1):
-            kind = max(each.reasons, key=lambda name: each.reasons[name]).capitalize()
             low, high = np.array(each.low), np.array(each.high)
             middle = (low + high) / 2 + origin_of(self.result.answers.sequence)
             size, place = (", ".join(f"{value:.1f}" for value in values) for values in (high - low, middle))
-            yield f"{number}. {kind}: {each.points:,} points in {each.frames} frames, ({size}) m, at ({place}) m."
+            what = f"{each.did.capitalize()}: {each.points:,} points in {each.frames} frames"
+            yield f"{number}. {what}, ({size}) m, at ({place}) m."
         if not self.clusters:
             yield "Nothing appeared or disappeared."
 
@@ -307,7 +307,8 @@ class _Labeller:
     scoring = "mask"
 
     def __init__(self, method: str, first: int, stood: Stood, cells: tuple[_Cells, _Cells]) -> None:
-        self.info = MethodInfo("changed", f"What changed, by {method}", "two drives of one place", REASONS)
+        title = f"What changed, by {method}"
+        self.info = MethodInfo("changed", title, "two drives of one place", REASONS, compares=True)
         self._first, self._stood, self._cells = first, stood, cells
         self._next, self.counts = 0, np.zeros((2, len(REASONS)), np.int64)
 

@@ -61,6 +61,7 @@ class MethodInfo:
         needs_map: whether it needs the raw map before the first scan (an offline method).
         uses: facts of the sensor, by their names in ``Sensor``, that it can do without, but not as well. Like those
             without which it raises UsageError, they are estimated from the scans if they are unknown.
+        compares: whether "dynamic" means that a point changed between two drives, as its reason names.
     """
 
     name: str
@@ -70,6 +71,7 @@ class MethodInfo:
     emits: tuple[State, ...] = ()
     needs_map: bool = False
     uses: tuple[str, ...] = ()
+    compares: bool = False
 
     def __post_init__(self) -> None:
         if AT_SENSOR not in self.reasons:

@@ -14,7 +14,7 @@ from dynaviz.contracts.scan import Outcome
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
 from dynaviz.scores.sections import FailureCase, RemovedCluster
-from dynaviz.views.cases import OUTCOMES, middle_of
+from dynaviz.views.cases import OUTCOMES, middle_of, title_of
 from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
 
 BARS = 40  # of a sparkline, at most
@@ -53,8 +53,8 @@ class Card:
     @property
     def title(self) -> str:
         """What it is, in a few words."""
-        did = "kept" if self.outcome == Outcome.FALSE_NEGATIVE else "removed"
-        return f"{did.capitalize()} {self.case.what}".strip()
+        title = title_of(self.case)
+        return title[:1].upper() + title[1:]
 
 
 def cards(run: ExploredRun) -> list[Card]:
@@ -122,7 +122,7 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None, same: int | None) -
         "kind": KINDS[card.outcome],
         "cost": failure.cost if failure else None,
         "metric": failure.metric if failure else None,
-        "suspicion": cluster.suspicion if cluster else None,
+        "suspicion": cluster.suspicion if cluster and cluster.did == "removed" else None,
         "points": case.points,
         "first": case.first_frame,
         "last": case.last_frame,

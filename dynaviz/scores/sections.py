@@ -255,6 +255,7 @@ class RemovedCluster(Struct, frozen=True):
         kept_near: share of the points next to points that were kept, 0 to 1.
         suspicion: 0 (looks like a mover) to 1 (looks like a static surface).
         why: what makes it suspicious, in words, strongest first; may be empty.
+        did: ``removed``, or ``appeared`` or ``disappeared`` if two drives were compared.
         what: what it looks like, in words; sentence: a description for the reader.
     """
 
@@ -272,6 +273,7 @@ class RemovedCluster(Struct, frozen=True):
     kept_near: float | None = None
     suspicion: float = 0.0
     why: tuple[str, ...] = ()
+    did: str = "removed"
     what: str = ""
     sentence: str = ""
 

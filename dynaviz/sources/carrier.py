@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaviz.arrays import F64, Intp
+from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
 from dynaviz.contracts.scan import Scan, Sequence, base_of
 from dynaviz.sources.sensing import ScanRays, height_of
@@ -13,6 +13,7 @@ from dynaviz.spatial import geometry
 SCANS, FEWEST = 16, 6  # scans that are read, and between which the sensor must have moved
 STEP, TURN = 1.0, 15.0  # metres or degrees between two of them: static objects do not stay in their cubes
 REACH = 3.0  # metres; a carrier does not extend farther from the sensor
+NEAR = 2.0  # metres from the sensor's axis, within which each part of a carrier begins; vehicles beside it do not
 ALWAYS = 0.8  # share of the scans in which a cube must contain points
 RIGID = 0.04  # metres: standard deviation of their middle; that of a person who keeps step is larger
 ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
@@ -21,7 +22,8 @@ ABOVE_GROUND = 0.3  # metres; the ground stays below the sensor, too
 def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     """The cubes in the sensor frame that contain the same points wherever the sensor is (``Sensor.carrier``).
 
-    Who comes along keeps no distance so exactly, nor does a wall: methods judge these.
+    Who comes along keeps no distance so exactly, nor does a wall: methods judge these. Sideways, a vehicle in the next
+    lane or the wall of a tunnel may keep it, but it is farther away than the near side of a carrier.
 
     Simulated sequences have no carrier and are not read. A sensor that does not move shows no carrier.
 
@@ -52,7 +54,24 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     cubes = found[(counts >= ALWAYS * len(seen)) & (spread < RIGID)].astype(np.int64)
     if len(cubes) and (height := height_of(ScanRays.of(last))) is not None:
         cubes = cubes[CUBE * cubes[:, 2] > ABOVE_GROUND - height]
-    return tuple((x, y, z) for x, y, z in cubes.tolist())
+    return tuple((x, y, z) for x, y, z in cubes[_begins_near(cubes)].tolist())
+
+
+def _begins_near(cubes: I64) -> Bool:
+    """(C,) bool: cubes that join others, up to one within ``NEAR`` of the sensor's axis."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    if not len(cubes):
+        return np.empty(0, np.bool_)
+    a, b = cKDTree(cubes).query_pairs(np.sqrt(3) + 0.01, output_type="ndarray").T  # also at a corner
+    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(cubes), len(cubes)))
+    parts, of = connected_components(graph, directed=False)
+    nearest = np.full(parts, np.inf)
+    np.minimum.at(nearest, of, CUBE * np.hypot(*(cubes[:, :2] + 0.5).T))
+    near: Bool = nearest[of] < NEAR
+    return near
 
 
 def _means(points: F64, of: Intp, groups: int) -> F64:

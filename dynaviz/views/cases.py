@@ -82,10 +82,10 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
     """The cases to show, in the order of their boxes."""
     failures, clusters = listed(result), suspicious(result)
     if failures:
-        texts = [(_failure_title(case), {case.metric: case.cost}, _failure_text(case, i, len(failures)))
+        texts = [(title_of(case), {case.metric: case.cost}, _failure_text(case, i, len(failures)))
                  for i, case in enumerate(failures, 1)]  # fmt: skip
     else:
-        texts = [(_cluster_title(case), {POINTS: float(case.points)}, _cluster_text(case, i, len(clusters)))
+        texts = [(title_of(case), {POINTS: float(case.points)}, _cluster_text(case, i, len(clusters)))
                  for i, case in enumerate(clusters, 1)]  # fmt: skip
     cases, found = [], cast("list[FailureCase | RemovedCluster]", [*failures, *clusters])
     for i, (case, (title, lost, text)) in enumerate(zip(found, texts, strict=False)):
@@ -98,16 +98,13 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
     return cases
 
 
-def _failure_title(case: FailureCase) -> str:
-    return f"{DID[case.kind]} {case.what}"
-
-
-def _cluster_title(case: RemovedCluster) -> str:
-    return f"removed {case.what}".strip()
+def title_of(case: FailureCase | RemovedCluster) -> str:
+    """What happened to what, in a few words."""
+    return f"{DID[case.kind] if isinstance(case, FailureCase) else case.did} {case.what}".strip()
 
 
 def _failure_text(case: FailureCase, number: int, count: int) -> str:
-    title = f"#### {number} of {count}: {_failure_title(case)}, {case.cost:.2f} % of {case.metric}"
+    title = f"#### {number} of {count}: {title_of(case)}, {case.cost:.2f} % of {case.metric}"
     given = shares(case.reasons)
     cause = f"{case.cause}: {given}" if case.cause else given
     lines = [("Cause", cause), ("Worst frame", _frame(case)), ("Over time", in_words(case.spans))]
@@ -116,7 +113,7 @@ def _failure_text(case: FailureCase, number: int, count: int) -> str:
 
 def _cluster_text(case: RemovedCluster, number: int, count: int) -> str:
     """Its sentence already states what is suspicious."""
-    title = f"#### {number} of {count}: {_cluster_title(case)}, {case.points:,} points"
+    title = f"#### {number} of {count}: {title_of(case)}, {case.points:,} points"
     lines = [("Reasons", shares(case.reasons)), ("Worst frame", _frame(case))]
     return f"{title}\n\n{case.sentence} No ground truth: judge for yourself.\n\n{_bullets(lines)}"
 

@@ -16,7 +16,7 @@ from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
 from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.spatial.grid import in_key_range
-from dynaviz_eval.attribution import shape
+from dynaviz_eval.attribution import is_ground, shape
 from dynaviz_eval.behaviour import VisitedPlaces
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
 from dynaviz_eval.ground import on_ground
@@ -31,7 +31,7 @@ class RemovalsMetric:
     """Section ``removals``: removed points by reason, range and frame, for every run.
 
     A run without ground truth also has ``clusters``: at most 100, removed points that belong together as those of a
-    failure case do, ranked by ``suspicion`` times number of points.
+    failure case do, ranked by ``suspicion`` times number of points; of a comparison of drives, by number of points.
     """
 
     def __init__(self, info: MethodInfo) -> None:
@@ -39,7 +39,7 @@ class RemovalsMetric:
         self._reasons = np.zeros(len(self._names), np.int64)
         self._range = np.zeros((2, len(RANGE_EDGES) + 1), np.int64)
         self._frames = array("q")  # of each: the columns of ``_FRAME``
-        self._clusters: _Clusters | None = _Clusters(self._names)
+        self._clusters: _Clusters | None = _Clusters(self._names, info.compares)
 
     def update(self, labelled: Labelled) -> Mapping[str, float]:
         """Add the points of one scan."""
@@ -83,9 +83,9 @@ class RemovalsMetric:
 class _Clusters:
     """Joins removed points of unknown truth into clusters."""
 
-    def __init__(self, names: list[str]) -> None:
+    def __init__(self, names: list[str], compares: bool) -> None:
         self.listed: list[tuple[dict[str, Any], NDArray[np.void]]] = []
-        self._names, self._places, self._frame = names, VisitedPlaces(), 0
+        self._names, self._compares, self._places, self._frame = names, compares, VisitedPlaces(), 0
         self._dropped = {"cases": 0, "points": 0}
         self._cases = Cases(len(names), SPAN, self._drop)
 
@@ -104,22 +104,28 @@ class _Clusters:
         self._cases.settle(self._frame + GAP + 1)  # all clusters are over by then
         rows = self._cases.rows
         found = [self._described(case, rows[rows["case"] == case["case"]]) for case in summed(rows)]
-        found.sort(key=lambda pair: (-pair[0]["suspicion"] * pair[0]["points"], pair[0]["first_frame"], pair[0]["low"]))
+        found.sort(key=self._order)
         self.listed, rest = found[:KEEP], found[KEEP:]
         cases, points = len(rest), sum(cluster["points"] for cluster, _ in rest)
         others = {"cases": self._dropped["cases"] + cases, "points": self._dropped["points"] + points}
         return {"clusters": [cluster for cluster, _ in self.listed], "others": others}
 
+    def _order(self, found: tuple[dict[str, Any], Any]) -> tuple[Any, ...]:
+        cluster, _ = found
+        weight = 1.0 if self._compares else cluster["suspicion"]
+        return -weight * cluster["points"], cluster["first_frame"], cluster["low"]
+
     def _described(self, case: np.void, rows: NDArray[np.void]) -> tuple[dict[str, Any], NDArray[np.void]]:
         """A cluster as plain JSON values, with its rows."""
-        score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
-        plain = {
-            **facts(case, self._names, True),
-            "kept_near": round(float(case["touching"] / case["points"]), 3),
-            "suspicion": score,
-            "why": list(why),
-            "what": MOVING if moved(rows) else shape("false_positive", case),
-        }
+        known = facts(case, self._names, True)
+        if self._compares:  # what changed stood still: nothing tells whether that is right
+            score, why = 0.0, tuple[str, ...]()
+            did, what = next(iter(known["reasons"])), "ground" if is_ground(case) else "object"
+        else:
+            score, why = suspicion(case, rows, self._places.visits(case["low"], case["high"]))
+            did, what = "removed", MOVING if moved(rows) else shape("false_positive", case)
+        near = round(float(case["touching"] / case["points"]), 3)
+        plain = {**known, "kept_near": near, "suspicion": score, "why": list(why), "did": did, "what": what}
         return {**plain, "sentence": cluster_sentence(plain)}, rows
 
     def _drop(self, over: NDArray[np.void]) -> None:

@@ -78,7 +78,7 @@ def suspicion(case: np.void, rows: NDArray[np.void], visits: I32) -> tuple[float
 
 def cluster_sentence(cluster: Mapping[str, Any]) -> str:
     """Describe a cluster of removed points: where it is, and why it looks right or wrong."""
-    fact = f"Removed: {cluster['what']}, {extent(cluster)}, {when_and_where(cluster)}."
+    fact = f"{cluster['did'].capitalize()}: {cluster['what']}, {extent(cluster)}, {when_and_where(cluster)}."
     if cluster["what"] == MOVING:
         return f"{fact} Moves as movers do."
     return f"{fact} Suspicious: {', '.join(cluster['why'])}." if cluster["why"] else fact

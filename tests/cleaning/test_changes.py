@@ -16,6 +16,7 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SEEN, SEEN_AGAIN
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explorer.cards import cards
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.io.fields import read_points
 from dynaviz.sources.datasets.drives import Drives
@@ -142,3 +143,8 @@ def test_the_explorer_shows_the_changes(cleaned: Any) -> None:
     point = explored.point(int(found.frame[0]), int(found.point[0]))
     assert point["removed"]
     assert point["reason"] in NAMES[:2]
+    for case, card in zip(explored.result.clusters, cards(explored), strict=True):
+        assert case.suspicion == 0
+        assert case.did == max(case.reasons, key=case.reasons.__getitem__)
+        assert card.title in {f"{case.did.capitalize()} {what}" for what in ("object", "ground")}
+        assert case.sentence.startswith(f"{card.title.split()[0]}: ")

@@ -16,28 +16,36 @@ from dynaviz.benchmarking.gain import DRAWS
 ROOT = Path(__file__).resolve().parents[2]
 STORED: dict[str, Any] = json.loads((ROOT / "docs/real.json").read_text(encoding="utf-8"))
 DRIVE, METHOD = "nuscenes_scene-0916", "beautymap"
+COLUMNS = {
+    ("given", False): 1,
+    ("small-gicp", False): 2,
+    ("given", True): 3,
+    ("small-gicp", True): 4,
+}  # after the method
 CELL = next(
     cell for cell in STORED["cells"] if (cell["drive"], cell["method"], cell["poses"]) == (DRIVE, METHOD, "given")
 )
-MOVERS = next(drive["movers"] for drive in STORED["drives"] if drive["name"] == DRIVE)
+TUNED = next(cell for cell in STORED["cells"] if cell["set"] and cell["poses"] == "small-gicp")
 
 
-def test_a_row_follows_from_the_file() -> None:
+@pytest.mark.parametrize("cell", [CELL, TUNED], ids=["default", "tuned"])
+def test_a_row_follows_from_the_file(cell: dict[str, Any]) -> None:
     page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    rows = page[page.index("## Scores") :].split(f"| `{DRIVE}` |")[1]  # a drive is named in its first row
-    row = next(line for line in rows.splitlines() if f" `{METHOD}` |" in line)
-    row = row[row.index(f" `{METHOD}` |") - 2 :]
-    SA, DA, AA, low, high, found = map(float, re.findall(r"[\d.]+", row.split("|")[2]))
-    kept, removed = CELL["static"]
-    points = [number for _, number in MOVERS]
-    static, dynamic = kept / (kept + removed), sum(CELL["removed"]) / sum(points)
+    scores = page[page.index("## Scores") :].split(f"| `{cell['drive']}` |")[1]  # a drive is named in its first row
+    row = next(line for line in scores.splitlines() if f"`{cell['method']}`" in line)
+    row = row[row.index(f"`{cell['method']}`") :]
+    text = row.split("|")[COLUMNS[cell["poses"], bool(cell["set"])]]
+    SA, DA, AA, low, high, found = map(float, re.findall(r"[\d.]+", text))
+    kept, removed = cell["static"]
+    points = [number for drive in STORED["drives"] if drive["name"] == cell["drive"] for _, number in drive["movers"]]
+    static, dynamic = kept / (kept + removed), sum(cell["removed"]) / sum(points)
     assert pytest.approx([100 * static, 100 * dynamic], abs=0.05) == [SA, DA]
     assert pytest.approx(100 * (static * dynamic) ** 0.5, abs=0.05) == AA
-    assert found == sum(part / whole >= 0.5 for part, whole in zip(CELL["removed"], points, strict=True))
+    assert found == sum(part / whole >= 0.5 for part, whole in zip(cell["removed"], points, strict=True))
     rng, drawn = np.random.default_rng(1), []
     for _ in range(DRAWS):
         chosen = rng.integers(len(points), size=len(points)).tolist()
-        share = sum(CELL["removed"][k] for k in chosen) / sum(points[k] for k in chosen)
+        share = sum(cell["removed"][k] for k in chosen) / sum(points[k] for k in chosen)
         drawn.append(100 * (static * share) ** 0.5)
     assert [low, high] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), abs=2.5)
 

@@ -1,4 +1,4 @@
-"""Who walks behind the sensor for the whole recording, at a distance that hardly changes, is removed."""
+"""Who comes along for the whole recording, at a distance that hardly changes, is removed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ import pytest
 import dynaviz as dv
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import load_sensor
-from dynaviz.synthetic.simulate import PRESETS
+from dynaviz.sources.carrier import estimate_carrier
+from dynaviz.synthetic.simulate import PRESETS, objects
+from dynaviz.synthetic.simulate.classes import ObjectClass
+from dynaviz.synthetic.simulate.presets import Preset
 from dynaviz.synthetic.simulate.recording import SceneRecorder, build
+from dynaviz.synthetic.simulate.scene import SimulatedScene
 from dynaviz.testing import InMemory
 
 FRAMES = 30
@@ -25,6 +29,20 @@ def followed() -> tuple[InMemory, int]:
     scene = build(preset, FRAMES)
     ahead = scene.sensor.schedule
     scene.walk(scene.sensor.path, lambda time: ahead(time) - BEHIND + SWAY * np.sin(2 * time))
+    return recorded(scene, preset)
+
+
+def with_car(ahead: float, left: float) -> tuple[InMemory, int]:
+    """A street in which a car keeps its place relative to the sensor, metres, and the car's instance number."""
+    preset = PRESETS["street_vlp16"]
+    scene = build(preset, FRAMES)
+    place, path, body = scene.sensor.schedule, scene.sensor.path, objects.car(np.random.default_rng(3))
+    scene.move(ObjectClass.MOVING_CAR, path.shifted(left), lambda time: place(time) + ahead, body)
+    return recorded(scene, preset)
+
+
+def recorded(scene: SimulatedScene, preset: Preset) -> tuple[InMemory, int]:
+    """The scans of a scene, and the instance number of its last mover."""
     recorder, scans = SceneRecorder(scene, preset, FRAMES), []
     for sweep in map(recorder.sweep, range(FRAMES)):
         truth = {"labels": sweep.labels, "instances": sweep.instances}
@@ -42,3 +60,19 @@ def test_an_operator_who_follows_is_removed(method: str, followed: tuple[InMemor
     print(method, removed, total)
     assert total > 10_000
     assert removed > 0.9 * total
+
+
+@pytest.mark.parametrize(("ahead", "left"), [(9.0, 0.0), (-4.5, 0.0), (1.0, 3.0)], ids=["followed", "towed", "beside"])
+def test_a_car_that_comes_along_is_no_carrier(ahead: float, left: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, car = with_car(ahead, left)
+    assert estimate_carrier(drive) == ()
+    result = dv.run("seethrough", drive)
+    rows = [scan.instances == car for scan in drive.scans]
+    removed = sum(int((result.labels[k] & row).sum()) for k, row in enumerate(rows))
+    total = sum(int(row.sum()) for row in rows)
+    print(removed, total)
+    assert total > 10_000
+    assert removed > 0.9 * total
+    if left:  # it would be one if parts of a carrier were allowed to begin anywhere
+        monkeypatch.setattr("dynaviz.sources.carrier.NEAR", np.inf)
+        assert estimate_carrier(drive) != ()

@@ -27,7 +27,7 @@ export function allCards(runs) {
   return [...list, ...alone].map(card => ({ ...card, by: card.other || card.by === 'both' ? 'both' : card.of }))
 }
 
-const worth = card => Math.max(card.cost ?? card.suspicion, card.other?.cost ?? 0)
+export const worth = card => Math.max(card.cost ?? card.suspicion ?? card.points, card.other?.cost ?? 0)
 const ORDER = { cost: (a, b) => worth(b) - worth(a) || a.number - b.number, size: (a, b) => b.points - a.points, frame: (a, b) => a.worst - b.worst }
 
 /** The cards that pass the filters of a state, in its order. */
@@ -52,7 +52,7 @@ export function filters(form, cards, state, changed) {
   })
   const sorts = Object.entries(SORTS).map(([value, label]) => make('option', { value, selected: (state.sort ?? 'cost') === value }, label))
   const truth = cards.some(card => card.cost !== null)
-  if (!truth) sorts[0].textContent = 'most suspicious first'
+  if (!truth) sorts[0].textContent = cards.some(differs) ? 'largest first' : 'most suspicious first'
   form.replaceChildren(
     make('input', { type: 'search', name: 'search', placeholder: 'Search', 'aria-label': 'Search', value: state.search ?? '', input: changed }),
     make('select', { name: 'sort', 'aria-label': 'Order', change: changed }, sorts),
@@ -60,7 +60,9 @@ export function filters(form, cards, state, changed) {
   form.onsubmit = event => event.preventDefault()
 }
 
-const chip = card => card.cost === null ? `suspicion ${card.suspicion.toFixed(2)}` : `−${card.cost.toFixed(2)} % ${card.metric}`
+/** Whether a case is a difference between two drives, which nothing makes suspicious. */
+export const differs = card => card.cost === null && card.suspicion === null
+const chip = card => differs(card) ? `${card.points.toLocaleString('en')} points` : card.cost === null ? `suspicion ${card.suspicion.toFixed(2)}` : `−${card.cost.toFixed(2)} % ${card.metric}`
 /** What a case costs each of two runs, as bars. */
 function costs(card, most) {
   const of = { [card.of]: card, [card.of === 'a' ? 'b' : 'a']: card.other }

@@ -1,5 +1,5 @@
 // The explorer: cards, viewers and the panel of the chosen point, held together by the state in the address.
-import { allCards, cardElement, chosen, filters } from './cards.js'
+import { allCards, cardElement, chosen, differs, filters, worth } from './cards.js'
 import { ask, make, say, send, working } from './dom.js'
 import { correction, rescored } from './correct.js'
 import { listen } from './keys.js'
@@ -55,8 +55,8 @@ const selected = () => find(current().of, current().case)
 
 function showList() {
   list = chosen(cards, current())
-  const most = Math.max(...cards.map(card => Math.max(card.cost ?? card.suspicion, card.other?.cost ?? 0)))
-  const unit = cards.some(card => card.cost !== null) ? 'cases' : 'clusters of removed points'
+  const most = Math.max(...cards.map(worth))
+  const unit = cards.some(card => card.cost !== null) ? 'cases' : cards.some(differs) ? 'changes' : 'clusters of removed points'
   by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
   by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, runs.b && most, open, runs[card.of].corrections[card.number])))
   highlight()

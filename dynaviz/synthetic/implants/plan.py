@@ -32,7 +32,7 @@ from dynaviz.synthetic.simulate.movers import Route
 MARGIN = 0.1  # metres to obstacles, in addition to the rounding of the grid
 VISIBLE = 50.0  # metres from the sensor
 MOVED = 0.9  # metres that a mover moves, and at least its length: nothing shows that one moves that moves less
-SEEN = 0.5  # share of the frames in which a mover is not hidden; 10 frames are enough
+SEEN = 0.5  # share of the frames near the sensor in which a mover is not hidden; 10 frames are enough
 GLANCES = 20  # frames in which that is checked
 LONG = 4.0  # seconds; in a shorter recording, a mover that waits would hardly move
 STEEPEST = 0.15  # metres per metre
@@ -319,9 +319,12 @@ class _Planner:
 
     def _shows(self, discs: F64, to_sensor: F64) -> bool:
         """Whether a mover, where the sensor sees it, moves by its length in enough frames."""
-        frames = np.unique(np.linspace(0, len(discs) - 1, GLANCES).round().astype(int))
-        seen = frames[[bool(to_sensor[f] < VISIBLE) and not self._hidden(f, discs[f].mean(0)) for f in frames]]
-        if len(seen) < max(1, min(10, SEEN * len(frames))):
+        near = np.flatnonzero(to_sensor < VISIBLE)
+        if len(near) < max(1, min(10, SEEN * len(discs))):
+            return False
+        frames = near[np.unique(np.linspace(0, len(near) - 1, GLANCES).round().astype(int))]
+        seen = frames[[not self._hidden(f, discs[f].mean(0)) for f in frames]]
+        if len(seen) < SEEN * len(frames):
             return False
         centre = discs[seen].mean(1)
         length = float(np.hypot(*(discs[seen[0], -1] - discs[seen[0], 0])))

@@ -16,7 +16,7 @@ from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percentage_points_lost
 from dynaviz.scores.sections import FailureCase, RemovedCluster, RemovedInterval
 from dynaviz.views import paths
-from dynaviz.views.cases import listed, suspicious
+from dynaviz.views.cases import listed, suspicious, title_of
 
 WORST = 5  # frames named in the report and marked on the curve
 TRUE = [Outcome.STATIC_KEPT, Outcome.DYNAMIC_REMOVED, Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE]
@@ -95,7 +95,11 @@ def failure_list(result: Result) -> str:
         kinds = sorted(KINDS, key=lambda kind: kind != cases[0].kind)  # the kind of the costliest case first
         return "\n\n".join(part for kind in kinds for part in _by_cause(result, kind))
     if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
-        head = "Removed points that may be static, most suspicious first. There is no ground truth to check them."
+        removed = suspicious(result)[0].did == "removed"
+        what = (
+            "Removed points that may be static, most suspicious first." if removed else "What changed, largest first."
+        )
+        head = f"{what} There is no ground truth to check it."
         return f"{head}\n\n" + table([("#", "points", "what and why", "frame"), *rows])
     if result.counts.get("static_kept") or result.counts.get("dynamic_removed"):
         return "No failure case: all labelled points are right."
@@ -151,7 +155,8 @@ def _link(number: int, boxes: str) -> str:
 def _suspicious(case: RemovedCluster, number: int) -> tuple[Any, ...]:
     why = next((reason for reason in case.why if reason != case.what), "")
     why = why.replace("points that were kept", "kept points")  # short, or the panel cuts off the last column
-    named = f"{case.what}: {why}" if case.what and why else case.what or why
+    what = case.what if case.did == "removed" else title_of(case)
+    named = f"{what}: {why}" if what and why else what or why
     return _link(number, paths.CLUSTER_CASES), f"{case.points:,}", named, case.worst_frame
 
 
