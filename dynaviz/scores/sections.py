@@ -253,10 +253,8 @@ class RemovedCluster(Struct, frozen=True):
         reasons: points by reason, most frequent first.
         ground: share of the points on the ground, 0 to 1.
         kept_near: share of the points next to points that were kept, 0 to 1.
-        suspicion: 0 (looks like a mover) to 1 (looks like a static surface).
-        why: what makes it suspicious, in words, strongest first; may be empty.
-        did: ``removed``, or ``appeared`` or ``disappeared`` if two drives were compared.
-        what: what it looks like, in words; sentence: a description for the reader.
+        suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words, strongest first; may be empty.
+        did: ``removed``, or between drives ``appeared`` or ``disappeared``; what: what it looks like; sentence: in words.
     """
 
     points: int
