@@ -253,8 +253,8 @@ class RemovedCluster(Struct, frozen=True):
         reasons: points by reason, most frequent first.
         ground: share of the points on the ground, 0 to 1.
         kept_near: share of the points next to points that were kept, 0 to 1.
-        suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words, strongest first; may be empty.
-        did: ``removed``, or between drives ``appeared`` or ``disappeared``; what: what it looks like; sentence: in words.
+        suspicion: 0 (looks like a mover) to 1 (looks like a static surface); why: in words, strongest first.
+        did: ``removed``, or of drives ``appeared`` or ``disappeared``; what: what it looks like; sentence: in words.
     """
 
     points: int
