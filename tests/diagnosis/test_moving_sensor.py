@@ -61,7 +61,12 @@ def test_millimetres(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("up", "T"), [("y", Y_UP), ("-y", geometry.inverse(T_LIDAR_CAM)), ("-z", np.diag([1.0, -1, -1, 1]))]
+    ("up", "T"),
+    [
+        ("y", Y_UP),
+        ("-y", geometry.inverse(T_LIDAR_CAM)),
+        pytest.param("-z", np.diag([1.0, -1, -1, 1]), marks=pytest.mark.slow),
+    ],
 )
 def test_the_fix_of_a_world_that_is_not_z_up(up: str, T: F64) -> None:
     turned = [moved(scan, T) for scan in SCANS]

@@ -86,6 +86,7 @@ def test_runs_in_threads_of_an_event_loop(serial: list[str]) -> None:
     assert asyncio.run(every()) == serial[: len(METHODS)]
 
 
+@pytest.mark.slow
 def test_runs_in_threads_where_only_workqueue_is_installed(serial: list[str]) -> None:
     """This threading layer of numba ends the process if two threads use it at once."""
     assert json.loads(python(IN_THREADS, NUMBA_THREADING_LAYER="workqueue")) == [serial, "workqueue"]

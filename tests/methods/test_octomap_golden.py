@@ -20,6 +20,7 @@ def test_with_a_float32_resolution_every_label_matches(golden):
     np.testing.assert_array_equal(golden.run(OctoMap, resolution=float(np.float32(0.1))), golden.removed["octomap"])
 
 
+@pytest.mark.slow
 def test_octomap_g_scores_like_the_public_program(golden):
     ours, theirs = golden.scores(golden.run(OctoMapG)), golden.scores(golden.removed["octomap_g"])
     assert ours == pytest.approx(theirs, abs=1.0)

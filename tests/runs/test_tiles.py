@@ -355,6 +355,7 @@ def test_the_evidence_of_a_tile_is_that_of_its_points(long_room: InMemory, tmp_p
     assert ledgers > 50
 
 
+@pytest.mark.slow
 def test_the_command_line_runs_tiles(tmp_path: Path, run_command: Callable[..., tuple[int, str, str]]) -> None:
     run, room_folder = tmp_path / "run", write_room(tmp_path / "room", frames=6)
     code, out, err = run_command("run", "dufomap", room_folder, "-o", run, "--tiles", "12")

@@ -167,7 +167,11 @@ main()
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
+    ("number", "code", "word"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        pytest.param(signal.SIGTERM, 143, "terminated", marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_leaves_a_file_that_opens(tmp_path: Path, number: int, code: int, word: str) -> None:
     script = INTERRUPTED.format(folders=[str(HELPERS.parent)], number=int(number), out=str(tmp_path / "out"))
