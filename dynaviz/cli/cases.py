@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dynaviz.scores.result import Result
 
 TOP = 3  # listed after a run
-RANKING = "Suspicion runs from 0 (looks like a mover) to 1 (looks like a static surface)."
+RANKING = "Ordered by suspicion, from 0 (looks like a mover) to 1 (looks like a static surface), times points."
 
 
 def listing(cases: Sequence[FailureCase | RemovedCluster], details: bool = True) -> RenderableType:

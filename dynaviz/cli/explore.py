@@ -12,8 +12,8 @@ from dynaviz.cli.options import run_in
 
 def explore(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="A run's folder, or its run.rrd.")],
-    other: Annotated[
-        Path | None, typer.Argument(metavar="OTHER", help="Another run on the same frames, to compare.")
+    others: Annotated[
+        list[Path] | None, typer.Argument(metavar="OTHER", help="Up to eight runs on the same frames, to compare.")
     ] = None,
     case: Annotated[
         int | None, typer.Option(min=1, show_default=False, help="Open at this case. [default: the costliest one]")
@@ -36,7 +36,7 @@ def explore(
     from dynaviz.explorer import explore as start
     from dynaviz.views.viewer import has_screen
 
-    with start(run_in(run), None if other is None else run_in(other), port=port) as server:
+    with start(*map(run_in, (run, *(others or ()))), port=port) as server:
         url = server.url if case is None else f"{server.url}?case={case}"
         print(f"Explore at {url} until interrupted (Ctrl-C).", flush=True)
         if browser and has_screen():

@@ -54,7 +54,11 @@ class CaseEvidence:
         """The evidence in a sentence or two."""
         cells = "Its cell was" if self.points == 1 else f"In the median of {self.points:,} points, the cell was"
         counts = f"hit by {_scans(self.hit)} and crossed by {self.crossed:g} of {self.searched:,}"
-        low = f" ({100 * self.grazing:.0f} % of them at less than {GRAZING:g}° to the surface)" if self.grazing else ""
+        low = (
+            f" ({100 * self.grazing:.0f} % of them at less than {GRAZING:g}° to the surface)"
+            if self.grazing and self.crossed
+            else ""
+        )
         decided = "" if self.deciding is None else f" {_decided(self.deciding, self.points, self.removed)}"
         return f"{cells} {counts}{low}.{decided}"
 
@@ -93,7 +97,7 @@ def flip(ledger: PointLedger) -> str:
     if len(changing) != 1 or math.isnan(changing[0].threshold) or (ledger.removed and removing > 1):
         return ""
     term, value = changing[0], changing[0].value
-    if value is None:
+    if value is None or _yes_or_no(term):
         return ""
     gap = abs(value - term.threshold)
     unit = f" {term.unit}" if term.unit else ""
@@ -165,7 +169,7 @@ def _decided(deciding: Deciding, points: int, removed: bool) -> str:
 
 def _term(term: TermValue) -> str:
     """A comparison in words, such as ``log-odds is 3.5, not below 0``."""
-    if term.threshold == 1 and term.test in ("<", ">=") and term.value in (0, 1):
+    if _yes_or_no(term):
         return f"{term.name}: {'yes' if term.value else 'no'}"
     if term.value is None or not math.isfinite(term.value):
         return f"{term.name} is unknown"
@@ -174,6 +178,10 @@ def _term(term: TermValue) -> str:
     unit = f" {term.unit}" if term.unit else ""
     bound = f"{'' if term.holds else 'not '}{BOUNDS[term.test]} {_number(term.threshold)}{unit}"
     return f"{term.name} is {_number(term.value)}, {bound}"
+
+
+def _yes_or_no(term: TermValue) -> bool:
+    return term.threshold == 1 and term.test in ("<", ">=") and term.value in (0, 1)
 
 
 def _scans(count: float) -> str:

@@ -10,9 +10,7 @@ if TYPE_CHECKING:
     from dynaviz.scores.result import Result
 
 
-def explore(
-    run: str | os.PathLike[str] | Result, other: str | os.PathLike[str] | Result | None = None, *, port: int = 0
-) -> Explorer:
+def explore(run: str | os.PathLike[str] | Result, *others: str | os.PathLike[str] | Result, port: int = 0) -> Explorer:
     """Open the explorer of a run, on this machine.
 
     In a notebook, the returned object shows the page; elsewhere open its ``url`` in a browser.
@@ -20,7 +18,7 @@ def explore(
     Args:
         run: its folder, ``result.json`` or ``run.rrd``; or a result, also of a run on arrays in this process. It
             needs a recording with points.
-        other: a run on the same frames, to compare.
+        others: up to eight runs on the same frames, to compare.
         port: to listen on; 0 for any free port.
 
     Returns:
@@ -28,11 +26,11 @@ def explore(
 
     Raises:
         DataError: for a recording that cannot be read, is of a run that did not finish, or contains no points.
-        UsageError: if the runs are of different sequences, or for a result without a recording.
+        UsageError: if the runs are of different sequences or too many, or for a result without a recording.
         MissingDependency: without the packages of the extra ``explore``.
     """
     from dynaviz.explorer.answers import Explored
     from dynaviz.explorer.run import ExploredRun
     from dynaviz.explorer.server import Explorer
 
-    return Explorer(Explored(ExploredRun(run), None if other is None else ExploredRun(other)), port)
+    return Explorer(Explored(*map(ExploredRun, (run, *others))), port)

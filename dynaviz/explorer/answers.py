@@ -31,17 +31,17 @@ PNG, MP4, RRD = "image/png", "video/mp4", "application/octet-stream"
 SIZE = (1600, 900)  # of copied pictures, pixels
 CLIP_SIZE = (960, 640)
 THUMBNAIL = {"width": "168", "height": "108"}  # pixels
-LETTERS = "ab"
+LETTERS = "abcdefghi"
 CASE_RAYS = 120  # drawn of a case
 
 Query = Mapping[str, str]
 
 
 class Explored:
-    """One run, or two runs on the same points.
+    """One run, or several runs on the same points.
 
     Args:
-        run, other: what ``ExploredRun`` opens.
+        run, others: at most nine.
 
     Attributes:
         runs: by letter.
@@ -52,16 +52,18 @@ class Explored:
 
     Raises:
         DataError: as ``ExploredRun``.
-        UsageError: if the runs are of different sequences.
+        UsageError: if the runs are of different sequences, or more than nine.
     """
 
-    def __init__(self, run: ExploredRun, other: ExploredRun | None = None):
-        opened = [run] if other is None else [run, other]
-        if other is not None and other.result.sequence.digest != run.result.sequence.digest:
-            raise UsageError(
-                f"{other.path} is from a different sequence than {run.path}. Compare runs of the same frames"
-            )
-        self.runs = dict(zip(LETTERS, opened, strict=False))
+    def __init__(self, run: ExploredRun, *others: ExploredRun):
+        if len(others) >= len(LETTERS):
+            raise UsageError(f"{1 + len(others)} runs: give at most {len(LETTERS)}")
+        for other in others:
+            if other.result.sequence.digest != run.result.sequence.digest:
+                raise UsageError(
+                    f"{other.path} is from a different sequence than {run.path}. Compare runs of the same frames"
+                )
+        self.runs = dict(zip(LETTERS, [run, *others], strict=False))
         self._cards = {letter: cards.cards(each) for letter, each in self.runs.items()}
         self._reruns: list[Rerun] = []
         self.compare: Callable[[ExploredRun, ExploredRun], str] = _unserved
@@ -98,9 +100,9 @@ class Explored:
 
     def _facts(self, letter: str) -> dict[str, Any]:
         run = self.runs[letter]
-        other = next((key for key in self.runs if key != letter), None)
-        shared = None if other is None else run.wrong_too(self.runs[other])
-        same = {} if other is None else cards.pairs(run, self._cards[letter], self._cards[other])
+        others = {key: other for key, other in self.runs.items() if key != letter}
+        shared = {key: run.wrong_too(other) for key, other in others.items()}
+        same = {key: cards.pairs(run, self._cards[letter], self._cards[key]) for key in others}
         return {
             "title": run.title,
             "method": run.result.method,
@@ -111,7 +113,7 @@ class Explored:
             "truth": run.result.has_truth,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
-            "cases": [cards.plain(run, card, shared, same.get(card.number)) for card in self._cards[letter]],
+            "cases": [cards.plain(run, card, shared, same) for card in self._cards[letter]],
         }
 
     def _click(self, query: Query) -> dict[str, Any]:
@@ -166,11 +168,9 @@ class Explored:
         }
 
     def _evidence(self, query: Query) -> dict[str, Any]:
-        """What the points of a case have in common; empty if the recording stores no evidence on it."""
-        letter, number = self._letter(query), _number(query, "case")
-        self._card(letter, number)
-        run = self.runs[letter]
-        ledgers = run.ledgers(number)
+        """What points of a case have in common; empty if the recording stores no evidence on them."""
+        letter = self._letter(query)
+        run, card, ledgers = self.runs[letter], self._card(letter, _number(query, "case")), self._chosen(letter, query)
         if not ledgers:
             return {}
         return {
@@ -178,7 +178,16 @@ class Explored:
             "strip": strip(ledgers),
             "spans": spans_of_rays(ledgers),
             "what_if": what_if(ledgers, run.result.parameters),
+            "map": cards.surroundings(run, card, ledgers),
         }
+
+    def _chosen(self, letter: str, query: Query) -> list[PointLedger]:
+        """The stored ledgers of a case; with ``points``, rows in the scan of its worst frame, those alone."""
+        ledgers = self.runs[letter].ledgers(_number(query, "case"))
+        if "points" not in query:
+            return list(ledgers)
+        rows = {_number({"points": row}, "points") for row in query["points"].split(",")}
+        return [ledger for ledger in ledgers if ledger.point in rows]
 
     def _rerun(self, query: Query) -> dict[str, Any]:
         """Start a run with other parameters, unless one is running."""
@@ -251,8 +260,7 @@ class Explored:
         focus = self.runs[letter].focus
         lit = _number(query, "lit") if "lit" in query else None
         if "case" in query:
-            ledgers = self.runs[letter].ledgers(_number(query, "case"))
-            return focus.marks(None, rays_of(ledgers, CASE_RAYS), lit)
+            return focus.marks(None, rays_of(self._chosen(letter, query), CASE_RAYS), lit)
         if "point" not in query:
             return focus.marks(None, rays_of([]), None)
         frame, point = _number(query, "frame"), _number(query, "point")

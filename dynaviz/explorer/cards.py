@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,14 +11,18 @@ import numpy as np
 from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts.scan import Outcome
+from dynaviz.engine.ledger import PointLedger
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
 from dynaviz.scores.sections import FailureCase, RemovedCluster
 from dynaviz.views.cases import OUTCOMES, middle_of, title_of
 from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
+from dynaviz.views.witnesses import evenly
 
 BARS = 40  # of a sparkline, at most
 MARGIN = 0.02  # metres around the box of a case, whose corners are rounded
+MAP_MARGIN = 1.0  # metres around this box that the map of a case shows
+MAP_POINTS = 600  # of each outcome in this map
 NEAREST = 0.5  # metres: what is nearer to the eye is not drawn
 SHADES = np.array([colours.BRIGHT[outcome] for outcome in Outcome], np.uint8)
 BOTH = 0.5  # share of a case's points that the other run gets wrong, too, from which both are wrong
@@ -111,8 +115,17 @@ def _same(run: ExploredRun, card: Card, others: Sequence[Card]) -> int | None:
     return best
 
 
-def plain(run: ExploredRun, card: Card, shared: Bool | None, same: int | None) -> dict[str, Any]:
-    """A card in plain types, as the page receives it; ``shared`` as for ``by``, ``same`` as in ``pairs``."""
+def plain(
+    run: ExploredRun, card: Card, shared: Mapping[str, Bool], same: Mapping[str, Mapping[int, int]]
+) -> dict[str, Any]:
+    """A card in plain types, as the page receives it.
+
+    Args:
+        run: of the case.
+        card: the case.
+        shared: by letter of the other runs, as for ``wrong_in``.
+        same: by letter of the other runs, as ``pairs`` returns it.
+    """
     case = card.case
     failure = case if isinstance(case, FailureCase) else None
     cluster = case if isinstance(case, RemovedCluster) else None
@@ -138,8 +151,8 @@ def plain(run: ExploredRun, card: Card, shared: Bool | None, same: int | None) -
         "high": list(case.high),
         "point": card.point,
         "spark": spark(run, card),
-        "by": by(run, card, shared),
-        "same": same,
+        "wrong": wrong_in(run, card, shared),
+        "same": {letter: of[card.number] for letter, of in same.items() if card.number in of},
         "spans": dict(failure.spans) if failure else {},
     }
 
@@ -166,18 +179,44 @@ def boxes(run: ExploredRun, card: Card) -> list[tuple[int, Corner, Corner]]:
     return found
 
 
-def by(run: ExploredRun, card: Card, shared: Bool | None) -> str | None:
-    """Which run is wrong at the points of a case: ``both``, or ``one`` if the other gets most of them right.
+def wrong_in(run: ExploredRun, card: Card, shared: Mapping[str, Bool]) -> list[str]:
+    """Letters of the other runs that get most points of a case wrong, too.
 
     Args:
         run: of the case.
         card: the case.
-        shared: for each of the run's ``wrong`` points, whether the other run is wrong there, too; None without one.
+        shared: by letter, for each of the run's ``wrong`` points, whether that run is wrong there, too.
     """
-    if shared is None:
-        return None
     weights = run.wrong.stands_for[card.rows]
-    return "both" if len(weights) and weights[shared[card.rows]].sum() >= BOTH * weights.sum() else "one"
+    half = BOTH * weights.sum()
+    return [letter for letter, wrong in shared.items() if len(weights) and weights[wrong[card.rows]].sum() >= half]
+
+
+def surroundings(run: ExploredRun, card: Card, ledgers: Sequence[PointLedger]) -> dict[str, Any]:
+    """The map on which the page draws a case in its worst frame, in plain types.
+
+    Args:
+        run: of the case.
+        card: the case.
+        ledgers: stored on its points.
+
+    Returns:
+        Coordinates are metres, along the axes of the world frame, from the lowest corner of the map: its ``size``, the
+        drawn ``points`` of the case with their ``outcome``, those ``around`` it by outcome, and those with
+        ``evidence``, each after its row in the scan.
+    """
+    low, high = card.low - MAP_MARGIN, card.high + MAP_MARGIN
+    mine = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == card.case.worst_frame]]
+    xyz, outcome = _around(run, card)
+    inside = ((xyz >= low) & (xyz <= high)).all(1)
+    around = {each.name.lower(): xyz[inside & (outcome == each)] for each in Outcome}
+    return {
+        "size": (high - low).round(2).tolist(),
+        "outcome": card.outcome.name.lower(),
+        "points": (mine - low).round(2).tolist(),
+        "around": {name: (of[evenly(len(of), MAP_POINTS)] - low).round(2).tolist() for name, of in around.items()},
+        "evidence": [[ledger.point, *(np.array(ledger.position) - low).round(2).tolist()] for ledger in ledgers],
+    }
 
 
 def picture(run: ExploredRun, card: Card, size: tuple[int, int]) -> bytes:

@@ -39,6 +39,7 @@ SCRIPTS = (
     "dom.js",
     "keys.js",
     "plot.js",
+    "rectangle.js",
     "share.js",
     "state.js",
     "viewer.js",

@@ -11,6 +11,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import numpy as np
@@ -61,6 +62,12 @@ class Page:
             route.continue_()
         else:
             route.abort()
+
+    def open_without_viewer(self) -> None:
+        """Open the page where the viewer cannot be loaded, for what needs none of its pictures."""
+        self.tab.route("**/re_viewer_bg.wasm", lambda route: route.abort())
+        self.tab.goto(self.url)
+        self.tab.wait_for_selector("body[data-ready]")
 
     def open(self, query: str = "") -> None:
         """Open an address, and wait for the viewers."""
@@ -327,13 +334,13 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         assert page.tab.input_value("input[name=search]") == "kept"
         assert "Point 7 of frame 2" in page.tab.inner_text("#point")
         assert page.tab.locator("#point .answer").count() == 2  # the same click asks both
-        merged = page.tab.evaluate("explorer.cards().filter(card => card.other).map(card => card.other.number)")
+        merged = page.tab.evaluate("explorer.cards().filter(card => card.others.b).map(card => card.others.b.number)")
         assert merged
         assert len(merged) == len(set(merged))
         shown = page.tab.evaluate("explorer.cards().filter(card => card.of === 'b').map(card => card.number)")
         assert not set(shown) & set(merged)  # one card for a place that both get wrong
         page.tab.fill("input[name=search]", "")
-        for choice in ("a", "b", "both"):
+        for choice in ("a", "b", "ab"):
             if page.tab.locator(f"select[name=by] option[value={choice}]").count():
                 page.tab.select_option("select[name=by]", choice)
                 assert {c.inner_text() for c in page.tab.locator(".card .by").all()} <= {
@@ -343,6 +350,68 @@ def test_an_address_restores_two_runs_and_a_point(browser: Any, runs: dict[str, 
         page.wait("explorer.viewers.b.time === 1")  # one cursor
         page.wait("location.search.includes('frame=1')")
         assert not page.errors
+        page.tab.close()
+
+
+def test_a_rectangle_shows_the_evidence_of_the_points_inside(browser: Any, runs: dict[str, Path]) -> None:
+    with dv.explore(runs["fine"]) as explorer:
+        page = Page(browser, explorer)
+        page.open_without_viewer()
+        pane = page.tab.wait_for_selector("#case .map .pane")
+        pane.scroll_into_view_if_needed()
+        caption, strip = "#case figure:has(.map) figcaption", "#case .ledger .strip"
+        box = page.tab.locator("#case .map .pane >> nth=0").locator(".ground").bounding_box()
+        evidence = page.tab.evaluate("async () => (await (await fetch('api/evidence?run=a&case=1')).json()).map")
+        along = 0 if evidence["size"][0] >= evidence["size"][1] else 1
+        half = evidence["size"][along] / 2
+        inside = [row for row, *at in evidence["evidence"] if at[along] <= half]
+        assert len(inside) < len(evidence["evidence"])
+        page.tab.mouse.move(box["x"] + 1, box["y"] + 1)
+        page.tab.mouse.down()
+        page.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] - 1, steps=3)
+        page.tab.mouse.up()
+        assert len(inside) > 1
+        page.wait(f"document.querySelector('{strip}').ariaLabel.includes('median of {len(inside)} points')")
+        count = sum(at[along] <= half for at in evidence["points"])
+        assert page.tab.inner_text(caption).startswith(f"{count} of {len(evidence['points'])} points: ")
+        asked = next(url for url in reversed(page.requests) if "/api/evidence?" in url)
+        assert sorted(map(int, parse_qs(urlsplit(asked).query)["points"][0].split(","))) == sorted(inside)
+        page.tab.locator("#case .map .pane >> nth=0").focus()
+        page.tab.keyboard.press("Escape")
+        page.wait(
+            f"document.querySelector('{strip}').ariaLabel.includes('median of {len(evidence['evidence'])} points')"
+        )
+        page.tab.keyboard.press("ArrowRight")  # a rectangle in the middle
+        page.wait("document.querySelector('#case .map .chosen').getAttribute('visibility') === 'visible'")
+        width = page.tab.get_attribute("#case .map .chosen", "width")
+        page.tab.keyboard.press("Shift+ArrowRight")
+        assert float(page.tab.get_attribute("#case .map .chosen", "width")) > float(width)
+        page.tab.keyboard.press("Escape")
+        page.tab.close()
+
+
+def test_of_three_runs_an_object_has_one_card_with_a_bar_for_each(browser: Any, runs: dict[str, Path]) -> None:
+    with dv.explore(runs["fine"], runs["coarse"], runs["fine"]) as explorer:
+        page = Page(browser, explorer)
+        page.open_without_viewer()
+        page.tab.wait_for_selector("#point .answer[data-run=c]")
+        cases = len(Result.load(runs["fine"] / "result.json").failures)
+        assert page.tab.evaluate("explorer.cards().filter(card => card.others.c).length") >= cases
+        assert page.tab.locator("#card-a-1 .cost-of").all_inner_texts()[0][0] == "A"
+        assert page.tab.locator(".cost-of").count() == 3 * page.tab.locator(".card").count()
+        assert not page.tab.evaluate("explorer.cards().some(card => card.of === 'c')")
+        page.tab.close()
+
+
+def test_without_ground_truth_the_page_opens_at_the_first_case_of_the_recording(
+    browser: Any, runs: dict[str, Path]
+) -> None:
+    with dv.explore(runs["unknown"]) as explorer:
+        page = Page(browser, explorer)
+        page.open_without_viewer()
+        shown = [int(card.get_attribute("id").split("-")[-1]) for card in page.tab.locator(".card").all()]
+        assert shown == list(range(1, len(Result.load(runs["unknown"] / "result.json").clusters) + 1))
+        page.wait("document.querySelector('#card-a-1').ariaCurrent === 'true'")
         page.tab.close()
 
 

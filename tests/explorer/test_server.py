@@ -22,8 +22,12 @@ import dynaviz as dv
 from dynaviz import colours
 from dynaviz.arrays import U8
 from dynaviz.contracts.scan import Outcome
+from dynaviz.engine.case_evidence import evidence_of
 from dynaviz.errors import DataError, UsageError
+from dynaviz.explorer.cards import MAP_MARGIN, cards, surroundings
+from dynaviz.explorer.run import ExploredRun
 from dynaviz.explorer.server import Explorer
+from dynaviz.explorer.strip import strip
 from dynaviz.scores.result import Result
 from dynaviz.views.cases import OUTCOMES
 from dynaviz.views.read.reader import RunRecording
@@ -130,7 +134,7 @@ def test_the_cases_are_those_of_the_result(explorer: Explorer, runs: dict[str, P
         (case.cost, case.worst_frame, case.sentence) for case in result.failures
     ]
     assert all(sum(card["spark"]) >= card["points"] for card in cards)  # boxes of cases may overlap
-    assert {card["by"] for card in cards} <= {"one", "both"}
+    assert all(card["wrong"] in ([], ["b"]) for card in cards)
 
 
 def test_a_case_is_of_both_runs_if_both_are_wrong_at_most_of_its_points(
@@ -148,9 +152,21 @@ def test_a_case_is_of_both_runs_if_both_are_wrong_at_most_of_its_points(
             mine = points.point[inside & (points.outcome == outcome)]
             answers = others[points.frame]
             wrong += (answers.dynamic[mine] != (answers.truth[mine] == 1)).tolist()
-        assert card["by"] == ("both" if np.mean(wrong) >= 0.5 else "one"), card["title"]
-        found.add(card["by"])
-    assert found == {"one", "both"}
+        assert card["wrong"] == (["b"] if np.mean(wrong) >= 0.5 else []), card["title"]
+        found.add(len(card["wrong"]))
+    assert found == {0, 1}
+
+
+def test_up_to_nine_runs_are_compared(runs: dict[str, Path]) -> None:
+    with dv.explore(runs["fine"], runs["coarse"], runs["fine"]) as server:
+        found = ask(server, "runs")
+        assert list(found) == ["a", "b", "c"]
+        for card in found["a"]["cases"]:
+            assert card["same"]["c"] == card["number"]  # the same run twice
+            assert "c" in card["wrong"]
+        assert list(ask(server, "point", frame=2, point=7)["runs"]) == ["a", "b", "c"]
+    with pytest.raises(UsageError, match="10 runs: give at most 9"):
+        dv.explore(*[runs["fine"]] * 10)
 
 
 def stored(run: Path) -> Callable[[int, int], tuple[bool, str]]:
@@ -210,6 +226,30 @@ def test_the_evidence_on_a_case_needs_no_sequence(mailed: Explorer, runs: dict[s
     evidence = ask(mailed, "evidence", run="a", case=1)
     assert evidence["strip"]["points"] > 1
     assert [p["name"] for p in evidence["what_if"]["parameters"]] == ["prob_miss", "prob_hit", "clamp_min", "clamp_max"]
+
+
+def test_the_evidence_of_chosen_points_is_that_of_their_ledgers(mailed: Explorer, runs: dict[str, Path]) -> None:
+    ledgers = RunRecording(runs["fine"] / "run.rrd").ledgers(1)
+    drawn = ask(mailed, "evidence", run="a", case=1)["map"]
+    assert [row for row, *_ in drawn["evidence"]] == [ledger.point for ledger in ledgers]
+    some = ledgers[::2]
+    rows = ",".join(str(ledger.point) for ledger in some)
+    found = ask(mailed, "evidence", run="a", case=1, points=rows)
+    assert found["strip"] == json.loads(json.dumps(strip(some)))
+    assert found["text"] == evidence_of(some).text
+    assert ask(mailed, "evidence", run="a", case=1, points="999999") == {}
+
+
+def test_the_map_of_a_case_contains_its_points(runs: dict[str, Path]) -> None:
+    run = ExploredRun(runs["fine"])
+    for card in cards(run)[:3]:
+        found = surroundings(run, card, run.ledgers(card.number))
+        mine = run.wrong.xyz[card.rows[run.wrong.frame[card.rows] == card.case.worst_frame]]
+        assert len(found["points"]) == len(mine) > 0
+        assert np.allclose(found["points"] + card.low - MAP_MARGIN, mine, atol=0.01)
+        assert len(found["around"][card.outcome.name.lower()]) >= len(mine)
+        places = np.array([place for _, *place in found["evidence"]])
+        assert ((places >= MAP_MARGIN - 0.02) & (places <= np.array(found["size"]) - MAP_MARGIN + 0.02)).all()
 
 
 def test_other_points_are_explained_by_a_replay(explorer: Explorer, runs: dict[str, Path]) -> None:

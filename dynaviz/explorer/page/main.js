@@ -12,6 +12,7 @@ const by = id => document.getElementById(id)
 const WRONG = ['false_positive', 'false_negative', 'unlabelled_removed']
 const LEGEND = [['ghost kept', 'dynamic, kept'], ['hole removed', 'static, removed'], ['ghost removed', 'dynamic, removed'], ['static', 'static, kept']]
 const LEGEND_UNLABELLED = [['cluster', 'removed'], ['static', 'kept']]
+const VIEWERS = 2 // of the first runs; the others are asked about the same points
 const viewers = {}
 let runs, cards, panel, list = []
 
@@ -20,7 +21,7 @@ async function start() {
   runs = await ask('runs')
   cards = allCards(runs)
   headings()
-  filters(by('filters'), cards, state, () => {
+  filters(by('filters'), cards, runs, state, () => {
     change(Object.fromEntries(new FormData(by('filters'))))
     showList()
   })
@@ -33,7 +34,7 @@ async function start() {
   const frame = Math.min(state.frame ?? first?.worst ?? 0, runs.a.frames - 1)
   change({ frame })
   showCursor(frame)
-  for (const letter of Object.keys(runs)) openViewer(letter, frame)
+  for (const letter of Object.keys(runs).slice(0, VIEWERS)) openViewer(letter, frame)
   const asked = state.point !== undefined ? [state.at ?? state.frame ?? 0, state.point] : first?.point != null && frame === first.worst ? [first.worst, first.point] : null
   if (asked) await explain(ask('point', { frame: asked[0], point: asked[1] }), state.point !== undefined)
   window.explorer = { viewers, current, clicked, cards: () => cards } // for tests, and for the console
@@ -41,11 +42,11 @@ async function start() {
 }
 
 function headings() {
-  const { a, b } = runs
-  document.title = `${a.title}${b ? ` and ${b.title}` : ''} on ${a.sequence}`
-  by('run').textContent = b ? `A ${a.title}, B ${b.title}: ${a.sequence}` : `${a.title}: ${a.sequence}`
+  const { a, b } = runs, each = show => Object.entries(runs).map(([letter, run]) => `${b ? `${letter.toUpperCase()} ` : ''}${show(run)}`)
+  document.title = `${Object.values(runs).map(run => run.title).join(', ')} on ${a.sequence}`
+  by('run').textContent = `${each(run => run.title).join(', ')}: ${a.sequence}`
   const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
-  by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : b ? `A ${scores(a)}\nB ${scores(b)}` : `${scores(a)} %`
+  by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : each(scores).join('\n') + (b ? '' : ' %')
   by('legend').replaceChildren(...(a.truth ? LEGEND : LEGEND_UNLABELLED).map(([kind, words]) => make('span', { class: `key ${kind}` }, words)))
   by('corrected').textContent = Object.entries(runs).filter(([, run]) => run.rescored).map(([letter, run]) => `${b ? `${letter.toUpperCase()}: ` : ''}${run.rescored}`).join('\n')
 }
@@ -58,7 +59,7 @@ function showList() {
   const most = Math.max(...cards.map(worth))
   const unit = cards.some(card => card.cost !== null) ? 'cases' : cards.some(differs) ? 'changes' : 'clusters of removed points'
   by('count').textContent = `${list.length === cards.length ? '' : `${list.length} of `}${cards.length} ${unit}`
-  by('cards').replaceChildren(...list.map(card => cardElement(card, runs.a.frames, runs.b && most, open, runs[card.of].corrections[card.number])))
+  by('cards').replaceChildren(...list.map(card => cardElement(card, runs, most, open, runs[card.of].corrections[card.number])))
   highlight()
 }
 
@@ -73,7 +74,7 @@ function showCard() {
   const card = selected()
   highlight()
   showCase(by('case'), card, runs, card && buttons(card, runs[card.of]), card && correction(card, runs[card.of], { changed: corrected, scored: headings }),
-    letter => scansOf(letter, () => ({ case: card.number })), goTo)
+    (letter, points) => scansOf(letter, () => ({ case: card.number, ...(points && { points }) })), goTo)
 }
 
 /** After a correction, the card and the point state the corrected truth. */

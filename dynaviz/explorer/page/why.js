@@ -1,11 +1,11 @@
 // The panel on the right: the case in words, and why a point got its label.
-import { ask, make, whole, words } from './dom.js'
+import { ask, make, say, whole, words } from './dom.js'
 import { scanStrip, short, timeStrip } from './plot.js'
+import { caseMap } from './rectangle.js'
 import { sliders } from './whatif.js'
 
 const POLL = 400 // ms
 const PATIENCE = 30 // seconds: a replay that takes longer waits for a click
-const TITLES = { a: 'A', b: 'B' }
 
 const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer: ['kept', 'partly', 'removed'] }
 
@@ -13,13 +13,13 @@ const LANES = { truth: ['moving', 'standing'], rays: ['hit', 'crossed'], answer:
 function lanesOf(card, runs, rays) {
   const lane = (name, from, spans) => ({ name, kind: card.kind, states: LANES[from].flatMap(state => (spans?.[state] ?? []).map(span => [state, ...span])) })
   const { moving = [], standing = [] } = card.spans
-  const other = card.kind === 'ghost' && card.by !== 'both' ? card.other?.spans ?? { removed: [...moving, ...standing] } : card.other?.spans
-  const by = { [card.of]: card.spans, [card.of === 'a' ? 'b' : 'a']: other }
-  const answers = runs.b ? ['a', 'b'].map(letter => lane(letter.toUpperCase(), 'answer', by[letter])) : [lane('answer', 'answer', card.spans)]
+  const right = card.kind === 'ghost' ? { removed: [...moving, ...standing] } : undefined
+  const spans = letter => letter === card.of ? card.spans : card.others[letter]?.spans ?? (card.by.includes(letter) ? undefined : right)
+  const answers = Object.keys(runs).map(letter => lane(runs.b ? letter.toUpperCase() : 'answer', 'answer', spans(letter)))
   return [lane('object', 'truth', card.spans), lane('rays', 'rays', rays), ...answers].filter(({ states }) => states.length)
 }
 
-/** The chosen case; its evidence follows when it was read. on: hover, pick, start, as for PointPanel; goTo: a frame. */
+/** The chosen case; its evidence follows when it was read. on: by letter and the rows of chosen points, if not all, as for PointPanel; goTo: a frame. */
 export function showCase(element, card, runs, buttons, correction, on, goTo) {
   const run = runs[card?.of ?? 'a']
   if (!card) {
@@ -38,7 +38,7 @@ export function showCase(element, card, runs, buttons, correction, on, goTo) {
   element.replaceChildren(...[
     make('h2', { class: card.kind }, `${card.number} ${card.title}`),
     make('p', { class: 'sentence' }, card.sentence),
-    card.other && make('p', { class: 'sentence' }, `${TITLES[card.of === 'a' ? 'b' : 'a']}: ${card.other.sentence}`),
+    ...Object.entries(card.others).map(([letter, other]) => make('p', { class: 'sentence' }, `${letter.toUpperCase()}: ${other.sentence}`)),
     time,
     make('dl', {}, Object.entries(facts).filter(([, value]) => value).flatMap(([name, value]) => [make('dt', {}, name), make('dd', {}, value)])),
     evidence,
@@ -47,8 +47,19 @@ export function showCase(element, card, runs, buttons, correction, on, goTo) {
   ask('evidence', { run: card.of, case: card.number }).then(found => {
     if (!found.strip) return
     overTime(found.spans)
-    evidence.append(make('p', { class: 'evidence' }, found.text), scanStrip(found.strip, run.frames, on(card.of)),
-      ...(found.what_if ? [sliders(found.what_if, card, settings => on(card.of).start(settings))] : []))
+    const strip = make('div', { class: 'ledger' }), flip = make('div')
+    const show = ({ text, strip: scans, what_if: whatIf }, points) => {
+      strip.replaceChildren(make('p', { class: 'evidence' }, text), scanStrip(scans, run.frames, on(card.of, points)))
+      flip.replaceChildren(...(whatIf ? [sliders(whatIf, points ? null : card, settings => on(card.of).start(settings))] : []))
+    }
+    show(found)
+    let latest // of several rectangles, the last one counts
+    const choose = async points => {
+      latest = points
+      const chosen = points ? await ask('evidence', { run: card.of, case: card.number, points }) : found
+      if (latest === points) show(chosen, points)
+    }
+    evidence.append(strip, caseMap(found.map, points => choose(points).catch(error => say(error.message))), flip)
   }, error => evidence.append(make('p', { class: 'error' }, error.message)))
 }
 
@@ -92,7 +103,7 @@ export class PointPanel {
     const run = this.runs[letter], ledger = make('div', { class: 'ledger', 'data-run': letter })
     const wrong = point.outcome.startsWith('false')
     const part = make('section', { class: 'answer', 'data-outcome': point.outcome, 'data-run': letter },
-      make('h3', {}, this.runs.b ? `${TITLES[letter]}: ${run.title}` : run.title),
+      make('h3', {}, this.runs.b ? `${letter.toUpperCase()}: ${run.title}` : run.title),
       make('p', { class: 'sentence' }, point.sentence),
       make('dl', {},
         make('dt', {}, 'Truth'), make('dd', { class: 'truth' }, (point.truth ?? 'unknown') + (point.corrected ? ', corrected' : '')),
