@@ -55,7 +55,8 @@ def _section(run: Path) -> Failures | Removals:
     from dynaviz.errors import DataError
     from dynaviz.runs.run import open_run
 
-    result = open_run(run_in(run)).result
+    whole = (run / "result.json").is_file()  # then the recording is not needed
+    result = open_run(run if whole else run_in(run)).result
     section = result.sections.failures if result.has_truth else result.sections.removals
     if section is None:
         problem = "has no failure cases" if result.has_truth else "has no ground truth and no section on removed points"
