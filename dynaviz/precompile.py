@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+_SPAWN = multiprocessing.get_context("spawn")
 LATE = ("freedom", "hmm_mos")  # methods that the demo leaves out, to stay short; compiled on first use
 
 
@@ -33,12 +34,32 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
         if handle.name in late:
             continue
         families.setdefault(handle.target.partition(":")[0], []).append(handle.name)
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as cores:
+    with ProcessPoolExecutor(mp_context=_SPAWN) as cores:
         # Errors are ignored here: they occur again, and are reported, when the kernel runs.
         cores.submit(_score)
         for names in families.values():
             cores.submit(_label, names)
         yield
+
+
+@contextlib.contextmanager
+def compiling_the_rest() -> Iterator[None]:
+    """Compile on another core what scores and records, while this process compiles the method that it runs.
+
+    Nothing happens if any kernel is compiled already. The other process ends with this block at the latest.
+    """
+    from dynaviz import kernels
+
+    if kernels.compiled():
+        yield
+        return
+    rest = _SPAWN.Process(target=_score, daemon=True)
+    rest.start()
+    try:
+        yield
+    finally:
+        rest.terminate()
+        rest.join()
 
 
 def _label(names: list[str]) -> None:

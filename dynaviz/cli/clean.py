@@ -83,8 +83,9 @@ def clean(
     dynaviz clean survey.laz --poses trajectory.csv -o clean.laz --region 500100,5400200,500300,5400400
     """
     from dynaviz import cleaning
+    from dynaviz.precompile import compiling_the_rest
 
-    with progress(f"clean {' '.join(sequence)}") as report:
+    with compiling_the_rest(), progress(f"clean {' '.join(sequence)}") as report:
         cleaned = cleaning.clean(
             sequence if len(sequence) > 1 else sequence[0],
             out,

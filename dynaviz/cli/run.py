@@ -44,6 +44,7 @@ def run(
     dynaviz run dufomap "drive.bag#/velodyne_points" --poses map
     dynaviz run seethrough monday/ tuesday/ --tiles 200 --workers 4
     """
+    from dynaviz.precompile import compiling_the_rest
     from dynaviz.runs.execution import run_method
     from dynaviz.runs.options import split
     from dynaviz.sources.opening import open_source
@@ -53,7 +54,7 @@ def run(
         source = sequence if len(sequence) > 1 else sequence[0]
         opened = open_source(source, opening.without_refinement, progress=report)
     folder = out or Path("recordings") / opened.name / method
-    with progress(f"{method} on {opened.name}") as report:
+    with compiling_the_rest(), progress(f"{method} on {opened.name}") as report:
         result = run_method(
             method,
             opened,

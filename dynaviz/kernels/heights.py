@@ -36,7 +36,7 @@ def above_ground(points, size):
             k -= 1
         lows[a, b, k] = z
     heights = np.full(len(points), np.float32(np.nan))
-    pool = np.empty(9 * _KEEP, np.float32)
+    pool = np.empty(_KEEP + 1, np.float32)  # the lowest points of nine cells, and room for one more
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if not math.isfinite(x + y + z):
@@ -50,9 +50,12 @@ def above_ground(points, size):
                     c, d = (a + da) & (_SIDE - 1), (b + db) & (_SIDE - 1)
                     total += counts[c, d]
                     for k in range(min(counts[c, d], _KEEP)):
-                        pool[n] = lows[c, d, k]
-                        n += 1
-            pool[:n].sort()
+                        low, at = lows[c, d, k], n
+                        while at > 0 and pool[at - 1] > low:
+                            pool[at] = pool[at - 1]
+                            at -= 1
+                        pool[at] = low
+                        n = min(n + 1, _KEEP)
             grounds[a, b] = pool[min(total // 4, _KEEP - 1)]
         heights[i] = z - grounds[a, b]
     return heights

@@ -142,22 +142,19 @@ def cells_of(points, chosen, size, tall):
 
 
 @njit(cache=True, nogil=True)
-def connect(points, chosen, size, tall):
-    """Join the chosen points to objects: connected components of cells that share a face, an edge or a corner.
+def connect(mine, order, keys):
+    """Join points to objects: connected components of cells that share a face, an edge or a corner.
 
     Args:
-        points: (N, 3) float32, metres.
-        chosen: (N,) bool; chosen points must be finite.
-        size, tall: edge of a cell in x and y, and in z, metres.
+        mine: (N,) int32: the cell of each point, as from ``cells_of``. Modified: the number of its object, in the order
+            of first points; -1 for points without a cell.
+        order: (C,) int64: the cells in the order of their keys.
+        keys: (C,) int64, ascending: these keys.
 
     Returns:
-        (N,) int32: number of each point's object, in the order of first points; -1 for points that are not chosen.
         The number of objects.
     """
-    mine, cells, _ = cells_of(points, chosen, size, tall)
-    count, parent = len(cells), np.arange(len(cells))
-    order = np.argsort(cells)
-    keys = cells[order]
+    count, parent = len(keys), np.arange(len(keys))
     for run in range(len(RUNS)):
         at = 0
         for c in range(count):
@@ -175,10 +172,10 @@ def connect(points, chosen, size, tall):
             names[root] = objects
             objects += 1
         names[c] = names[root]
-    for i in range(len(points)):
+    for i in range(len(mine)):
         if mine[i] >= 0:
             mine[i] = names[mine[i]]
-    return mine, objects
+    return objects
 
 
 @njit(cache=True, nogil=True)

@@ -170,12 +170,19 @@ def inclines(surface, first, wide, steep, most):
     for a in range(1, squares[0] - 1):
         for b in range(1, squares[1] - 1):
             for axis in range(2):
-                around = number[a - 1 : a + 2, b - 1 : b + 2, axis].sum()
-                mean[a, b, axis] = total[a - 1 : a + 2, b - 1 : b + 2, axis].sum() / max(around, 1.0)
-            mean[a, b] *= most / max(most, math.sqrt(mean[a, b, 0] ** 2 + mean[a, b, 1] ** 2))
+                rise, around = 0.0, 0.0
+                for i in range(a - 1, a + 2):
+                    for j in range(b - 1, b + 2):
+                        rise += total[i, j, axis]
+                        around += number[i, j, axis]
+                mean[a, b, axis] = rise / max(around, 1.0)
+            limit = most / max(most, math.sqrt(mean[a, b, 0] ** 2 + mean[a, b, 1] ** 2))
+            for axis in range(2):
+                mean[a, b, axis] *= limit
     for x in range(rows):
         for y in range(columns):
-            found[x, y] = mean[(first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1]
+            for axis in range(2):
+                found[x, y, axis] = mean[(first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1, axis]
     return found
 
 
@@ -193,14 +200,14 @@ def lower(surface, incline, step):
         for x in range(rows):
             for y in range(columns):
                 before = z = surface[x, y]
-                u, v = half[x, y]
+                u, v = half[x, y, 0], half[x, y, 1]
                 if x > 0:
                     z = min(z, surface[x - 1, y] + step + u + half[x - 1, y, 0])
                     if y > 0:
-                        there = half[x - 1, y - 1]
+                        there = half[x - 1, y - 1, 0], half[x - 1, y - 1, 1]
                         z = min(z, surface[x - 1, y - 1] + slant + u + v + (there[0] + there[1]))
                     if y < columns - 1:
-                        there = half[x - 1, y + 1]
+                        there = half[x - 1, y + 1, 0], half[x - 1, y + 1, 1]
                         z = min(z, surface[x - 1, y + 1] + slant + u - v + there[0] - there[1])
                 if y > 0:
                     z = min(z, surface[x, y - 1] + step + v + half[x, y - 1, 1])
@@ -209,14 +216,14 @@ def lower(surface, incline, step):
         for x in range(rows - 1, -1, -1):
             for y in range(columns - 1, -1, -1):
                 before = z = surface[x, y]
-                u, v = half[x, y]
+                u, v = half[x, y, 0], half[x, y, 1]
                 if x < rows - 1:
                     z = min(z, surface[x + 1, y] + step - u - half[x + 1, y, 0])
                     if y > 0:
-                        there = half[x + 1, y - 1]
+                        there = half[x + 1, y - 1, 0], half[x + 1, y - 1, 1]
                         z = min(z, surface[x + 1, y - 1] + slant - u + v - there[0] + there[1])
                     if y < columns - 1:
-                        there = half[x + 1, y + 1]
+                        there = half[x + 1, y + 1, 0], half[x + 1, y + 1, 1]
                         z = min(z, surface[x + 1, y + 1] + slant - u - v - (there[0] + there[1]))
                 if y < columns - 1:
                     z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
@@ -241,9 +248,11 @@ def filled(surface, weight, levels):
         sizes[k], offsets[k + 1] = size, offsets[k] + size * size
         size = (size + 1) // 2
     z, w = np.zeros(offsets[-1]), np.zeros(offsets[-1])
-    for i in range(sizes[0] * sizes[0]):
-        w[i] = weight.flat[i]
-        z[i] = surface.flat[i] if w[i] > 0 else 0.0
+    for x in range(sizes[0]):
+        for y in range(sizes[0]):
+            i = x * sizes[0] + y
+            w[i] = weight[x, y]
+            z[i] = surface[x, y] if w[i] > 0 else 0.0
     for k in range(levels):
         own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
         for x in range(wide):
@@ -266,8 +275,10 @@ def filled(surface, weight, levels):
                         z[i] = w[i] * z[i] + (1 - w[i]) * mean
                         w[i] = max(w[i], min(total, 1.0))
     found = np.empty(surface.shape)
-    for i in range(sizes[0] * sizes[0]):
-        found.flat[i] = z[i] if w[i] > 0 else np.inf
+    for x in range(sizes[0]):
+        for y in range(sizes[0]):
+            i = x * sizes[0] + y
+            found[x, y] = z[i] if w[i] > 0 else np.inf
     return found
 
 

@@ -9,14 +9,15 @@ from dynaviz.kernels.keys import REACH
 
 
 @njit(cache=True, nogil=True)
-def _squares(points, rows, cell):
-    """The cells (K, 2) of some points, seen from above; and their lowest and highest indices, (2,) each."""
-    cells, low, high = np.empty((len(rows), 2), np.int64), np.array([REACH, REACH]), np.array([-REACH, -REACH])
-    for k in range(len(rows)):
-        for axis in range(2):
-            c = np.int64(math.floor(points[rows[k], axis] / cell))
-            cells[k, axis] = c
-            low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
+def _squares(points, chosen, cell):
+    """The cells (N, 2) of chosen points, seen from above; and their lowest and highest indices, (2,) each."""
+    cells, low, high = np.empty((len(chosen), 2), np.int64), np.array([REACH, REACH]), np.array([-REACH, -REACH])
+    for i in range(len(chosen)):
+        if chosen[i]:
+            for axis in range(2):
+                c = np.int64(math.floor(points[i, axis] / cell))
+                cells[i, axis] = c
+                low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
     return cells, low, high
 
 
@@ -30,19 +31,22 @@ def in_or_next_to(points, chosen, among, cell):
         among: (N,) bool: the points in question, which must be finite; False for all others.
         cell: edge of a cell, metres.
     """
-    found, rows = np.zeros(len(points), np.bool_), np.flatnonzero(chosen)
-    cells, low, high = _squares(points, rows, cell)
-    if len(rows) == 0:
+    found = np.zeros(len(points), np.bool_)
+    cells, low, high = _squares(points, chosen, cell)
+    if high[0] < low[0]:
         return found
     picture = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_)
-    for k in range(len(rows)):
-        x, y = cells[k, 0] - low[0], cells[k, 1] - low[1]
-        picture[x : x + 3, y : y + 3] = True
-    for i in np.flatnonzero(among):
-        x = np.int64(math.floor(points[i, 0] / cell)) - low[0] + 1
-        y = np.int64(math.floor(points[i, 1] / cell)) - low[1] + 1
-        if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
-            found[i] = picture[x, y]
+    for i in range(len(points)):
+        if chosen[i]:
+            for x in range(cells[i, 0] - low[0], cells[i, 0] - low[0] + 3):
+                for y in range(cells[i, 1] - low[1], cells[i, 1] - low[1] + 3):
+                    picture[x, y] = True
+    for i in range(len(points)):
+        if among[i]:
+            x = np.int64(math.floor(points[i, 0] / cell)) - low[0] + 1
+            y = np.int64(math.floor(points[i, 1] / cell)) - low[1] + 1
+            if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
+                found[i] = picture[x, y]
     return found
 
 
@@ -59,20 +63,22 @@ def local_level(points, chosen, wanted, height, cell, few):
         cell: edge of a cell, metres.
         few: minimum number of points.
     """
-    level, rows = np.zeros(len(points), np.float32), np.flatnonzero(wanted)
-    cells, low, high = _squares(points, rows, cell)
-    if len(rows) == 0:
+    level = np.zeros(len(points), np.float32)
+    cells, low, high = _squares(points, wanted, cell)
+    if high[0] < low[0]:
         return level
     number = np.zeros((high[0] - low[0] + 1, high[1] - low[1] + 1), np.int64)
     total = np.zeros(number.shape, np.int64)
-    for i in np.flatnonzero(chosen):
-        x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
-        y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
-        if 0 <= x < number.shape[0] and 0 <= y < number.shape[1]:
-            number[x, y] += 1
-            total[x, y] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
-    for k in range(len(rows)):
-        x, y = cells[k, 0] - low[0], cells[k, 1] - low[1]
-        if number[x, y] >= few:
-            level[rows[k]] = total[x, y] / (1e6 * number[x, y])
+    for i in range(len(points)):
+        if chosen[i]:
+            x = np.int64(math.floor(points[i, 0] / cell)) - low[0]
+            y = np.int64(math.floor(points[i, 1] / cell)) - low[1]
+            if 0 <= x < number.shape[0] and 0 <= y < number.shape[1]:
+                number[x, y] += 1
+                total[x, y] += np.int64(np.round(np.float64(height[i]) * 1e6))  # integers: any order
+    for i in range(len(points)):
+        if wanted[i]:
+            x, y = cells[i, 0] - low[0], cells[i, 1] - low[1]
+            if number[x, y] >= few:
+                level[i] = total[x, y] / (1e6 * number[x, y])
     return level

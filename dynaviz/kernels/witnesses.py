@@ -25,7 +25,8 @@ def _in_direction(origin, low, high):
         if distance <= radius * 1.01:
             every |= np.uint64(1) << np.uint64(b)
         distance = max(math.sqrt(distance), TINY)
-        apart[b] /= distance
+        for axis in range(3):
+            apart[b, axis] /= distance
         reach[b] = math.cos(min(math.asin(min(math.sqrt(radius) / distance, 1.0)) + SPREAD, math.pi)) - 1e-6
     for face in range(6):
         along[face % 3] = 1.0 if face < 3 else -1.0
@@ -83,6 +84,15 @@ def _bounds(starts, low, high):
     return around_low, around_high
 
 
+@njit(cache=True, nogil=True)
+def _doubled(array):
+    """A copy with room for as many elements again."""
+    larger = np.empty(2 * len(array), array.dtype)
+    for i in range(len(array)):
+        larger[i] = array[i]
+    return larger
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def touched(points, origins, starts, low, high):
     """The boxes that the rays of a scan touch, by a slab test of the boxes whose group they touch.
@@ -123,8 +133,7 @@ def touched(points, origins, starts, low, high):
                 if enter > leave or leave < 0.0 or enter > 1.0 or not (leave >= 1.0 or enter > 0.0):
                     continue
                 if count == len(rays):
-                    rays, boxes = np.append(rays, rays), np.append(boxes, boxes)
-                    ends = np.append(ends, ends)
+                    rays, boxes, ends = _doubled(rays), _doubled(boxes), _doubled(ends)
                 rays[count], boxes[count], ends[count] = i, b, leave >= 1.0
                 count += 1
     return rays[:count], boxes[:count], ends[:count]
