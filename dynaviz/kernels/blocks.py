@@ -130,11 +130,11 @@ def locate(points, per_metre, base, shape, top, children):
     return found
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def read(voxels, bits):
     """(N,) bool: whether the bits of voxels (N,) are set in words (B, 8 or more); False for -1."""
     found = np.zeros(len(voxels), np.bool_)
-    for i in prange(len(voxels)):
+    for i in range(len(voxels)):
         if voxels[i] >= 0:
             found[i] = bits[voxels[i] >> 9, voxels[i] >> 6 & 7] >> np.uint64(voxels[i] & 63) & np.uint64(1)
     return found
