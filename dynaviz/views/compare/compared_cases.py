@@ -14,6 +14,7 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
+from dynaviz.errors import PluginError, UsageError
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
 from dynaviz.scores.sections import FailureCase, Sections
 from dynaviz.views import cases, drawn, keys, paths
@@ -174,11 +175,12 @@ def _copy(stream: rr.RecordingStream, root: str, run: RunRecording, found: Seque
 
 
 def _keys(run: RunRecording) -> dict[str, rr.EncodedImage]:
-    """What the colours of each state mean, by its path; none if the method is not installed."""
+    """What the colours of each state mean, by its path; none if the method cannot be loaded."""
     method = run.properties["method"]
-    if method not in registry.loadable("methods"):
+    try:
+        tabs = keys.tabs(registry.load("methods", method).info)
+    except (UsageError, PluginError):
         return {}
-    tabs = keys.tabs(registry.load("methods", method).info)
     return {paths.state(method, state): keys.strip(states) for states in tabs for state in states}
 
 
