@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import multiprocessing
+import signal
 import sys
 import tempfile
 from collections.abc import Collection, Iterator
@@ -53,7 +54,7 @@ def compiling_the_rest() -> Iterator[None]:
     if kernels.compiled():
         yield
         return
-    rest = _SPAWN.Process(target=_score, daemon=True)
+    rest = _SPAWN.Process(target=_score_in_background, daemon=True)
     rest.start()
     try:
         yield
@@ -73,6 +74,13 @@ def _label(names: list[str]) -> None:
         for name in names:
             method = registry.load("methods", name)
             execute(RunSpec(method(method.Params()), InMemory(crossing(9)), method.Params()), probe=MemoryProbe())
+
+
+def _score_in_background() -> None:
+    """As ``_score``, until SIGTERM, which lets it remove its files; errors occur again where the kernels are used."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    with contextlib.suppress(Exception, KeyboardInterrupt):
+        _score()
 
 
 def _score() -> None:
