@@ -60,7 +60,10 @@ def _divided(chosen):
     """The rows (K,) of chosen points, (N,) bool, and the ends of the parts into which they are divided for threads."""
     rows = _rows(chosen)
     parts = PARTS if len(rows) > FEW else 1
-    return rows, np.arange(parts + 1) * len(rows) // parts
+    ends = np.empty(parts + 1, np.int64)
+    for part in range(parts + 1):
+        ends[part] = part * len(rows) // parts
+    return rows, ends
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
