@@ -29,8 +29,8 @@ from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
 from dynaviz.io.gps_time import GPS_EPOCH, adjusted_gps_time
 from dynaviz.io.las_map import LAS, LasHead
-from dynaviz.io.map_tiles import MapTiles
-from dynaviz.io.maps import MapWriter, TiledMap, open_map
+from dynaviz.io.map_tiles import map_tiles
+from dynaviz.io.maps import Writing, divided_map, open_map
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
 from dynaviz.spatial.grid import KeySet, in_key_range, pack
@@ -266,7 +266,7 @@ class _Map:
             warnings.warn(f"{file.path}: the marks replace the attribute {' and '.join(replaced)}", stacklevel=4)
         own = {**fields, **({"gps_time": np.dtype(np.float64)} if self._clock else {}), **marks}
         self._account = dict.fromkeys(PointAccount.__struct_fields__, 0)
-        self._writer = stack.enter_context(_writer(file, own, origin, head, double))
+        self._append = stack.enter_context(_writer(file, own, origin, head, double))
         self.written = WrittenMap(file.path, 0, tuple(own))
 
     @property
@@ -299,7 +299,7 @@ class _Map:
             attributes["gps_time"] = np.zeros(len(chosen)) if known is None else self._clock(known)
         if self._file.marked:
             attributes |= {name: array[chosen] for name, array in points.marks().items()}
-        self._writer.append(points.xyz[chosen], attributes)
+        self._append(points.xyz[chosen], attributes)
         self.written.points += len(chosen)
 
     def add_unposed(self, points: _Points | None, number: int) -> None:
@@ -325,9 +325,9 @@ class _Map:
         return new
 
 
-def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead, double: bool) -> MapWriter:
+def _writer(file: MapFile, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead, double: bool) -> Writing:
     if file.tile_size is not None:
-        return MapTiles(file.path, fields, origin, file.tile_size, file.suffix, head, double)
+        return map_tiles(file.path, fields, origin, file.tile_size, file.suffix, head, double)
     if file.tiled:
-        return TiledMap(file.path, fields, origin, double=double)
+        return divided_map(file.path, fields, origin, double=double)
     return open_map(file.path, fields, origin, head, double)

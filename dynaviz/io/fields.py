@@ -91,14 +91,6 @@ def columns_of(rows: NDArray[Any]) -> Fields:
     return fields
 
 
-def _pcd(path: Path) -> Fields:
-    return columns_of(read_pcd(path).rows)
-
-
-def _ply(path: Path) -> Fields:
-    return columns_of(read_ply_rows(path))
-
-
 def _npy(path: Path) -> Fields:
     hint = "Save (N, 3 or more) float32, metres, or a structured array with x, y and z, with numpy.save"
     with open_npy(path, "NPY file", hint) as array:
@@ -132,8 +124,8 @@ def _npz(path: Path) -> Fields:
 
 
 _READERS: dict[str, Callable[[Path], Fields]] = {
-    ".pcd": _pcd,
-    ".ply": _ply,
+    ".pcd": lambda path: columns_of(read_pcd(path).rows),
+    ".ply": lambda path: columns_of(read_ply_rows(path)),
     ".npy": _npy,
     ".npz": _npz,
     ".las": read_las_fields,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,98 +38,87 @@ class LasHead:
     adjusted_gps_time: bool = False
 
 
-class LasMap:
-    """Writes a LAS file, or LAZ if the path ends so.
+@contextlib.contextmanager
+def las_map(
+    path: Path, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead | None = None
+) -> Iterator[Callable[[F64, Mapping[str, NDArray[Any]]], None]]:
+    """Write a LAS file, or LAZ if the path ends so; arguments and what is yielded as in ``dynaviz.io.maps.open_map``.
 
     An attribute becomes the standard dimension of its name (``intensity``, ``gps_time``, ``return_number``, ``red``
     ...) if that can store its type without loss, otherwise an extra dimension. Intensities in floats become the extra
     dimension ``intensity_float32``; for viewers, ``intensity`` then has them rounded, scaled by 65535 if those of the
     first points are at most 1.
     """
+    laspy = import_laspy(path)
+    header, parts = _new_header(laspy, fields, origin, head or LasHead())
+    names = {
+        name: _dimension(laspy, header, name, np.dtype(dtype)) for name, dtype in fields.items() if name not in parts
+    }
+    gain: float | None = None
 
-    def __init__(
-        self, path: Path, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead | None = None
-    ) -> None:
-        self._laspy = import_laspy(path)
-        self._path, self._stack = path, contextlib.ExitStack()
-        self._parts: dict[str, tuple[str, int]] = {}  # of dimensions with several values
-        self._header = self._new_header(fields, origin, head or LasHead())
-        self._names = {
-            name: self._dimension(name, np.dtype(dtype)) for name, dtype in fields.items() if name not in self._parts
-        }
-        self._gain: float | None = None
-
-    def _new_header(self, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead) -> Any:
-        if head.like is not None:
-            header = deepcopy(read_las_header(head.like))
-            several = {f"{name}_{k}": (name, k) for name, n in _several(header) for k in range(n)}
-            self._parts = {part: place for part, place in several.items() if part in fields}
-            present = {*fields, *(name for name, _ in self._parts.values())}
-            dropped = [name for name in header.point_format.extra_dimension_names if name not in present]
-            header.remove_extra_dims(dropped)
-            return header
-        colours = all(name in fields for name in _COLOURS)
-        header = self._laspy.LasHeader(point_format=_WITH_COLOUR if colours else _WITHOUT_COLOUR, version="1.4")
-        header.scales, header.offsets = np.full(3, SCALE), np.asarray(origin, np.float64)
-        if head.adjusted_gps_time:
-            header.global_encoding.gps_time_type = self._laspy.header.GpsTimeType.STANDARD
-        return header
-
-    def _dimension(self, name: str, dtype: np.dtype[Any]) -> str:
-        """The dimension for an attribute; added to the header if it is an extra one."""
-        dtype = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("<")
-        standard = {dimension.name: dimension for dimension in self._header.point_format.standard_dimensions}
-        extra = tuple(self._header.point_format.extra_dimension_names)
-        if name in standard and _fits(dtype, standard[name]):
-            return name
-        if name in extra:  # of the file whose header this is
-            return name
-        taken = {*self._header.point_format.dimension_names, *"xyz"}
-        own = f"{name}_{dtype.name}" if name in taken else name
-        own = own.encode()[:32].decode(errors="ignore")
-        self._header.add_extra_dim(self._laspy.ExtraBytesParams(name=own, type=dtype.newbyteorder("=")))
-        return own
-
-    def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
-            part = stack.enter_context(atomic_file(self._path))
-            self._file: IO[bytes] = stack.enter_context(open(part, "w+b"))
-            packed = self._path.suffix.lower() == ".laz"
-            self._writer = stack.enter_context(
-                self._laspy.open(self._file, mode="w", header=self._header, do_compress=packed, closefd=False)
-            )
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, kind: Any, *error: Any) -> None:
-        if kind is None and self._header.evlrs:
-            self._writer.write_evlrs(self._header.evlrs)
-        self._stack.__exit__(kind, *error)
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """As ``dynaviz.io.maps.MapWriter``."""
+    def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
+        nonlocal gain
         if not len(xyz):
             return
-        points = self._laspy.ScaleAwarePointRecord.zeros(len(xyz), header=self._header)
+        points = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
         try:
             for axis, name in enumerate("xyz"):
                 points[name] = xyz[:, axis]
-            for name, dimension in self._names.items():
+            for name, dimension in names.items():
                 points[dimension] = fields[name]
-            for part, (name, k) in self._parts.items():
+            for part, (name, k) in parts.items():
                 points[name][:, k] = fields[part]
         except OverflowError as error:
             hint = "Write PCD, or limit the map with --region"
-            raise DataError(self._path, f"LAS cannot store a value ({error})", hint=hint) from None
-        if self._names.get("intensity", "intensity") != "intensity":
-            points["intensity"] = self._rounded(np.asarray(fields["intensity"], np.float64))
-        self._writer.write_points(points)
+            raise DataError(path, f"LAS cannot store a value ({error})", hint=hint) from None
+        if names.get("intensity", "intensity") != "intensity":
+            intensity = np.nan_to_num(np.asarray(fields["intensity"], np.float64))
+            gain = gain or (65535.0 if intensity.max() <= 1 else 1.0)
+            points["intensity"] = np.clip(np.rint(intensity * gain), 0, 65535).astype(np.uint16)
+        writer.write_points(points)
 
-    def _rounded(self, intensity: F64) -> NDArray[np.uint16]:
-        intensity = np.nan_to_num(intensity)
-        if self._gain is None:
-            self._gain = 65535.0 if intensity.max() <= 1 else 1.0
-        return np.clip(np.rint(intensity * self._gain), 0, 65535).astype(np.uint16)
+    packed = path.suffix.lower() == ".laz"
+    with (
+        atomic_file(path) as temporary,
+        open(temporary, "w+b") as file,
+        laspy.open(file, mode="w", header=header, do_compress=packed, closefd=False) as writer,
+    ):
+        yield append
+        if header.evlrs:
+            writer.write_evlrs(header.evlrs)
+
+
+def _new_header(
+    laspy: Any, fields: Mapping[str, np.dtype[Any]], origin: F64, head: LasHead
+) -> tuple[Any, dict[str, tuple[str, int]]]:
+    """The header; and the attributes that are one of several values of a dimension: its name, and which value."""
+    if head.like is not None:
+        header = deepcopy(read_las_header(head.like))
+        several = {f"{name}_{k}": (name, k) for name, n in _several(header) for k in range(n)}
+        parts = {part: place for part, place in several.items() if part in fields}
+        present = {*fields, *(name for name, _ in parts.values())}
+        header.remove_extra_dims([name for name in header.point_format.extra_dimension_names if name not in present])
+        return header, parts
+    colours = all(name in fields for name in _COLOURS)
+    header = laspy.LasHeader(point_format=_WITH_COLOUR if colours else _WITHOUT_COLOUR, version="1.4")
+    header.scales, header.offsets = np.full(3, SCALE), np.asarray(origin, np.float64)
+    if head.adjusted_gps_time:
+        header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    return header, {}
+
+
+def _dimension(laspy: Any, header: Any, name: str, dtype: np.dtype[Any]) -> str:
+    """The dimension for an attribute; added to the header if it is an extra one."""
+    dtype = np.dtype(np.uint8) if dtype.kind == "b" else dtype.newbyteorder("<")
+    standard = {dimension.name: dimension for dimension in header.point_format.standard_dimensions}
+    if name in standard and _fits(dtype, standard[name]):
+        return name
+    if name in header.point_format.extra_dimension_names:  # of the file whose header this is
+        return name
+    own = f"{name}_{dtype.name}" if name in {*header.point_format.dimension_names, *"xyz"} else name
+    own = own.encode()[:32].decode(errors="ignore")
+    header.add_extra_dim(laspy.ExtraBytesParams(name=own, type=dtype.newbyteorder("=")))
+    return own
 
 
 def _several(header: Any) -> list[tuple[str, int]]:

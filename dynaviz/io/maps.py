@@ -1,6 +1,6 @@
 """Write maps piece by piece, with attributes: PCD, PLY, LAS, LAZ, NPZ, and Autoware's divided maps.
 
-A writer is a context manager; its file appears only when the ``with`` block succeeds. Every writer stores attributes
+A file appears only when the ``with`` block that writes it succeeds. Every format stores attributes
 bit by bit. Coordinates are float64 in maps far from zero and in those of float64 sources, otherwise float32; LAS stores
 multiples of 0.1 mm, or of the scale of the file that was cleaned.
 """
@@ -12,18 +12,18 @@ import re
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz.arrays import F64
 from dynaviz.errors import UsageError
-from dynaviz.io.atomic import atomic_file
+from dynaviz.io.atomic import atomic_file, write_atomic
 from dynaviz.io.las import import_laspy
-from dynaviz.io.las_map import LAS, LasHead, LasMap
+from dynaviz.io.las_map import LAS, LasHead, las_map
 from dynaviz.io.pcd import PcdWriter
 
 Dtypes = Mapping[str, np.dtype[Any]]
@@ -32,25 +32,14 @@ _PLY_TYPES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": 
               "f8": "double"}  # fmt: skip
 
 
-class MapWriter(Protocol):
-    """Writes a map of unknown length."""
+Append = Callable[[F64, Mapping[str, NDArray[Any]]], None]
+"""Appends points to a map: (N, 3) float64, metres, finite; and (N,) of each attribute by name, with all names."""
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *error: Any) -> None: ...
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """Append points.
-
-        Args:
-            xyz: (N, 3) float64, metres; finite.
-            fields: (N,) of the dtypes given to ``open_map``, by name, with all names.
-        """
-        ...
+Writing = contextlib.AbstractContextManager[Append]
 
 
-def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None, double: bool = False) -> MapWriter:
-    """A writer for a map; the suffix selects the format.
+def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = None, double: bool = False) -> Writing:
+    """Write a map; the suffix selects the format.
 
     Args:
         path: the file.
@@ -64,16 +53,16 @@ def open_map(path: Path, fields: Dtypes, origin: F64, head: LasHead | None = Non
         MissingDependency: for LAS and LAZ if laspy is not installed.
     """
     writer = _writer(path)
-    return LasMap(path, fields, origin, head) if writer is LasMap else writer(path, row_dtype(fields, origin, double))
+    return las_map(path, fields, origin, head) if writer is las_map else writer(path, row_dtype(fields, origin, double))
 
 
 def check_map_path(path: Path) -> None:
     """Raise UsageError if the suffix of a path is not that of a map, MissingDependency if its package is missing."""
-    if _writer(path) is LasMap:
+    if _writer(path) is las_map:
         import_laspy(path)
 
 
-def _writer(path: Path) -> Callable[..., MapWriter]:
+def _writer(path: Path) -> Callable[..., Writing]:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise UsageError(f"{path}: unknown map format. Give a file that ends in {', '.join(sorted(_WRITERS))}")
@@ -106,166 +95,130 @@ def header_names(row: np.dtype[Any]) -> dict[str, str]:
     return names
 
 
-class PcdMap:
-    """Writes a binary PCD file."""
+@contextlib.contextmanager
+def _pcd_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
+    names = header_names(row)
+    with PcdWriter(path, {names[name]: row[name] for name in names}, np.eye(4)) as writer:
 
-    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
-        self._row = row
-        self._names = header_names(self._row)
-        self._writer = PcdWriter(path, {self._names[n]: self._row[n] for n in self._names}, np.eye(4))
+        def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
+            rows = rows_of(xyz, fields, row)
+            writer.append(**{names[name]: rows[name] for name in names})
 
-    def __enter__(self) -> Self:
-        self._writer.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._writer.__exit__(*error)
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """As ``MapWriter``."""
-        rows = rows_of(xyz, fields, self._row)
-        self._writer.append(**{self._names[name]: rows[name] for name in self._names})
+        yield append
 
 
-class PlyMap:
-    """Writes a binary PLY file. PLY has no 64-bit integers: such attributes are left out with a warning."""
+@contextlib.contextmanager
+def _ply_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
+    """PLY has no 64-bit integers: such attributes are left out with a warning."""
+    stored = np.dtype([(name, row[name]) for name in row.names or () if row[name].str[1:] in _PLY_TYPES])
+    if missing := [name for name in row.names or () if name not in (stored.names or ())]:
+        problem = f"PLY cannot store {row[missing[0]]}; the map has no {', '.join(missing)}"
+        warnings.warn(f"{path}: {problem}. Write PCD, LAZ or NPZ to keep them", stacklevel=2)
+    names, points = header_names(stored), 0
+    properties = [f"property {_PLY_TYPES[stored[name].str[1:]]} {text}" for name, text in names.items()]
+    with atomic_file(path) as temporary, open(temporary, "wb") as file:
 
-    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
-        stored = [name for name in row.names or () if row[name].str[1:] in _PLY_TYPES]
-        if missing := [name for name in row.names or () if name not in stored]:
-            problem = f"PLY cannot store {row[missing[0]]}; the map has no {', '.join(missing)}"
-            warnings.warn(f"{path}: {problem}. Write PCD, LAZ or NPZ to keep them", stacklevel=2)
-        self._row = np.dtype([(name, row[name]) for name in stored])
-        self._path, self._points, self._stack = path, 0, contextlib.ExitStack()
+        def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
+            nonlocal points
+            file.write(rows_of(xyz, fields, stored).data)
+            points += len(xyz)
 
-    def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
-            self._file: IO[bytes] = stack.enter_context(open(stack.enter_context(atomic_file(self._path)), "wb"))
-            self._write_header()
-            stack.callback(self._write_header)  # again at the end, with the number of points
-            self._stack = stack.pop_all()
-        return self
+        def write_header() -> None:
+            lines = ["ply", "format binary_little_endian 1.0", f"element vertex {points:018d}", *properties]
+            file.seek(0)
+            file.write("\n".join([*lines, "end_header", ""]).encode())
 
-    def __exit__(self, *error: Any) -> None:
-        self._stack.__exit__(*error)
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """As ``MapWriter``."""
-        self._file.write(rows_of(xyz, fields, self._row).data)
-        self._points += len(xyz)
-
-    def _write_header(self) -> None:
-        names = header_names(self._row)
-        properties = [f"property {_PLY_TYPES[self._row[name].str[1:]]} {text}" for name, text in names.items()]
-        lines = ["ply", "format binary_little_endian 1.0", f"element vertex {self._points:018d}", *properties]
-        self._file.seek(0)
-        self._file.write("\n".join([*lines, "end_header", ""]).encode())
+        write_header()
+        yield append
+        write_header()  # again, with the number of points
 
 
-class NpzMap:
-    """Writes an NPZ file: ``points`` (N, 3), and an array of N values for each attribute."""
+@contextlib.contextmanager
+def _npz_map(path: Path, row: np.dtype[Any]) -> Iterator[Append]:
+    """``points`` (N, 3), and an array of N values for each attribute; spooled row by row, written column by column."""
+    points = 0
+    with atomic_file(path) as part, tempfile.TemporaryFile(dir=part.parent) as spool:
 
-    def __init__(self, path: Path, row: np.dtype[Any]) -> None:
-        self._path, self._row, self._points = path, row, 0
-        self._stack = contextlib.ExitStack()
+        def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
+            nonlocal points
+            spool.write(rows_of(xyz, fields, row).data)
+            points += len(xyz)
 
-    def __enter__(self) -> Self:
-        with contextlib.ExitStack() as stack:
-            self._part = stack.enter_context(atomic_file(self._path))
-            self._spool: IO[bytes] = stack.enter_context(tempfile.TemporaryFile(dir=self._part.parent))
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(self, kind: Any, *error: Any) -> None:
-        try:
-            if kind is None:
-                self._pack()
-        finally:
-            self._stack.__exit__(kind, *error)
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """As ``MapWriter``."""
-        self._spool.write(rows_of(xyz, fields, self._row).data)
-        self._points += len(xyz)
-
-    def _pack(self) -> None:
-        """Write column by column what was spooled row by row."""
-        columns: dict[str, tuple[list[str], tuple[int, ...]]] = {"points": (["x", "y", "z"], (self._points, 3))}
-        columns |= {name: ([name], (self._points,)) for name in (self._row.names or ())[3:]}
-        with zipfile.ZipFile(self._part, "w") as archive:
+        yield append
+        columns: dict[str, tuple[list[str], tuple[int, ...]]] = {"points": (["x", "y", "z"], (points, 3))}
+        columns |= {name: ([name], (points,)) for name in (row.names or ())[3:]}
+        with zipfile.ZipFile(part, "w") as archive:
             for name, (sources, shape) in columns.items():
-                dtype = self._row[sources[0]]
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                    head = {"descr": dtype.str, "fortran_order": False, "shape": shape}
+                    head = {"descr": row[sources[0]].str, "fortran_order": False, "shape": shape}
                     np.lib.format.write_array_header_1_0(file, head)
-                    self._spool.seek(0)
-                    while raw := self._spool.read(self._row.itemsize << 16):
-                        rows = np.frombuffer(raw, self._row)
-                        column = (
-                            np.column_stack([rows[source] for source in sources]) if len(sources) > 1 else rows[name]
-                        )
-                        file.write(np.ascontiguousarray(column).tobytes())
+                    spool.seek(0)
+                    while raw := spool.read(row.itemsize << 16):
+                        rows = np.frombuffer(raw, row)
+                        file.write(np.column_stack([rows[source] for source in sources]).tobytes())
 
 
-class TiledMap:
-    """Writes a folder with a PCD file per square tile, and ``pointcloud_map_metadata.yaml``, as Autoware reads it.
+@contextlib.contextmanager
+def spooled_tiles(
+    folder: Path, row: np.dtype[Any], size: float
+) -> Iterator[tuple[Append, dict[tuple[int, int], Path]]]:
+    """Sort points into temporary files, one per square tile.
+
+    Yields:
+        Appends points; and the files of rows of dtype ``row`` by column and row of the tile.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    spools: dict[tuple[int, int], Path] = {}
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".tiles") as temporary:
+
+        def append(xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
+            rows = rows_of(xyz, fields, row)
+            tiles, of = np.unique(np.floor(xyz[:, :2] / size).astype(np.int64), axis=0, return_inverse=True)
+            order = np.argsort(of.reshape(-1), kind="stable")
+            ends = np.searchsorted(of.reshape(-1)[order], np.arange(1, len(tiles) + 1))
+            for (x, y), chosen in zip(tiles.tolist(), np.split(order, ends)[:-1], strict=True):
+                path = spools.setdefault((x, y), Path(temporary) / f"{x}_{y}")
+                with open(path, "ab") as file:  # thousands of tiles cannot all be kept open
+                    file.write(rows[chosen].tobytes())
+
+        yield append, spools
+
+
+DIVIDED_METADATA = "pointcloud_map_metadata.yaml"
+DIVIDED_TILES = "pointcloud_map.pcd"
+"""The metadata and the folder of tiles of Autoware's divided maps."""
+
+
+@contextlib.contextmanager
+def divided_map(
+    folder: Path, fields: Dtypes, origin: F64, size: float = 20.0, double: bool = False
+) -> Iterator[Append]:
+    """Write a folder with a PCD file per square tile, and ``pointcloud_map_metadata.yaml``, as Autoware reads it.
 
     Args:
         folder: the folder; tiles of an earlier map in it are removed.
         fields, origin, double: as for ``open_map``.
         size: edge of a tile, metres.
     """
-
-    METADATA = "pointcloud_map_metadata.yaml"
-    TILES = "pointcloud_map.pcd"  # a folder in divided maps, a file otherwise
-
-    def __init__(self, folder: Path, fields: Dtypes, origin: F64, size: float = 20.0, double: bool = False) -> None:
-        self._folder, self._row, self._size = folder, row_dtype(fields, origin, double), size
-        self._spools: dict[tuple[int, int], Path] = {}
-        self._stack = contextlib.ExitStack()
-
-    def __enter__(self) -> Self:
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._spool = Path(self._stack.enter_context(tempfile.TemporaryDirectory(dir=self._folder, prefix=".tiles")))
-        return self
-
-    def __exit__(self, kind: Any, *error: Any) -> None:
-        try:
-            if kind is None:
-                self._finish()
-        finally:
-            self._stack.__exit__(kind, *error)
-
-    def append(self, xyz: F64, fields: Mapping[str, NDArray[Any]]) -> None:
-        """As ``MapWriter``."""
-        rows = rows_of(xyz, fields, self._row)
-        tiles, of = np.unique(np.floor(xyz[:, :2] / self._size).astype(np.int64), axis=0, return_inverse=True)
-        order = np.argsort(of.reshape(-1), kind="stable")
-        ends = np.searchsorted(of.reshape(-1)[order], np.arange(1, len(tiles) + 1))
-        for (x, y), chosen in zip(tiles.tolist(), np.split(order, ends)[:-1], strict=True):
-            path = self._spools.setdefault((x, y), self._spool / f"{x}_{y}")
-            with open(path, "ab") as file:  # thousands of tiles cannot all be kept open
-                file.write(rows[chosen].tobytes())
-
-    def _finish(self) -> None:
-        tiles = self._folder / self.TILES
+    row, tiles = row_dtype(fields, origin, double), folder / DIVIDED_TILES
+    with spooled_tiles(folder, row, size) as (append, spools):
+        yield append
         tiles.mkdir(exist_ok=True)
-        for old in (self._folder / self.METADATA, *tiles.glob("tile_*.pcd")):
+        for old in (folder / DIVIDED_METADATA, *tiles.glob("tile_*.pcd")):
             old.unlink(missing_ok=True)
-        lines = [f"x_resolution: {self._size}", f"y_resolution: {self._size}"]
-        for (x, y), spool in sorted(self._spools.items()):
+        lines = [f"x_resolution: {size}", f"y_resolution: {size}"]
+        for (x, y), spool in sorted(spools.items()):
             name = f"tile_{x}_{y}.pcd"
-            rows = np.fromfile(spool, self._row)
-            with PcdWriter(tiles / name, {n: self._row[n] for n in self._row.names or ()}, np.eye(4)) as writer:
-                writer.append(**{n: rows[n] for n in self._row.names or ()})
-            lines.append(f"{name}: [{x * self._size}, {y * self._size}]")
-        with atomic_file(self._folder / self.METADATA) as temporary:
-            temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+            rows = np.fromfile(spool, row)
+            with PcdWriter(tiles / name, {n: row[n] for n in row.names or ()}, np.eye(4)) as writer:
+                writer.append(**{n: rows[n] for n in row.names or ()})
+            lines.append(f"{name}: [{x * size}, {y * size}]")
+        write_atomic(folder / DIVIDED_METADATA, "\n".join([*lines, ""]).encode())
 
 
-_WRITERS: dict[str, Callable[..., MapWriter]] = {
-    ".pcd": PcdMap,
-    ".ply": PlyMap,
-    **dict.fromkeys(LAS, LasMap),
-    ".npz": NpzMap,
+_WRITERS: dict[str, Callable[..., Writing]] = {
+    ".pcd": _pcd_map,
+    ".ply": _ply_map,
+    **dict.fromkeys(LAS, las_map),
+    ".npz": _npz_map,
 }

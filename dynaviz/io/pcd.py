@@ -227,7 +227,8 @@ def _read_ascii(file: IO[bytes], path: Path, header: PcdHeader, left: int) -> ND
     if not header.points:
         return np.empty(0, header.row)
     _check_length(path, header, left, 2 * header.points * sum(field.count for field in header.fields) - 1)  # "0 0 0"
-    rows = read_rows(path, file, _flat_dtype(header.fields), header.lines)
+    single_values = [(f"{k}.{i}", field.dtype) for k, field in enumerate(header.fields) for i in range(field.count)]
+    rows = read_rows(path, file, np.dtype(single_values), header.lines)
     if rows.size < header.points:
         problem = f"contains {rows.size} points, but the header states {header.points}"
         raise DataError(path, problem, at="end of file", hint=_RETRY_HINT)
@@ -261,8 +262,3 @@ def _pack(fields: tuple[Field, ...], arrays: Mapping[str, NDArray[Any]]) -> NDAr
             raise ValueError(f"field '{field.name}' has shape {array.shape}, not ({n},) or ({n}, {field.count})")
         np.copyto(rows[field.name], array.reshape(n, field.count), casting="same_kind")
     return rows
-
-
-def _flat_dtype(fields: tuple[Field, ...]) -> np.dtype[Any]:
-    """A point as single values, for text."""
-    return np.dtype([(f"{k}.{i}", field.dtype) for k, field in enumerate(fields) for i in range(field.count)])

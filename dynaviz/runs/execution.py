@@ -142,12 +142,8 @@ def recording_of(record: str | os.PathLike[str], folder: Path | None) -> tuple[P
     if Path(record).suffix == ".rrd":
         return Path(record), "errors"
     if record not in get_args(Record):
-        raise UsageError(f"record = {record}: give {', '.join(_modes())}, or the path of an .rrd file")
+        raise UsageError(f"record = {record}: give {', '.join(get_args(Record))}, or the path of an .rrd file")
     return (None, None) if folder is None or record == "none" else (folder / "run.rrd", cast(RecordMode, record))
-
-
-def _modes() -> tuple[str, ...]:
-    return *get_args(RecordMode), "none"
 
 
 def run_spec(

@@ -160,7 +160,11 @@ def reopened(
         UsageError: if the origin names no source, and no path is given.
         DataError: for data that cannot be read.
     """
-    places = [os.fspath(at)] if at is not None else [_present(*each) for each in _pairs(origin)]
+    pairs = zip(origin.absolute, origin.sources, strict=True)
+    # The path as it was given serves if only that exists, as after a project moved with its data.
+    places = [given if not Path(path).exists() and Path(given).exists() else path for path, given in pairs]
+    if at is not None:
+        places = [os.fspath(at)]
     if not places:
         raise UsageError("the run was made from data in memory")
     source = places if len(places) > 1 else places[0]
@@ -242,15 +246,6 @@ def _layers(sequence: Sequence) -> Iterable[Sequence]:
     while isinstance(sequence, SequenceSlice | RefinedSequence):
         sequence = sequence.whole
         yield sequence
-
-
-def _pairs(origin: Origin) -> Iterable[tuple[str, str]]:
-    return zip(origin.absolute, origin.sources, strict=True)
-
-
-def _present(absolute_path: str, given: str) -> str:
-    """The absolute path, or the given one if only that exists, as after a project moved with its data."""
-    return given if not Path(absolute_path).exists() and Path(given).exists() else absolute_path
 
 
 def _relative(file: Path, folder: Path | None) -> str:

@@ -57,8 +57,8 @@ def folder(at_: Path, suffix: str = ".pcd", *, offset: Any = 0.0, world: bool = 
         elif suffix == ".npy":
             np.save(at_ / f"{k:06d}.npy", xyz)
         else:
-            with open_map(at_ / f"{k:06d}{suffix}", {}, np.zeros(3)) as writer:
-                writer.append(xyz.astype(np.float64), {})
+            with open_map(at_ / f"{k:06d}{suffix}", {}, np.zeros(3)) as append:
+                append(xyz.astype(np.float64), {})
     T = POSES.copy()
     T[:, :3, 3] += offset
     rows = "\n".join(f"{k},{','.join(map(repr, T[k, :3].ravel().tolist()))}" for k in range(posed))
@@ -72,12 +72,10 @@ def merged(at_: Path, suffix: str, offset: Any = 0.0) -> tuple[Path, Path]:
     at_.mkdir()
     path = at_ / f"survey{suffix}"
     fields = {"gps_time": np.dtype("f8"), "intensity": np.dtype("u2")}
-    with open_map(path, fields, np.asarray(offset) + np.zeros(3)) as writer:
+    with open_map(path, fields, np.asarray(offset) + np.zeros(3)) as append:
         for k, scan in enumerate(SCANS):
             seconds = START / 1e9 + 0.1 * k + np.linspace(0.001, 0.09, POINTS)
-            writer.append(
-                scan.points + np.asarray(offset), {"gps_time": seconds, "intensity": np.arange(POINTS).astype("u2")}
-            )
+            append(scan.points + np.asarray(offset), {"gps_time": seconds, "intensity": np.arange(POINTS).astype("u2")})
     T = POSES[: FRAMES - 1].copy()
     T[:, :3, 3] += offset
     return path, write_tum_poses(at_ / "t.tum", [START + k * 100_000_000 for k in range(FRAMES - 1)], T)

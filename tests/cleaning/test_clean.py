@@ -18,7 +18,7 @@ from dynaviz.contracts import registry
 from dynaviz.engine.external import read_external
 from dynaviz.errors import NoPoses, UsageError
 from dynaviz.io.fields import coordinates, read_fields
-from dynaviz.io.maps import TiledMap
+from dynaviz.io.maps import DIVIDED_METADATA, DIVIDED_TILES
 from dynaviz.io.pcd import write_pcd
 from dynaviz.sources.odometry.estimate import estimate
 from dynaviz.spatial import geometry
@@ -233,7 +233,7 @@ def test_a_doubtful_map_ends_with_a_box_and_code_3(
 
 def test_a_divided_map(tmp_path: Path) -> None:
     cleaned = clean(write_scans(tmp_path / "scans"), tmp_path / "map", tiles="autoware")
-    tiles = list((tmp_path / "map" / TiledMap.TILES).glob("*.pcd"))
+    tiles = list((tmp_path / "map" / DIVIDED_TILES).glob("*.pcd"))
     assert len(tiles) == 4
     assert sum(len(read_fields(tile)["ring"]) for tile in tiles) == cleaned.maps[0].points
 
@@ -261,7 +261,7 @@ def test_tiles_without_a_suffix_are_the_divided_map_of_autoware(tmp_path: Path) 
     scans = write_scans(tmp_path / "scans")
     cleaned = clean(scans, tmp_path / "map", tiles=10)
     assert cleaned.result.sections.tiling
-    assert (tmp_path / "map" / TiledMap.METADATA).is_file()
+    assert (tmp_path / "map" / DIVIDED_METADATA).is_file()
 
 
 def test_arrays_and_settings_from_python(tmp_path: Path) -> None:

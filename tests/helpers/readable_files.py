@@ -144,8 +144,8 @@ def merged_map(suffix: str) -> Subject:
         path, xyz = folder / f"survey{suffix}", np.random.default_rng(0).uniform(-20, 20, (90, 3))
         times = STAMPS[0] / 1e9 + np.linspace(0, 0.25, 90)
         fields: dict[str, Any] = {"gps_time": times, "intensity": np.arange(90, dtype=np.uint16)}
-        with open_map(path, {name: array.dtype for name, array in fields.items()}, np.zeros(3)) as writer:
-            writer.append(xyz, fields)
+        with open_map(path, {name: array.dtype for name, array in fields.items()}, np.zeros(3)) as append:
+            append(xyz, fields)
         write_tum_poses(folder / "trajectory.tum", [STAMPS[0] + k * 100_000_000 for k in range(4)], POSES[:4])
         return path
 

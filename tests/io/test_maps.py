@@ -9,7 +9,7 @@ import pytest
 
 from dynaviz.errors import UsageError
 from dynaviz.io.fields import read_fields
-from dynaviz.io.maps import TiledMap, check_map_path, open_map
+from dynaviz.io.maps import DIVIDED_METADATA, DIVIDED_TILES, check_map_path, divided_map, open_map
 
 N = 500
 FAR = np.array([500_000.0, 5_400_000.0, 0.0])
@@ -28,9 +28,9 @@ def attributes() -> dict[str, np.ndarray]:
 
 def write(path: Path, xyz: np.ndarray, fields: dict[str, np.ndarray], origin: np.ndarray) -> dict[str, np.ndarray]:
     """Write in two pieces, and read all fields."""
-    with open_map(path, {name: array.dtype for name, array in fields.items()}, origin) as writer:
+    with open_map(path, {name: array.dtype for name, array in fields.items()}, origin) as append:
         for part in (slice(0, 200), slice(200, N)):
-            writer.append(xyz[part], {name: array[part] for name, array in fields.items()})
+            append(xyz[part], {name: array[part] for name, array in fields.items()})
     return read_fields(path)
 
 
@@ -79,19 +79,19 @@ def test_coordinates_near_zero_are_float32(tmp_path: Path) -> None:
 
 def test_tiles_are_named_by_their_corners_in_the_metadata(tmp_path: Path) -> None:
     xyz = np.random.default_rng(2).uniform(-30, 50, (N, 3)) + FAR
-    stale = tmp_path / TiledMap.TILES / "tile_0_0.pcd"
+    stale = tmp_path / DIVIDED_TILES / "tile_0_0.pcd"
     stale.parent.mkdir()
     stale.touch()
-    with TiledMap(tmp_path, {"ring": np.dtype("u2")}, FAR) as writer:
+    with divided_map(tmp_path, {"ring": np.dtype("u2")}, FAR) as append:
         for part in (slice(0, 100), slice(100, N)):
-            writer.append(xyz[part], {"ring": np.arange(N, dtype=np.uint16)[part]})
-    lines = (tmp_path / TiledMap.METADATA).read_text().splitlines()
+            append(xyz[part], {"ring": np.arange(N, dtype=np.uint16)[part]})
+    lines = (tmp_path / DIVIDED_METADATA).read_text().splitlines()
     assert lines[:2] == ["x_resolution: 20.0", "y_resolution: 20.0"]
     rings = []
     for line in lines[2:]:
         name, _, corner = line.partition(": ")
         x, y = (float(word) for word in corner.strip("[]").split(","))
-        tile = read_fields(tmp_path / TiledMap.TILES / name)
+        tile = read_fields(tmp_path / DIVIDED_TILES / name)
         assert ((tile["x"] >= x) & (tile["x"] < x + 20) & (tile["y"] >= y) & (tile["y"] < y + 20)).all()
         rings += tile["ring"].tolist()
     assert sorted(rings) == list(range(N))

@@ -63,11 +63,9 @@ def bag_without_poses(folder: Path) -> Path:
 
 def merged_map(folder: Path) -> tuple[Path, Path]:
     path, rows = folder / "survey.ply", ["stamp [ns]," + ",".join(f"T{r}{c}" for r in range(3) for c in range(4))]
-    with open_map(path, {"gps_time": np.dtype("f8")}, np.zeros(3)) as writer:
+    with open_map(path, {"gps_time": np.dtype("f8")}, np.zeros(3)) as append:
         for k, scan in enumerate(SCANS):
-            writer.append(
-                scan.points.astype(np.float64), {"gps_time": START / 1e9 + 0.1 * k + np.linspace(0, 0.09, RAYS)}
-            )
+            append(scan.points.astype(np.float64), {"gps_time": START / 1e9 + 0.1 * k + np.linspace(0, 0.09, RAYS)})
             stamp = START + round(1e8 * k)
             rows.append(f"{stamp},{','.join(map(repr, scan.T_world_sensor[:3].ravel().tolist()))}")
     rows.append(f"{START + FRAMES * 10**8},{','.join(map(repr, POSES[-1, :3].ravel().tolist()))}")

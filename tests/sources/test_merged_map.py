@@ -24,8 +24,8 @@ def write(tmp_path: Path, times: np.ndarray | None, suffix: str = ".laz") -> tup
     """A map, and a trajectory of 2 m/s along x over one second."""
     fields = {"intensity": np.arange(N).astype(np.uint16)} | ({} if times is None else {"gps_time": times})
     path = tmp_path / f"survey{suffix}"
-    with open_map(path, {name: array.dtype for name, array in fields.items()}, UTM.round(-3)) as writer:
-        writer.append(XYZ, fields)
+    with open_map(path, {name: array.dtype for name, array in fields.items()}, UTM.round(-3)) as append:
+        append(XYZ, fields)
     poses = np.array([at(*(UTM + np.array([0.2 * k, 0, 0])), 0.0) for k in range(11)])
     return path, write_tum_poses(tmp_path / "trajectory.tum", [START + k * 100_000_000 for k in range(11)], poses)
 

@@ -149,7 +149,8 @@ def _headline(first: ComparedRun, second: ComparedRun, name: str, score: ScoreCh
         return f"{first.label} and {second.label} are even: {name} {best:.2f}."
     numbers = f"{name} {best:.2f} against {least:.2f}"
     if not _is_clear(score):
-        return f"No clear winner: {better.label} has {numbers}, but {_why_unclear(score)}."
+        why = "the 95 % interval includes zero" if score.interval else "there is no 95 % interval"
+        return f"No clear winner: {better.label} has {numbers}, but {why}."
     return f"{better.label} is better than {worse.label}: {numbers}."
 
 
@@ -171,7 +172,3 @@ def _removed(first: ComparedRun, second: ComparedRun, removed: RemovalComparison
         for run, share, alone in zip((first, second), shares, only, strict=True)
     ]
     return f"There is no ground truth, so neither run is known to be better. {'; '.join(runs)}."
-
-
-def _why_unclear(score: ScoreChange) -> str:
-    return "the 95 % interval includes zero" if score.interval else "there is no 95 % interval"

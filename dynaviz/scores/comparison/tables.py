@@ -103,16 +103,13 @@ def _scores_of_two(first: ComparedRun, second: ComparedRun, pair: PairComparison
 
 def _scores_of_many(runs: Sequence[ComparedRun], pairs: Sequence[PairComparison]) -> TableSection:
     head = ("run", *SCORES, *WRONG, "AA - A's", "95 % interval")
-    changes = [("", ""), *(_aa_change(pair) for pair in pairs)]
+    AAs = [pair.scores.AA for pair in pairs]
+    changes = [("", ""), *((_signed(AA.delta, "AA"), _interval(AA.interval, "AA")) for AA in AAs)]
     rows = [
         (run.label, *(_number(value, name) for name, value in run.scores.items()), *change)
         for run, change in zip(runs, changes, strict=True)
     ]
     return TableSection("Scores", head, tuple(rows), _SCORES_NOTE)
-
-
-def _aa_change(pair: PairComparison) -> tuple[str, str]:
-    return _signed(pair.scores.AA.delta, "AA"), _interval(pair.scores.AA.interval, "AA")
 
 
 def _agreement(first: ComparedRun, second: ComparedRun, pair: PairComparison) -> TableSection:

@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
@@ -131,17 +132,14 @@ def _verify(url: str, part: Path, published: Mapping[str, Any], base: str) -> No
     """
     if not published:
         return
+    md5 = partial(hashlib.md5, usedforsecurity=False)
     with open(part, "rb") as file:
-        facts = {"size": part.stat().st_size, "md5": hashlib.file_digest(file, _md5).hexdigest()}
+        facts = {"size": part.stat().st_size, "md5": hashlib.file_digest(file, md5).hexdigest()}
     for key, value in published.items():
         if facts[key] != value:
             remove(part)
             problem = f"{key} mismatch: got {facts[key]}, but the record at {base} has {value}"
             raise DataError(url, problem, hint=f"The file was removed. {HINT}")
-
-
-def _md5() -> Any:
-    return hashlib.md5(usedforsecurity=False)
 
 
 def _unpack(url: str, part: Path, folder: Path, remote: RemoteFile, progress: Callable[[int, int], None]) -> None:

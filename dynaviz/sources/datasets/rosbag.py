@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaviz.arrays import F32, F64, I64, single
+from dynaviz.arrays import F64, I64, single
 from dynaviz.contracts.attributes import Attributes, Unposed, far_origin
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
@@ -165,7 +166,9 @@ class RosBagSequence:
         k = int(self.positions[position])
         stamp, T_world_sensor = int(self.clouds.stamps[k]), self.poses[position]
         rows = _read_cloud(self.bag, self.clouds, k)
-        points, origins, offsets = _xyz(self.bag, self.clouds, k, rows), None, None
+        origins, offsets = None, None
+        with _valid_cloud(self.bag, self.clouds, k):
+            points = cloud_xyz(rows)
         if self.time_field and self.time_field[0] in (rows.dtype.names or ()):
             name, unit = self.time_field
             times = point_times(rows[name], unit, stamp)
@@ -389,18 +392,15 @@ def _time_field(bag: Bag, clouds: CloudTopic, positions: I64) -> tuple[str, floa
 
 def _read_cloud(bag: Bag, clouds: CloudTopic, k: int) -> NDArray[Any]:
     """The points of a cloud with all fields."""
-    try:
+    with _valid_cloud(bag, clouds, k):
         return cloud_rows(bag.message(clouds.topic, *clouds.keys[k].tolist()))
-    except ValueError as error:
-        raise _invalid_cloud(bag, clouds, k, error) from None
 
 
-def _xyz(bag: Bag, clouds: CloudTopic, k: int, rows: NDArray[Any]) -> F32:
+@contextlib.contextmanager
+def _valid_cloud(bag: Bag, clouds: CloudTopic, k: int) -> Iterator[None]:
+    """Name the message in the error of a cloud."""
     try:
-        return cloud_xyz(rows)
+        yield
     except ValueError as error:
-        raise _invalid_cloud(bag, clouds, k, error) from None
-
-
-def _invalid_cloud(bag: Bag, clouds: CloudTopic, k: int, error: ValueError) -> DataError:
-    return DataError(bag.path, f"invalid cloud: {error}", at=f"message {k} of {clouds.topic}", hint="Record it again")
+        at = f"message {k} of {clouds.topic}"
+        raise DataError(bag.path, f"invalid cloud: {error}", at=at, hint="Record it again") from None

@@ -174,16 +174,14 @@ def combined_boards(study: Study, single: Sequence[ScoreBoard]) -> tuple[list[Sc
             ScoreRow(label, combined([row.result for board in alike if (row := board.row(label))])) for label in labels
         ]
         boards_of_all.append(ScoreBoard(f"all {len(alike)}{of}", scoring, tuple(sorted(rows, key=_rank)), len(alike)))
-        differ = [row.label for row in rows if _parameters_differ([board.row(row.label) for board in alike])]
+        differ = [
+            row.label
+            for row in rows
+            if any((r := board.row(row.label)) and r.result.parameters != row.result.parameters for board in alike)
+        ]
         if differ:
             notes.append(f"All sequences combined{of}: {', '.join(differ)} had different parameters on some sequences.")
     return boards_of_all, notes
-
-
-def _parameters_differ(rows: Sequence[ScoreRow | None]) -> bool:
-    return any(
-        row is not None and rows[0] is not None and row.result.parameters != rows[0].result.parameters for row in rows
-    )
 
 
 @dataclass(frozen=True)
@@ -219,14 +217,10 @@ def losses(rows: Sequence[ScoreRow], kind: str) -> Losses:
         float(percentage_points_lost(total, whole)),
         {
             cause or UNKNOWN: float(percentage_points_lost(count, whole))
-            for cause, count in sorted(points.items(), key=_largest)
+            for cause, count in sorted(points.items(), key=lambda pair: (-pair[1], pair[0]))
             if count
         },
     )
-
-
-def _largest(pair: tuple[str, int]) -> tuple[int, str]:
-    return -pair[1], pair[0]
 
 
 def by_method(every: Iterable[ScoreBoard]) -> dict[tuple[str, str], list[ScoreRow]]:
