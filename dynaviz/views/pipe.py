@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
 try:
     import fcntl
@@ -36,12 +35,6 @@ class FileWriter:
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb", buffering=0)
         self._path = path
-
-    def __enter__(self) -> FileWriter:
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self.close()
 
     @property
     def inlet(self) -> str:

@@ -137,7 +137,7 @@ def _bulk(gains: SpatialGains) -> F64:
 
 @contextlib.contextmanager
 def _stream(out: Path, title: str, layout: Any) -> Iterator[rr.RecordingStream]:
-    with atomic_file(out) as unfinished, open_writer(unfinished) as writer:
+    with atomic_file(out) as unfinished, contextlib.closing(open_writer(unfinished)) as writer:
         stream = rr.RecordingStream("dynaviz compare", recording_id=str(uuid.uuid4()), send_properties=False)
         try:
             stream.save(writer.inlet, default_blueprint=layout)
