@@ -19,8 +19,8 @@
                 around, or if the evidence of its voxel exceeds 0.4
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D: what a place inherits
-weighs twice as much, and the prior is 0.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, the
+prior is 0.005, and places without certainty count more in the mean of a part.
 """
 
 from __future__ import annotations
