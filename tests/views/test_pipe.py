@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import subprocess
@@ -16,7 +17,7 @@ from dynaviz.views.pipe import PipeWriter
 
 def test_every_byte_reaches_the_file(tmp_path: Path) -> None:
     content = np.random.default_rng(0).bytes(5_000_000)
-    with PipeWriter(tmp_path / "file") as writer, open(writer.inlet, "wb", buffering=0) as inlet:
+    with contextlib.closing(PipeWriter(tmp_path / "file")) as writer, open(writer.inlet, "wb", buffering=0) as inlet:
         for start in range(0, len(content), 700_000):
             inlet.write(content[start : start + 700_000])
             writer.settle()

@@ -131,6 +131,7 @@ _LabelForm = Callable[[Study, StudyRun], str]
 _LABEL_FORMS: tuple[_LabelForm, ...] = (
     lambda study, run: run.label,
     lambda study, run: f"{run.label} [{run.given.name or run.given}]",  # the path given by the user
+    lambda study, run: f"{run.label} [{run.folder.name}]",
     lambda study, run: f"{run.label} [{study.link(run.folder if run.file.name == 'result.json' else run.file)}]",
 )
 
