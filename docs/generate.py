@@ -254,7 +254,7 @@ def real_first() -> str:
     tunable = {each["drive"] for each in real()["searches"]}
     for tuned, words in (
         (False, "at default parameters"),
-        (True, "each method at its tuned parameters if their gain is proven"),
+        (True, "each method at its tuned parameters if a search has proven their gain"),
     ):
         drives = [each["name"] for each in real()["drives"] if not tuned or each["name"] in tunable]
         pairs, others = [(drive, poses) for drive in drives for poses in POSES], []

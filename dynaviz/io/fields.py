@@ -114,10 +114,11 @@ def _npz(path: Path) -> Fields:
     clouds = [
         name for name, array in loaded.items() if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu"
     ]
-    name = next((name for name in ("points", "xyz") if name in clouds), clouds[0] if clouds else None)
-    if name is None:
-        raise DataError(path, "has no array (N, 3 or more) of numbers", hint=hint)
-    points = loaded.pop(name)
+    named = [name for name in ("points", "xyz") if name in clouds]
+    if not named and len(clouds) != 1:
+        problem = f"contains {len(clouds) or 'no'} arrays (N, 3 or more) of numbers, and none named points"
+        raise DataError(path, problem, hint=hint)
+    points = loaded.pop((named or clouds)[0])
     more = ["intensity", *(f"column_{k}" for k in range(4, points.shape[1]))][: points.shape[1] - 3]
     fields = {field: points[:, k] for k, field in enumerate([*AXES, *more])}
     return fields | {key: array for key, array in loaded.items() if array.shape == (len(points),)}

@@ -58,20 +58,16 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
 
 
 def _begins_near(cubes: I64) -> Bool:
-    """(C,) bool: cubes that join others, up to one within ``NEAR`` of the sensor's axis."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    """(C,) bool: cubes within ``REACH`` that join others, also at a corner, up to one near the sensor's axis."""
+    from scipy.ndimage import label
 
-    if not len(cubes):
-        return np.empty(0, np.bool_)
-    a, b = cKDTree(cubes).query_pairs(np.sqrt(3) + 0.01, output_type="ndarray").T  # also at a corner
-    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(cubes), len(cubes)))
-    parts, of = connected_components(graph, directed=False)
-    nearest = np.full(parts, np.inf)
-    np.minimum.at(nearest, of, CUBE * np.hypot(*(cubes[:, :2] + 0.5).T))
-    near: Bool = nearest[of] < NEAR
-    return near
+    half = int(REACH / CUBE) + 1
+    at = tuple((cubes + half).T)
+    grid = np.zeros((2 * half,) * 3, np.bool_)
+    grid[at] = True
+    part = label(grid, np.ones((3, 3, 3)))[0][at]
+    near = CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
+    return np.isin(part, part[near])
 
 
 def _means(points: F64, of: Intp, groups: int) -> F64:

@@ -71,6 +71,13 @@ def test_counts_match_the_recorded_ones(name: str, scene: Sequence) -> None:
     assert found == pytest.approx(expected, abs=slack), f"{KINDS} were {expected}"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("scene", ["square_mid360"], indirect=True)
+def test_counts_do_not_depend_on_the_number_of_threads(name: str, scene: Sequence) -> None:
+    assert counts(name, scene, 2) == counts(name, scene, 1)
+
+
 def _a_line_each(table: dict[str, dict[str, Any]]) -> str:
     """JSON with one line per method, so that a diff shows which methods changed."""
     scenes = [

@@ -165,8 +165,26 @@ def test_invalid_arrays_are_refused(tmp_path: Path) -> None:
             read_points(path)
 
 
+@pytest.mark.parametrize(
+    ("arrays", "found"),
+    [({"a": XYZ, "normals": XYZ}, "2 arrays"), ({"a": XYZ[:, :2], "normals": XYZ.astype("U9")}, "no arrays")],
+)
+def test_an_archive_must_tell_which_array_is_the_cloud(
+    tmp_path: Path, arrays: dict[str, np.ndarray], found: str
+) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(
+        DataError, match=rf"a\.npz.*contains {found} \(N, 3 or more\) of numbers, and none named points"
+    ):
+        read_points(tmp_path / "a.npz")
+    np.savez(tmp_path / "a.npz", xyz=XYZ + 1, **arrays)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), XYZ + 1)
+
+
 def test_an_unknown_suffix_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"a\.obj: unknown point cloud format.*\.las, .*\.npy, \.npz, .*\.ply"):
+    with pytest.raises(
+        DataError, match=r"a\.obj: unknown point cloud format.*\.las, \.laz, \.npy, \.npz, \.pcd, \.ply"
+    ):
         read_points(tmp_path / "a.obj")
 
 

@@ -70,7 +70,6 @@ def test_a_car_that_comes_along_is_no_carrier(ahead: float, left: float, monkeyp
     rows = [scan.instances == car for scan in drive.scans]
     removed = sum(int((result.labels[k] & row).sum()) for k, row in enumerate(rows))
     total = sum(int(row.sum()) for row in rows)
-    print(removed, total)
     assert total > 10_000
     assert removed > 0.9 * total
     if left:  # it would be one if parts of a carrier were allowed to begin anywhere

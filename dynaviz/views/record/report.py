@@ -96,10 +96,8 @@ def failure_list(result: Result) -> str:
         return "\n\n".join(part for kind in kinds for part in _by_cause(result, kind))
     if rows := [_suspicious(case, number) for number, case in enumerate(suspicious(result), 1)]:
         removed = suspicious(result)[0].did == "removed"
-        what = (
-            "Removed points that may be static, most suspicious first." if removed else "What changed, largest first."
-        )
-        head = f"{what} There is no ground truth to check it."
+        what = "Removed points that may be static, most suspicious" if removed else "Points that changed, largest"
+        head = f"{what} first. There is no ground truth to check them."
         return f"{head}\n\n" + table([("#", "points", "what and why", "frame"), *rows])
     if result.counts.get("static_kept") or result.counts.get("dynamic_removed"):
         return "No failure case: all labelled points are right."

@@ -17,7 +17,7 @@ ROUNDS = 2  # sweeps in both directions
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.5  # evidence for full certainty
 LEAST = 0.1  # weight of a place without evidence, against 1 more for one that is certain
-LIVE = 0.005, CERTAIN  # prior and least weight online: there is less evidence, and little of it is certain
+LIVE_PRIOR, LIVE_LEAST = 0.005, 0.5  # online, where there is less evidence, and little of it is certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class History:
     ) -> None:
         rows, own = len(grid) + 1, grid.per_block
         self._weights, self._counts = weights, counts
-        self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE[0], CERTAIN, LIVE[1])
+        self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
         self._birth = int(weights[2])  # visits: the length of births and deaths
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
