@@ -82,8 +82,9 @@ def search(place: Path, drive: Sequence, method: str) -> tuple[str, dict[str, An
         )
     except DynavizError as error:  # implants need free paths
         return str(error), None
-    variant = {"method": method, "name": TUNED, "config": str(found.preset.resolve())} if found.proven else None
-    return str(found.gain or "no trial is better"), variant
+    variant = {"method": method, "name": TUNED, "config": str(found.preset.resolve())}
+    better = found.proven and found.gain  # without a gain, the defaults are the best
+    return str(found.gain or "no trial is better"), variant if better else None
 
 
 def cell(drive: str, poses: str, row: BenchRow) -> tuple[dict[str, Any], list[tuple[str, int]]]:
