@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from dynaviz import colours
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import Scalar, State, Voxels
@@ -26,7 +26,11 @@ IF_FIXED = [f"{paths.CASE_SCORE}/{name}" for name in ("SA", "DA")]
 SCORE_CURVES = "scores [%]"
 WRONG = "wrong points, or % lost"
 REMOVED = "removed points"
-BEHIND = np.array([-0.63, -0.46, 0.63])  # from the centre of rings to the camera; unit length
+BEHIND: F64 = np.array([-0.63, -0.46, 0.63]) / np.linalg.norm([-0.63, -0.46, 0.63])  # direction to the camera
+RINGS = (10.0, 20.0)  # metres: circles around the sensor; the camera tracks them, and their size sets its distance
+TURN = np.linspace(0.0, 2 * np.pi, 73)
+CIRCLE: F64 = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
+CIRCLES: F32 = (np.array(RINGS)[:, None, None] * CIRCLE).astype(np.float32)
 _KINDS = ("false_negative", "false_positive")
 
 
@@ -37,12 +41,14 @@ class Findings:
     Attributes:
         truth: whether the run had ground truth.
         cases: whether there is a timeline of cases; the recording then opens at the first one.
+        tracked: by path, (N, P, 3) metres, world frame: the lines of the first case that cameras track.
         state: name of the state to show first, or None.
         reasons: paths of the curves of reasons to show; None for all.
     """
 
     truth: bool = True
     cases: bool = False
+    tracked: Mapping[str, F32] = field(default_factory=dict)
     state: str | None = None
     reasons: tuple[str, ...] | None = None
 
@@ -84,9 +90,9 @@ def _world(info: MethodInfo, extent: Extent, found: Findings) -> Any:
     above: Any = solid("map", [f"{paths.MAP}/**", f"{paths.REMOVED}/**", *boxes, *common], _eye(extent))
     if found.cases:
         case = [paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND, paths.CASE_RAYS]
-        above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], follow(paths.CASE_AROUND)), above)
+        above = rrb.Tabs(solid("case", [paths.SCAN, paths.MAP, *case, *common], _aim(found)), above)
     here = [paths.SCAN, paths.MAP, paths.RINGS, *_with_names(paths.FAILURES, paths.CLUSTERS), paths.CASE_AIM]
-    frame = solid("frame", [*here, *common], follow(paths.CASE_AIM if found.cases else paths.RINGS))
+    frame = solid("frame", [*here, *common], _aim(found, paths.CASE_AIM))
     tabs = _tabs(info, found)
     state = found.state or next((state.name for state in info.emits if state.legend), None)  # verdicts, not quantities
     below = rrb.Horizontal(frame, _open_at(state, tabs)) if tabs else frame
@@ -205,22 +211,32 @@ def _state(method: str, state: State, found: Findings) -> Any:
     errors = [paths.SCAN, paths.CASE_BOX, paths.CASE_NAME, paths.CASE_AROUND]
     context = [paths.MAP, paths.RINGS, paths.SENSOR, paths.TRAJECTORY]
     return solid(
-        state.name, [path, *errors, *context], follow(paths.CASE_AROUND if found.cases else paths.RINGS),
+        state.name, [path, *errors, *context], _aim(found),
         overrides={f"/{path}": rr.VoxelGridMap.from_fields(opacity=CLEAR)} if state.kind is Voxels else None,
     )  # fmt: skip
 
 
-def follow(rings: str = paths.RINGS) -> rrb.EyeControls3D:
-    """A camera behind and above the centre of rings, mostly the sensor, moving with it.
+def _aim(found: Findings, path: str = paths.CASE_AROUND) -> rrb.EyeControls3D:
+    return follow(path, found.tracked[path]) if found.cases else follow()
 
-    The viewer mostly adapts the distance to their size; where it does not, that of the smallest must do.
+
+def follow(path: str = paths.RINGS, lines: F32 = CIRCLES) -> rrb.EyeControls3D:
+    """A camera behind and above the middle of lines, mostly circles around the sensor, moving with it.
+
+    The viewer sets the distance to 1.5 half diagonals of their box if it has loaded them before it draws first, and
+    else keeps the stated one: both are the same.
+
+    Args:
+        path: of the lines.
+        lines: (N, P, 3) metres: as they are when the recording opens.
     """
-    distance = {"around": 14.0, "aim": 25.0}.get(rings.split("/")[-1], 35.0)
+    low, high = lines.min((0, 1)).astype(np.float64), lines.max((0, 1)).astype(np.float64)
+    middle = (low + high) / 2
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        tracking_entity=f"/{rings}",
-        position=distance * BEHIND,
-        look_target=[0.0, 0.0, 0.0],
+        tracking_entity=f"/{path}",
+        position=middle + 0.75 * np.linalg.norm(high - low) * BEHIND,
+        look_target=middle,
         eye_up=[0.0, 0.0, 1.0],
     )
 

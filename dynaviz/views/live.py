@@ -26,11 +26,10 @@ from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DataError
 from dynaviz.online.player import Played
 from dynaviz.views import keys, paths, viewer
-from dynaviz.views.layout import KEY_SHARE, blueprint, follow, solid
+from dynaviz.views.layout import CIRCLES, KEY_SHARE, blueprint, follow, solid
 from dynaviz.views.read.view import ports, tunnel
 from dynaviz.views.record import states as drawing
 from dynaviz.views.record.budget import Budget
-from dynaviz.views.record.scene import RINGS, TURN
 
 SEGMENT = 20.0  # seconds of a file of the rolling recording
 TRAIL = 5.0  # seconds: dynamic points of this time remain visible
@@ -205,8 +204,7 @@ class LiveRecording:
         stream.send_property(paths.LIVE, values)
         stream.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
-        circles = [limit * np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1) for limit in RINGS]
-        lines = rr.LineStrips3D(circles, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6))
+        lines = rr.LineStrips3D(CIRCLES, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6))
         stream.log(paths.RINGS, lines, static=True)
         for state in self._states.values():
             if (context := drawing.legend(state)) is not None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers.guessing_method import Guess, record
 from helpers.viewer_client import headless, problems
 from helpers.worlds import room
+from rerun.experimental import ViewerClient
 
 from dynaviz.views.layout import SCORE_CURVES, WRONG
+from dynaviz.views.read.shot import push
 
 
 def test_a_run_is_shown_without_problems(tmp_path: Path) -> None:
@@ -19,6 +23,32 @@ def test_a_run_is_shown_without_problems(tmp_path: Path) -> None:
     assert {"map", "frame", SCORE_CURVES, WRONG, "report"} <= set(shown)
     assert set(shown) >= {state.name for state in Guess.info.emits if state.name != "remark"}
     assert {name: reports for name, reports in shown.items() if reports} == {}
+
+
+def test_the_viewer_keeps_the_eyes_where_the_layout_states_them(runs: dict[str, Path]) -> None:
+    with headless((1200, 800)) as client:
+        push(runs["errors/coarse"] / "run.rrd", client)
+        stated = _eyes(client)
+        client.take_screenshot()
+        seen = _eyes(client)
+    assert {entity for entity, _ in stated.values()} >= {"/world/case/around", "/world/case/aim"}
+    for view, (_, distance) in stated.items():  # it adapts them to what it has loaded when it draws first
+        assert seen[view][1] == pytest.approx(distance, rel=1e-4)
+    assert len({(entity, round(distance, 2)) for entity, distance in seen.values()}) == 2  # hidden tabs as well
+
+
+def _eyes(client: ViewerClient) -> dict[str, tuple[str, float]]:
+    """What the eye of each view tracks, and its distance."""
+    views = client.get_blueprint().blueprint
+    eyes = {
+        name: view["EyeControls3D"]
+        for name, view in views.items()
+        if "tracking_entity" in view.get("EyeControls3D", {})
+    }
+    return {
+        name: (str(eye["tracking_entity"]), math.dist(np.ravel(eye["position"]), np.ravel(eye["look_target"])))
+        for name, eye in eyes.items()
+    }
 
 
 @pytest.mark.parametrize(

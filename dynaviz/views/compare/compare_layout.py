@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F32, F64
 from dynaviz.colours import Colour
 from dynaviz.views import object_lanes, paths
 from dynaviz.views.layout import blueprint, follow, solid, with_key
@@ -43,7 +43,7 @@ COLOURS: tuple[tuple[str, Colour], ...] = (  # of the runs, on white and on blac
 ABREAST = 4  # runs whose map and frame are both visible; with more, they share tabs
 
 
-def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Blueprint:
+def two(names: Sequence[str], places: F64 | None, first: F32 | None = None) -> rrb.Blueprint:
     """The layout for two runs.
 
     Top left: which run is better where, and agreement in the frame. Bottom left: the frame of each run. Right: the
@@ -52,9 +52,9 @@ def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Bl
     Args:
         names: of the runs.
         places: (N, 3) metres, world frame: points to look at; None if nothing is drawn.
-        cases: whether there is a timeline of cases; the recording then opens at the first one.
+        first: (1, P, 3) metres: the circle around the first case, at which the recording opens; None without cases.
     """
-    gain = f"gain per {'case or frame' if cases else 'frame'}: above 0 {names[1]} is better, below 0 {names[0]}"
+    gain = f"gain per {'frame' if first is None else 'case or frame'}: above 0 {names[1]} is better, below 0 {names[0]}"
     numbers = [_lines(gain, [f"{GAIN}/**", CHANGED]), *_numbers(names)]
     if places is None:
         return blueprint(_column(numbers))
@@ -64,10 +64,10 @@ def two(names: Sequence[str], places: F64 | None, cases: bool = False) -> rrb.Bl
     sensor = [f"a/{path}" for path in (paths.SENSOR, paths.RINGS)]
     who = solid(which, [SCAN, *sensor, *context], follow(f"a/{paths.RINGS}"), COMPARE)
     frames = [_frame(side, name) for side, name in zip(SIDES, names, strict=False)]
-    if not cases:
+    if first is None:
         world: Any = rrb.Grid(where, who, *frames, grid_columns=2)
         return blueprint(rrb.Horizontal(world, _column(numbers), column_shares=[5, 3]))
-    views = [_case(side, name) for side, name in zip(SIDES, names, strict=False)]
+    views = [_case(side, name, first) for side, name in zip(SIDES, names, strict=False)]
     world = rrb.Grid(*views, rrb.Tabs(where, who), rrb.Tabs(*frames), grid_columns=2)
     text = rrb.TextDocumentView(name="what and why", origin=CASE_TEXT, contents=[CASE_TEXT])
     column = rrb.Vertical(rrb.Tabs(text, object_lanes.view()), _column(numbers), row_shares=[1, 3])
@@ -116,11 +116,11 @@ def _frame(side: str, name: str) -> Any:
     return solid(name, shown, follow(f"{side}/{paths.RINGS}"), f"{side}/{paths.WORLD}")
 
 
-def _case(side: str, name: str) -> Any:
+def _case(side: str, name: str, first: F32) -> Any:
     """The difference at the index, as a run drew it: its points, and the state that shows most."""
     of_run = (paths.SCAN, paths.MAP, paths.SENSOR, paths.TRAJECTORY, f"{CASE_STATES}/**")
     shown = [*(f"{side}/{path}" for path in of_run), CASE_BOX, paths.names(CASE_BOX), CASE_AROUND]
-    view = solid(f"case: {name}", shown, follow(CASE_AROUND), f"{side}/{paths.WORLD}")
+    view = solid(f"case: {name}", shown, follow(CASE_AROUND, first), f"{side}/{paths.WORLD}")
     return with_key([view], f"{side}/{CASE_KEY}", "colours of the method's state")
 
 

@@ -39,6 +39,7 @@ from dynaviz.views.compare.compare_layout import (
 )
 from dynaviz.views.pipe import open_writer
 from dynaviz.views.read.reader import COMPARISON, RunRecording
+from dynaviz.views.record.case_timeline import circles
 
 KEPT = (  # entities copied from each run
     paths.ROOT, paths.WORLD, paths.SCAN, f"{paths.MAP}/**", f"{paths.REMOVED}/**", paths.TRAJECTORY,
@@ -97,7 +98,7 @@ def write(
     found: list[compared_cases.Difference] = []
     if pair and drawn and all(recording.properties["has_labels"] for recording in recordings):
         found = compared_cases.find((recordings[0], recordings[1]))
-    with _stream(out, comparison.title, _layout(sides, fine, bool(found))) as stream:
+    with _stream(out, comparison.title, _layout(sides, fine, found)) as stream:
         if pair and drawn:  # first: the viewer reports a problem for views whose entities do not exist yet
             legend = _legend(sides)
             stream.log(COMPARE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -119,12 +120,13 @@ def write(
             compared_cases.write(stream, SIDES[:2], (recordings[0], recordings[1]), found)
 
 
-def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains], cases: bool) -> Any:
+def _layout(sides: Sequence[Side], fine: Sequence[SpatialGains], found: Sequence[compared_cases.Difference]) -> Any:
     names = [side.name for side in sides]
     places = np.concatenate([_bulk(gains) for gains in fine]) if fine else None
     if len(sides) > 2:
         return compare_layout.many(names, places)
-    return compare_layout.two(names, places, cases)
+    first = circles(found[0].low[None], found[0].high[None]) if found else None
+    return compare_layout.two(names, places, first)
 
 
 def _bulk(gains: SpatialGains) -> F64:

@@ -21,6 +21,7 @@ from dynaviz.engine.ledger import PointLedger
 from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers, witnesses
 from dynaviz.views.cases import POINTS, ShownCase, middle_of
+from dynaviz.views.layout import CIRCLE
 from dynaviz.views.record.scene import NAME_STYLE, WIRES
 from dynaviz.views.record.sink import RecordingFile
 
@@ -36,8 +37,6 @@ POINTS_ASKED = 64  # of a case: those whose evidence is stored
 APART = 0.1  # metres: two of them are not in one cube of this edge
 THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
-TURN = np.linspace(0.0, 2 * np.pi, 49)
-CIRCLE = np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1)
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
 
@@ -83,7 +82,7 @@ class CaseTimeline:
                 self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
-    def draw(self, replay: Replay, sensor: F64, boxes: FrameBoxes) -> str | None:
+    def draw(self, replay: Replay, sensor: F64, boxes: FrameBoxes) -> tuple[str | None, dict[str, F32]]:
         """Draw the cases, on both timelines, and store the evidence on their points.
 
         Args:
@@ -92,7 +91,8 @@ class CaseTimeline:
             boxes: of the cases, by frame.
 
         Returns:
-            The state that shows most about the first case; None if no state was drawn there.
+            Of the first case: the state that shows most about it, None if no state was drawn there; and by path, the
+            lines that cameras track.
         """
         states = [f"{paths.WORLD}/{self._info.name}/**", f"{self._info.name}/**"]
         drawn_boxes = [paths.FAILURES, paths.CLUSTERS]
@@ -120,7 +120,7 @@ class CaseTimeline:
                 if case.number <= PICTURES or path.startswith(paths.WORLD)
             )
         self._by_frame(sensor, boxes)
-        return deciding[0]
+        return deciding[0], _tracked(self._cases[0].low, self._cases[0].high, sensor[self._cases[0].frame])
 
     def _deciding(self, here: dict[str, drawn.Row], case: ShownCase) -> str | None:
         """The name of the state with the largest share of its points or voxels in a case."""
@@ -129,17 +129,16 @@ class CaseTimeline:
         return None if path is None else names[path]
 
     def _outline(self, label: str, outcome: Outcome, low: F64, high: F64, sensor: F64) -> None:
-        middle, size = (low + high) / 2, high - low
         box = rr.Boxes3D.from_fields(
-            centers=[middle], half_sizes=[size / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
+            centers=[(low + high) / 2], half_sizes=[(high - low) / 2], labels=[label], colors=[colours.BRIGHT[outcome]]
         )
         self._sink.log(paths.CASE_BOX, box)
         self._sink.log(
             paths.CASE_NAME,
             rr.Points3D.from_fields(positions=above(low[None], high[None]), labels=[label]),
         )
-        self._sink.log(paths.CASE_AROUND, rr.LineStrips3D.from_fields(strips=circles(low[None], high[None])))
-        self._sink.log(paths.CASE_AIM, rr.LineStrips3D.from_fields(strips=_aims(sensor[None], middle[None])))
+        for path, lines in _tracked(low, high, sensor).items():
+            self._sink.log(path, rr.LineStrips3D.from_fields(strips=lines))
 
     def _styles(self) -> None:
         """What is the same for all cases."""
@@ -209,8 +208,14 @@ def see(info: MethodInfo, state: str | None) -> str:
     return none if meaning else ""
 
 
+def _tracked(low: F64, high: F64, sensor: F64) -> dict[str, F32]:
+    """The lines of a case that cameras track, by path."""
+    aim = _aims(sensor[None], (low + high)[None] / 2)
+    return {paths.CASE_AROUND: circles(low[None], high[None]), paths.CASE_AIM: aim}
+
+
 def circles(low: F64, high: F64) -> F32:
-    """(N, 49, 3): a circle on the ground around each box."""
+    """(N, 73, 3): a circle on the ground around each box."""
     centre = np.concatenate([(low + high)[:, :2] / 2, low[:, 2:]], 1)
     circles: F32 = (centre[:, None] + _radius(low, high)[:, None, None] * CIRCLE).astype(np.float32)
     return circles

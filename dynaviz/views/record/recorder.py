@@ -221,8 +221,8 @@ class Recorder(Listener):
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
-        state = timeline.draw(partial(self._replay, result.labels), np.array(self._positions), boxes)
-        return Findings(truth, True, state, curves)
+        state, tracked = timeline.draw(partial(self._replay, result.labels), np.array(self._positions), boxes)
+        return Findings(truth, True, tracked, state, curves)
 
     def _replay(
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]

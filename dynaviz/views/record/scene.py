@@ -13,6 +13,7 @@ from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.views import classes, paths
+from dynaviz.views.layout import CIRCLES
 from dynaviz.views.record.downsampling import DYNAMIC, FINE, VOXEL, DownsampledMap, by_outcome, to_draw
 from dynaviz.views.record.sink import RecordingFile
 
@@ -36,7 +37,6 @@ RADII = np.array([1.2, 1.6, 3.0, 3.0, 1.2, 1.6], np.float32)
 """By outcome, in points on the screen; wrong points are larger so that few of them remain visible from afar."""
 SMALLEST = 1.2
 FEW = 500  # points; larger classes are drawn smaller, or many scattered errors would hide a few large ones
-RINGS = (10.0, 20.0)  # metres; the camera tracks them, and their size sets its distance
 NUMBERED = 5  # cases with a number in the map; more would hide each other
 EDGE = 1.2  # points on the screen: thickness of the edges of boxes
 EDGES = rr.Radius.ui_points(EDGE)
@@ -46,7 +46,6 @@ WIRES = rr.components.FillMode.MajorWireframe  # the content of a box must stay 
 NAME_STYLE = rr.Points3D.from_fields(
     colors=colours.LABEL, radii=rr.Radius.ui_points(0.0), show_labels=True
 )  # of labels: their own entities, because those of boxes would have their colour
-TURN = np.linspace(0.0, 2 * np.pi, 73)
 
 
 class MapDrawing:
@@ -69,8 +68,9 @@ class MapDrawing:
         self._trajectory: list[F64] = []
         sink.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         sink.log(paths.SENSOR, rr.TransformAxes3D(2.0), static=True)
-        rings = [limit * np.stack([np.cos(TURN), np.sin(TURN), 0 * TURN], 1) for limit in RINGS]
-        sink.log(paths.RINGS, rr.LineStrips3D(rings, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)), static=True)
+        sink.log(
+            paths.RINGS, rr.LineStrips3D(CIRCLES, colors=[90, 90, 100], radii=rr.Radius.ui_points(0.6)), static=True
+        )
 
     def pose(self, scan: Scan) -> None:
         """Draw the pose of the sensor."""
