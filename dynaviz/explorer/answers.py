@@ -111,6 +111,7 @@ class Explored:
             "frames": run.frames,
             "scores": {name: run.result.metrics.get(name) for name in ("SA", "DA", "AA")},
             "truth": run.result.has_truth,
+            "compares": run.compares,
             "path": shlex.quote(str(run.path)),
             "corrections": self._corrections(run),
             "cases": [cards.plain(run, card, shared, same) for card in self._cards[letter]],

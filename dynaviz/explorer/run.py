@@ -75,6 +75,11 @@ class ExploredRun:
                 raise DataError(self.path, "contains points without an answer", at=f"frame {frame}", hint=hint)
 
     @property
+    def compares(self) -> bool:
+        """Whether "removed" means that a point changed between two drives: its reason then names its answer."""
+        return self.result.method == "changed"
+
+    @property
     def passes(self) -> tuple[str, ...]:
         """Phases in which a replay passes over all scans."""
         one = self.result.online or self.result.sections.source is not None
@@ -160,6 +165,7 @@ class ExploredRun:
         if corrected is not None:
             right = removed == (corrected == "dynamic")
             truth, outcome = corrected, OUTCOMES[removed, right]
+        answer = reason.name.replace("_", " ") if self.compares else "removed" if removed else "kept"
         return {
             "frame": frame,
             "index": answers.index,
@@ -168,11 +174,12 @@ class ExploredRun:
             "truth": truth,
             "corrected": corrected is not None,
             "removed": removed,
+            "answer": answer,
             "outcome": outcome.name.lower(),
             "reason": reason.name,
             "meaning": reason.meaning,
             "cause": cause,
-            "sentence": sentence(truth, removed, reason, cause),
+            "sentence": sentence(truth, answer, reason, cause),
         }
 
     def stored(self, frame: int, point: int) -> tuple[PointLedger, float] | None:

@@ -48,7 +48,7 @@ class Why:
     def sentence(self) -> str:
         """Truth, label and reason in a sentence."""
         found = self.ledger
-        return sentence(found.truth, found.removed, found.reason, self.cause)
+        return sentence(found.truth, "removed" if found.removed else "kept", found.reason, self.cause)
 
     @property
     def evidence(self) -> str:
@@ -71,20 +71,19 @@ class Why:
         return ledger_table(self.ledger, [line for line in head if line])
 
 
-def sentence(truth: str | None, removed: bool, reason: Reason, cause: str | None) -> str:
+def sentence(truth: str | None, answer: str, reason: Reason, cause: str | None) -> str:
     """The label of a point in a sentence.
 
     Args:
         truth: ``static``, ``dynamic`` or None.
-        removed: the label.
+        answer: ``removed`` or ``kept``; without ground truth also what the point did, as ``appeared``.
         reason: why it got the label.
         cause: of the failure case that contains it, if any.
     """
     meaning = reason.meaning.partition(": ")[2] or reason.meaning
-    answer = "removed" if removed else "kept"
     if truth is None:
         return f"{answer.capitalize()} (no ground truth): {meaning}."
-    if removed == (truth == "dynamic"):
+    if (answer == "removed") == (truth == "dynamic"):
         return f"Right: {truth}, and {answer}: {meaning}."
     return f"Wrong: {truth}, but {answer}: {meaning}.{f' Cause: {cause}.' if cause else ''}"
 

@@ -43,15 +43,16 @@ def outcomes(ids: U16) -> U8:
     return np.where(ids < REASONS, ids, ids // REASONS - 1).astype(np.uint8)
 
 
-def legend(reasons: Sequence[Reason], has_labels: bool) -> list[Entry]:
-    """The entry of each outcome, and of each outcome with each reason."""
+def legend(reasons: Sequence[Reason], has_labels: bool, compares: bool = False) -> list[Entry]:
+    """The entry of each outcome, and of each outcome with each reason; of changes between drives, with the reason."""
     words = WORDS if has_labels else _WITHOUT_TRUTH
     entries: list[Entry] = []
     for outcome in Outcome:
         entries.append((int(outcome), words[outcome], colours.BRIGHT[outcome]))
         for code, reason in enumerate(reasons):
             number = (int(outcome) + 1) * REASONS + code
-            entries.append((number, f"{words[outcome]}: {plain(reason)}", colours.BRIGHT[outcome]))
+            label = plain(reason) if compares else f"{words[outcome]}: {plain(reason)}"
+            entries.append((number, label, colours.BRIGHT[outcome]))
     return entries
 
 

@@ -148,3 +148,9 @@ def test_the_explorer_shows_the_changes(cleaned: Any) -> None:
         assert case.did == max(case.reasons, key=case.reasons.__getitem__)
         assert card.title in {f"{case.did.capitalize()} {what}" for what in ("object", "ground")}
         assert case.sentence.startswith(f"{card.title.split()[0]}: ")
+    assert explored.compares
+    for frame, codes in enumerate(reasons(cleaned)):
+        for code in np.unique(codes):
+            point = explored.point(frame, int(np.flatnonzero(codes == code)[0]))
+            assert point["answer"] == NAMES[code].replace("_", " ")
+            assert point["sentence"].startswith(f"{point['answer'].capitalize()} (no ground truth): ")

@@ -12,6 +12,7 @@ const by = id => document.getElementById(id)
 const WRONG = ['false_positive', 'false_negative', 'unlabelled_removed']
 const LEGEND = [['ghost kept', 'dynamic, kept'], ['hole removed', 'static, removed'], ['ghost removed', 'dynamic, removed'], ['static', 'static, kept']]
 const LEGEND_UNLABELLED = [['cluster', 'removed'], ['static', 'kept']]
+const LEGEND_CHANGES = [['cluster', 'appeared or disappeared'], ['static', 'seen again, or not seen']]
 const VIEWERS = 2 // of the first runs; the others are asked about the same points
 const viewers = {}
 let runs, cards, panel, list = []
@@ -46,8 +47,8 @@ function headings() {
   document.title = `${Object.values(runs).map(run => run.title).join(', ')} on ${a.sequence}`
   by('run').textContent = `${each(run => run.title).join(', ')}: ${a.sequence}`
   const scores = run => Object.entries(run.scores).filter(([, value]) => value !== null).map(([name, value]) => `${name} ${value.toFixed(2)}`).join('  ')
-  by('scores').textContent = !a.truth ? 'No ground truth: judge the removed points yourself.' : each(scores).join('\n') + (b ? '' : ' %')
-  by('legend').replaceChildren(...(a.truth ? LEGEND : LEGEND_UNLABELLED).map(([kind, words]) => make('span', { class: `key ${kind}` }, words)))
+  by('scores').textContent = a.compares ? 'What changed between two drives.' : !a.truth ? 'No ground truth: judge the removed points yourself.' : each(scores).join('\n') + (b ? '' : ' %')
+  by('legend').replaceChildren(...(a.truth ? LEGEND : a.compares ? LEGEND_CHANGES : LEGEND_UNLABELLED).map(([kind, words]) => make('span', { class: `key ${kind}` }, words)))
   by('corrected').textContent = Object.entries(runs).filter(([, run]) => run.rescored).map(([letter, run]) => `${b ? `${letter.toUpperCase()}: ` : ''}${run.rescored}`).join('\n')
 }
 

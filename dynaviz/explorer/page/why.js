@@ -23,7 +23,7 @@ function lanesOf(card, runs, rays) {
 export function showCase(element, card, runs, buttons, correction, on, goTo) {
   const run = runs[card?.of ?? 'a']
   if (!card) {
-    element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : 'No cluster of removed points.'))
+    element.replaceChildren(make('h2', {}, 'No case'), make('p', {}, run.truth ? 'No labelled point is wrong.' : run.compares ? 'Nothing appeared or disappeared.' : 'No cluster of removed points.'))
     return
   }
   const total = Object.values(card.reasons).reduce((sum, count) => sum + count, 0)
@@ -107,10 +107,10 @@ export class PointPanel {
       make('p', { class: 'sentence' }, point.sentence),
       make('dl', {},
         make('dt', {}, 'Truth'), make('dd', { class: 'truth' }, (point.truth ?? 'unknown') + (point.corrected ? ', corrected' : '')),
-        make('dt', {}, 'Answer'), make('dd', { class: `given${wrong ? ' wrong' : ''}` }, (point.removed ? 'removed' : 'kept') + (wrong ? ', wrong' : '')),
+        make('dt', {}, 'Answer'), make('dd', { class: `given${wrong ? ' wrong' : ''}` }, point.answer + (wrong ? ', wrong' : '')),
         make('dt', {}, 'Reason'), make('dd', { class: 'reason', 'data-reason': point.reason }, words(point.reason))),
       ledger)
-    return [part, this.#stored(ledger, letter, found, clicked)]
+    return [part, run.compares || this.#stored(ledger, letter, found, clicked)]
   }
 
   /** The stored ledger, or the offer to repeat the run. */

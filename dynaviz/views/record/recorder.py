@@ -285,7 +285,7 @@ class Recorder(Listener):
         }
 
     def _write_legends(self) -> None:
-        legend = classes.legend(self._info.reasons, self._run.sequence.has_labels)
+        legend = classes.legend(self._info.reasons, self._run.sequence.has_labels, self._info.compares)
         self._open.log(paths.ROOT, rr.AnnotationContext(legend), static=True)
         for state in self._states.values():
             if (context := states.legend(state)) is not None:
