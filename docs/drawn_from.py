@@ -15,8 +15,9 @@ import numpy as np
 from dynaviz import colours, explorer
 from dynaviz.contracts import registry
 from dynaviz.contracts.extent import Extent
+from dynaviz.views import paths
 from dynaviz.views.compare import compare_layout
-from dynaviz.views.layout import Findings, layout
+from dynaviz.views.layout import CIRCLES, Findings, layout
 
 KEPT = Path(__file__).resolve().parent / "pictures/drawn.json"
 
@@ -24,8 +25,9 @@ KEPT = Path(__file__).resolve().parent / "pictures/drawn.json"
 def digests() -> dict[str, str]:
     """A digest for each source."""
     page = Path(explorer.__file__).with_name("page")
-    run = layout(registry.load("methods", "octomap").info, Extent.of(), True, Findings(cases=True))
-    two = compare_layout.two(("A", "B"), np.zeros((1, 3)), cases=True)
+    tracked = dict.fromkeys((paths.CASE_AROUND, paths.CASE_AIM), CIRCLES)
+    run = layout(registry.load("methods", "octomap").info, Extent.of(), True, Findings(cases=True, tracked=tracked))
+    two = compare_layout.two(("A", "B"), np.zeros((1, 3)), CIRCLES[:1])
     values = {name: value for name, value in vars(colours).items() if name.isupper()}
     sources = {
         "colours": repr(sorted(values.items())),
