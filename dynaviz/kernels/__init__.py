@@ -15,6 +15,7 @@ three seconds to compile. Give counters that are passed to other functions a typ
 from __future__ import annotations
 
 import functools
+import gc
 import importlib.util
 import os
 import sys
@@ -137,27 +138,38 @@ def _numba() -> Any:
     with _loading:
         if not _prepared:
             _prepared = True
-            _announce_compilation()
+            _watch_compilation()
             if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
                 numba.config.THREADING_LAYER_PRIORITY = list(LAYERS)  # type: ignore[attr-defined]
     return numba
 
 
-def _announce_compilation() -> None:
-    """Print a message on the first compilation of this process."""
+def _watch_compilation() -> None:
+    """Print a message on the first compilation of this process, and collect no garbage while a kernel is compiled.
+
+    The compiler makes so many objects that collections would take a fifth of its time.
+    """
     from numba.core import event
 
-    class Announcer(event.Listener):
+    class Watcher(event.Listener):
         announced = False
+        depth = 0  # of kernels that call kernels; the compiler serves one thread at a time
+        collects = False  # before the outermost kernel
 
         def on_start(self, event: Any) -> None:
-            if not Announcer.announced:
-                Announcer.announced = True
+            if not self.announced:
+                self.announced = True
                 from rich.console import Console
 
                 Console(stderr=True).print(f"[dim]{COMPILING}[/]")
+            if self.depth == 0:
+                self.collects = gc.isenabled()
+                gc.disable()
+            self.depth += 1
 
         def on_end(self, event: Any) -> None:
-            return None
+            self.depth -= 1
+            if self.depth == 0 and self.collects:
+                gc.enable()
 
-    event.register("numba:compile", Announcer())
+    event.register("numba:compile", Watcher())

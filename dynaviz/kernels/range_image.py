@@ -159,7 +159,11 @@ def pixels_of(xyz, position, axes, views, clamp):
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
         _project(xyz, first, last, position, axes, views, clamp, pixels, near, polar)
-        found[:, first:last], ranges[first:last] = pixels[:, : last - first], near[: last - first]
+        for i in range(last - first):
+            ranges[first + i] = near[i]
+        for k in range(len(views)):
+            for i in range(last - first):
+                found[k, first + i] = pixels[k, i]
     return found, ranges
 
 

@@ -236,6 +236,39 @@ def _until(e, axes, centre):
     return until
 
 
+@njit(cache=True, nogil=True)
+def _mark_lane(
+    lane, points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
+    touched,
+):  # fmt: skip
+    """Mark the voxels of one lane's rays; see ``mark``. Returns the number of blocks that it touched."""
+    n, several, count = len(points), len(origins) > 1, np.int64(0)
+    for chunk in range(lane * CHUNK, n, len(used) * CHUNK):
+        for p in range(chunk, min(chunk + CHUNK, n)):
+            q = p if several else 0
+            e = (points[p, 0] * per_metre, points[p, 1] * per_metre, points[p, 2] * per_metre)
+            if not _inside(e, base, shape):
+                continue
+            o = (origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre)
+            if casts[p] and _inside(o, base, shape):
+                x, y, z = _axis(o[0], e[0], 2), _axis(o[1], e[1], 1), _axis(o[2], e[2], 0)
+                until = _until(e, (x, y, z), centre) if len(touched) else np.int64(START)
+                if until > START:
+                    _walk_near(x, y, z, until, bits, touched)
+                if until < END:
+                    count = _walk(x, y, z, until, base, shape, top, children, slots, owners, masks, count)
+            if hits[p]:
+                x = np.int64(math.floor(e[0])) - (base[0] << 7)
+                y = np.int64(math.floor(e[1])) - (base[1] << 7)
+                z = np.int64(math.floor(e[2])) - (base[2] << 7)
+                row = top[((x >> 7) * shape[1] + (y >> 7)) * shape[2] + (z >> 7)]
+                block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]
+                if block:
+                    slot, count = _slot(slots, owners, masks, count, block - 1)
+                    masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
+    return count
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def mark(
     points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
@@ -253,35 +286,11 @@ def mark(
         centre: (3,) int64, voxel around which addresses are unique.
         bits, touched: scratch memory for addresses (``addresses.memory``); without blocks, only the directory is used.
     """
-    n, several = len(points), len(origins) > 1
     for lane in prange(len(used)):
-        count = np.int64(0)
-        mine, owned, own_masks = slots[lane], owners[lane], masks[lane]
-        own_bits, own_touched = bits[lane], touched[lane]
-        for chunk in range(lane * CHUNK, n, len(used) * CHUNK):
-            for p in range(chunk, min(chunk + CHUNK, n)):
-                q = p if several else 0
-                e = (points[p, 0] * per_metre, points[p, 1] * per_metre, points[p, 2] * per_metre)
-                if not _inside(e, base, shape):
-                    continue
-                o = (origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre)
-                if casts[p] and _inside(o, base, shape):
-                    x, y, z = _axis(o[0], e[0], 2), _axis(o[1], e[1], 1), _axis(o[2], e[2], 0)
-                    until = _until(e, (x, y, z), centre) if len(own_touched) else np.int64(START)
-                    if until > START:
-                        _walk_near(x, y, z, until, own_bits, own_touched)
-                    if until < END:
-                        count = _walk(x, y, z, until, base, shape, top, children, mine, owned, own_masks, count)
-                if hits[p]:
-                    x = np.int64(math.floor(e[0])) - (base[0] << 7)
-                    y = np.int64(math.floor(e[1])) - (base[1] << 7)
-                    z = np.int64(math.floor(e[2])) - (base[2] << 7)
-                    row = top[((x >> 7) * shape[1] + (y >> 7)) * shape[2] + (z >> 7)]
-                    block = children[row, (x >> 3 & 15) << 8 | (y >> 3 & 15) << 4 | (z >> 3 & 15)]
-                    if block:
-                        slot, count = _slot(mine, owned, own_masks, count, block - 1)
-                        own_masks[slot, 8 + (x & 7)] |= np.int64(1) << ((y & 7) << 3 | (z & 7))
-        used[lane] = count
+        used[lane] = _mark_lane(
+            np.int64(lane), points, origins, casts, hits, per_metre, base, shape, top, children, slots[lane],
+            owners[lane], masks[lane], used, centre, bits[lane], touched[lane],
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, parallel=True)
