@@ -18,6 +18,7 @@ class Cause(StrEnum):
     """Why methods fail, in the terms of the benchmark's paper (Section II and Figs. 2 and 3)."""
 
     GRAZING_RAYS = "grazing rays"  # rays that pass a surface at a small angle make it look free
+    PARTLY_EMPTY = "partly empty cell"  # rays pass through the part of its voxel or pixel that it does not fill
     SPARSE_RINGS = "sparse rings"  # the sensor's rings are too far apart at that range
     NOTHING_BEHIND = "nothing behind"  # no surface behind the object returned a ray through it
     STANDING = "standing too long"  # hit more often than crossed by rays

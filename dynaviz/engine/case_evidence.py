@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from dynaviz.engine.ledger import GRAZING, LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.engine.ledger import LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.spatial.surface import GRAZING
 
 BOUNDS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
 
@@ -36,7 +37,8 @@ class CaseEvidence:
         points: number of points with a ledger.
         searched: number of scans searched.
         hit, crossed: median number of scans that hit, and that crossed, the cell of a point.
-        grazing: share of the crossing scans that meet the surface at less than ``GRAZING`` degrees, 0 to 1.
+        grazing: share of the crossing scans that meet the surface at less than ``GRAZING`` degrees, 0 to 1; 0 if most
+            crossed points lie on no surface.
         removed: the label of most points.
         deciding: the rule that decided; None for a labeller without evidence.
     """
@@ -74,7 +76,7 @@ def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
         searched=max(ledger.searched for ledger in ledgers),
         hit=_median(ledgers, lambda entry: entry.hits > 0),
         crossed=_median(ledgers, lambda entry: entry.crossed > 0),
-        grazing=low / len(known) if known else 0.0,
+        grazing=low / len(known) if known and 2 * len(known) >= len(crossing) else 0.0,
         removed=removed,
         deciding=_deciding([ledger for ledger in ledgers if ledger.removed == removed and ledger.rules], removed),
     )

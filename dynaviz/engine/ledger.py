@@ -17,13 +17,13 @@ from dynaviz.contracts.method import MethodInfo, Reason
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.engine.loop import Listener, RunSpec
-from dynaviz.engine.ray_geometry import Touching, normals, touching
+from dynaviz.engine.ray_geometry import Touching, touching
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.sources.summary import SequenceSummary
+from dynaviz.spatial.surface import surface_normals
 
 EDGE = 0.1  # metres: of the box around a point whose rays are searched, for a method without evidence
 TRUTH = {Label.STATIC: "static", Label.DYNAMIC: "dynamic"}
-GRAZING = 10.0  # degrees: a ray that meets the surface at a smaller angle only grazes it
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ class _Book:
         self.points = self.asked.points
         self.cells = voxels_around(self.points, EDGE)
         self.alone = self.over = False
-        self._normals = normals(scan.points, self.points)
+        self._normals = surface_normals(scan.points, self.points, scan.chosen(rows).origins)
         self._entries: list[list[LedgerEntry]] = [[] for _ in rows]
         self._totals: dict[str, F64] = {}  # the last values of quantities that accumulate
         self._best: dict[str, _Best] = {}

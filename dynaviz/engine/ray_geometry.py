@@ -10,10 +10,9 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I64, Bool, Intp
 from dynaviz.contracts.scan import Scan
-from dynaviz.spatial.surface import surface_normal
+from dynaviz.spatial.surface import angles
 
 CUBE = 4.0  # metres: cells in a cube of this edge are searched together
-SURFACES = (0.4, 0.8, 1.6)  # metres: points of the same scan this close to a point are tried as its surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,15 +50,20 @@ class Touching:
         lengths[some] = (away[first + half] + away[first + crossed[some] - 1 - half]) / 2
         return cls(hits, crossed, origins, lengths)
 
-    def seen(self, k: int, point: F32, normal: F64 | None) -> Geometry:
+    def seen(self, k: int, point: F32, normal: F64) -> Geometry:
         """Origin, range, angle, numbers of rays, and how far crossing rays go on, as in ``LedgerEntry``."""
         ray = point - self.origins[k]
-        away, angle, behind = math.sqrt(ray @ ray), None, float(self.lengths[k])
-        if normal is not None and away > 0:
-            angle = float(np.degrees(np.arcsin(min(abs(ray @ normal) / away, 1.0))))
+        away, angle, behind = math.sqrt(ray @ ray), float(angles(ray[None], normal[None])[0]), float(self.lengths[k])
         x, y, z = self.origins[k].tolist()
         hits, crossed = int(self.hits[k]), int(self.crossed[k])
-        return (x, y, z), away, angle, hits, crossed, None if math.isnan(behind) else behind - away
+        return (
+            (x, y, z),
+            away,
+            None if math.isnan(angle) else angle,
+            hits,
+            crossed,
+            None if math.isnan(behind) else behind - away,
+        )
 
 
 Geometry = tuple[tuple[float, float, float], float, float | None, int, int, float | None]
@@ -85,23 +89,3 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
 def touching(scan: Scan, cells: F64) -> Intp:
     """(K,) the points of a scan whose rays touch any of some cells, (C, 2, 3)."""
     return np.unique(_touched(scan, cells)[0]) if len(cells) else np.empty(0, np.intp)
-
-
-def normals(points: F32, asked: F32) -> list[F64 | None]:
-    """The normal of the surface through each asked point, from its scan; None if it lies on no surface."""
-    finite = asked[np.isfinite(asked).all(1)]
-    if len(finite):
-        around = (points >= finite.min(0) - SURFACES[-1]) & (points <= finite.max(0) + SURFACES[-1])
-        points = points[around.all(1)]
-    return [_normal_at(points, point) for point in asked]
-
-
-def _normal_at(points: F32, point: F32) -> F64 | None:
-    if not np.isfinite(point).all():
-        return None
-    x, y, z = (np.abs(points[:, axis] - point[axis]) for axis in range(3))  # much faster than reducing rows
-    away = np.maximum(np.maximum(x, y), z)
-    for radius in SURFACES:
-        if (normal := surface_normal(points[away <= radius].astype(np.float64))) is not None:
-            return normal
-    return None

@@ -16,16 +16,24 @@ SPARSE = 2.0  # points per cell and frame; with fewer, the rings are too far apa
 STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
 SLOW = 0.1  # metres per frame: slower than anyone walks in front of most sensors
 LONG = 10  # frames: what is slow in at least this many frames stands for long
+MEASURED = 0.15  # share of the points of a case that must lie on a surface, to tell at which angle rays meet it
 FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surface
 WIDE = 1.5  # metres
 
-_VISIBILITY = (Cause.GRAZING_RAYS, Cause.SPARSE_RINGS, Cause.NOTHING_BEHIND, Cause.STANDING, Cause.OCCUPIED)
+_VISIBILITY = (
+    Cause.GRAZING_RAYS,
+    Cause.PARTLY_EMPTY,
+    Cause.SPARSE_RINGS,
+    Cause.NOTHING_BEHIND,
+    Cause.STANDING,
+    Cause.OCCUPIED,
+)
 
 
 def causes_of(kind: str, total: NDArray[np.void], reasons: Sequence[Reason]) -> list[tuple[Cause | None, int]]:
     """The cause of each case, and the code of the reason that decided it.
 
-    The most frequent cause among the method's reasons, refined by shape and motion: a method knows only whether rays
+    The most frequent cause among the method's reasons, refined by angles and motion: a method knows only whether rays
     passed, and these show which of the paper's failures it is. The reason is the most frequent one with that cause.
 
     Args:
@@ -48,9 +56,11 @@ def _refine_removed(case: np.void, cause: Cause) -> Cause:
     """Why rays seem to have passed through static points."""
     if 2 * case["touching"] > case["points"]:
         return Cause.SHARED_CELL
-    if is_ground(case) or _is_level(case["high"] - case["low"]):
+    if 2 * case["grazed"] > case["surface"] >= MEASURED * case["points"]:
         return Cause.GRAZING_RAYS
-    return Cause.SPARSE_RINGS if _is_sparse(case) else cause
+    if _is_sparse(case) or (is_ground(case) and 2 * case["surface"] < case["points"]):  # a single ring has no surface
+        return Cause.SPARSE_RINGS
+    return Cause.PARTLY_EMPTY if cause is Cause.GRAZING_RAYS else cause
 
 
 def _refine_kept(case: np.void, cause: Cause) -> Cause:

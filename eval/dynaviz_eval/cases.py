@@ -9,14 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I64, U8, Bool, Intp
+from dynaviz.arrays import F32, F64, I64, U8, Bool, Intp
 from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
 from dynaviz.spatial.grid import pack
+from dynaviz.spatial.surface import GRAZING
+
+Angles = Callable[[Intp], F64]
 
 EDGE = 0.5  # metres: points in touching cells belong to one case
 GAP = 10  # frames for which a cell is remembered: points that return later start a new case
 KEEP = 100  # cases listed individually
+MEASURED_EVERY = 20  # points of a case in a frame for one whose surface is measured
+MOST_MEASURED = 32  # of these
 EVERY = 16  # frames between two clean-ups, which drop small cases that are over
 CASE, LAST = 1, 2  # columns of remembered cells
 
@@ -45,7 +50,8 @@ class Cases:
         self.kind = np.dtype(
             [
                 ("case", np.int64), ("frame", np.int64), ("group", np.int64), ("points", np.int64), ("cells", np.int64),
-                ("touching", np.int64), ("ground", np.int64), ("low", np.float32, 3), ("high", np.float32, 3),
+                ("touching", np.int64), ("ground", np.int64), ("surface", np.int64), ("grazed", np.int64),
+                ("low", np.float32, 3), ("high", np.float32, 3),
                 ("near", np.float32), ("far", np.float32), ("ranges", np.float64), ("reasons", np.int64, reasons),
             ]
         )  # fmt: skip
@@ -67,6 +73,7 @@ class Cases:
         ranges: F32,
         touching: Bool,
         ground: Bool | None = None,
+        angles: Angles | None = None,
     ) -> None:
         """Add the points of a frame. Call it in the order of frames.
 
@@ -78,14 +85,23 @@ class Cases:
             ranges: (N,) float32, metres from the sensor.
             touching: (N,) bool, True next to points of another kind, such as dynamic ones.
             ground: (N,) bool, True on the ground; None if unknown.
+            angles: given rows of ``points``, the angles at which their rays meet the surface; None if unknown.
         """
         if len(points):
-            self._new.append(self._rows(frame, points, groups, reasons, ranges, touching, ground))
+            self._new.append(self._rows(frame, points, groups, reasons, ranges, touching, ground, angles))
         if frame % EVERY == EVERY - 1:
             self.settle(frame)
 
     def _rows(
-        self, frame: int, points: F32, groups: I64, reasons: U8, ranges: F32, touching: Bool, ground: Bool | None
+        self,
+        frame: int,
+        points: F32,
+        groups: I64,
+        reasons: U8,
+        ranges: F32,
+        touching: Bool,
+        ground: Bool | None,
+        angles: Angles | None,
     ) -> NDArray[np.void]:
         """Link the points of a frame to cases; one row for each of its cases."""
         self._make_room(len(points))
@@ -105,6 +121,13 @@ class Cases:
             rows[name] = counts[:, column]
         rows["low"], rows["high"], rows["near"], rows["far"] = low[:, :3], high[:, :3], low[:, 3], high[:, 3]
         rows["reasons"] = crossed
+        if angles is not None:
+            row = np.searchsorted(case, of_point)
+            measured = _spread_over(row, rows["points"])
+            found, of = angles(measured), row[measured]
+            weights = (rows["points"] / np.bincount(of))[of]
+            for name, chosen in (("surface", found >= 0), ("grazed", found < GRAZING)):
+                rows[name] = np.bincount(of, weights * chosen)
         return rows
 
     def _make_room(self, more: int) -> None:
@@ -155,6 +178,15 @@ class Cases:
         self._table, self._cells = kernels.cases.remember(keys, cells, size)
 
 
+def _spread_over(row: Intp, points: I64) -> Intp:
+    """The points of each case whose surface is measured, evenly spread over its ``points``; given each point's case."""
+    order = np.argsort(row, kind="stable")
+    rank = np.arange(len(row)) - np.repeat(np.cumsum(points) - points, points)
+    shares, of = np.clip(points // MEASURED_EVERY, 1, MOST_MEASURED)[row[order]], points[row[order]]
+    chosen: Intp = order[rank * shares % of < shares]
+    return chosen
+
+
 def pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void], Intp]:
     """Pool rows with equal values in some fields: the pooled rows sorted by these, and the number of rows of each."""
     rows = rows[np.lexsort([rows[name] for name in by[::-1]])]
@@ -162,7 +194,7 @@ def pooled(rows: NDArray[np.void], by: tuple[str, ...]) -> tuple[NDArray[np.void
     starts = np.flatnonzero(np.append(len(rows) > 0, changes))[: len(rows)]
     found = rows[starts]
     if len(starts):
-        for name in ("points", "cells", "touching", "ground", "ranges", "reasons"):
+        for name in ("points", "cells", "touching", "ground", "surface", "grazed", "ranges", "reasons"):
             found[name] = np.add.reduceat(rows[name], starts)
         for name in ("low", "near"):
             found[name] = np.minimum.reduceat(rows[name], starts)
@@ -187,7 +219,10 @@ def summed(rows: NDArray[np.void]) -> NDArray[np.void]:
     starts = ends - frames
     total["frames"], total["first"], total["last"] = frames, rows["frame"][starts], rows["frame"][ends - 1]
     most = np.lexsort((rows["frame"], -rows["points"], rows["case"]))
-    total["frame"] = rows["frame"][most[starts]]
+    worst = rows[most[starts]]
+    total["frame"] = worst["frame"]
+    for name in ("surface", "grazed"):  # of the frame whose points the ledger explains
+        total[name] = worst[name] * total["points"] // worst["points"]
     centres, three = (rows["low"] + rows["high"]) / 2, np.minimum(np.arange(3), frames[:, None] - 1)
     way = centres[ends[:, None] - 1 - three].mean(1) - centres[starts[:, None] + three].mean(1)
     total["moved"] = np.sqrt((way**2).sum(1))

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, Bool
+from dynaviz.arrays import F32, F64, Bool, Intp
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
-from dynaviz.contracts.scan import Label, Outcome
+from dynaviz.contracts.scan import Label, Outcome, Scan
 from dynaviz.scores.scores import percentage_points_lost
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
+from dynaviz.spatial.surface import angles, surface_normals
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, gathered, summed
@@ -94,7 +95,8 @@ class FailuresMetric:
             ground = None if heights is None else on_ground(heights[wrong])
             if removed and ground is not None:  # where the class is unknown, ground is a group of its own
                 groups[groups <= _UNLABELLED] |= ground[groups <= _UNLABELLED]
-            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near, ground)
+            measured = partial(_angles, scan, wrong) if removed else None
+            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near, ground, measured)
 
     @staticmethod
     def _next_to_movers(labelled: Labelled) -> Bool:
@@ -164,3 +166,10 @@ class FailuresMetric:
             }
             patches = largest.get(int(case["case"]), 1.0) < ONE_PATCH
             yield {**plain, "sentence": sentence(plain, meanings[code], patches)}, own
+
+
+def _angles(scan: Scan, wrong: Intp, chosen: Intp) -> F64:
+    """(K,) degrees: at which the rays of chosen ones among the wrong points meet the surfaces; NaN without any."""
+    measured = scan.chosen(wrong[chosen])
+    normals = surface_normals(scan.points, measured.points, measured.origins)
+    return angles(measured.points - measured.origins, normals)

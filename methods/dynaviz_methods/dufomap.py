@@ -69,7 +69,7 @@ class DufoMapParams:
 
 VOID_SEEN, BESIDE_UNKNOWN, NEVER_CROSSED, OUT_OF_RANGE, OUT_OF_REACH = range(5)
 REASONS = (
-    Reason("void_seen", "removed: its voxel was void in a scan", Cause.GRAZING_RAYS),
+    Reason("void_seen", "removed: its voxel was void in a scan", Cause.PARTLY_EMPTY),
     Reason(
         "beside_unknown",
         "kept: rays crossed its voxel, but always next to unknown space",

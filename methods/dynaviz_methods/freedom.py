@@ -135,9 +135,9 @@ REASONS = (
     ),
     Reason("revoked", "kept: its voxel was free until it or a neighbour was hit too often", Cause.STANDING),
     Reason("retaken", "kept: dynamic in its scan, but another scan has a static point there", Cause.SHARED_CELL),
-    Reason("in_free_space", "removed: its voxel was free when it came", Cause.GRAZING_RAYS),
+    Reason("in_free_space", "removed: its voxel was free when it came", Cause.PARTLY_EMPTY),
     Reason("grown_in_scan", "removed: at most three voxels from points in free space, in its scan", Cause.SHARED_CELL),
-    Reason("turned_free", "removed: its voxel turned free after it", Cause.GRAZING_RAYS),
+    Reason("turned_free", "removed: its voxel turned free after it", Cause.PARTLY_EMPTY),
     Reason(
         "grown_in_map",
         "removed: its scan has points at most three voxels away whose voxel turned free",

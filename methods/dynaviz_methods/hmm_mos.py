@@ -105,7 +105,7 @@ REASONS = (
     ),
     Reason("warm_up", "kept: in one of the first window + 1 scans", Cause.NOT_YET_FREE),
     Reason("scan_undecided", "kept: its voxel is dynamic, but the scan's threshold is at most min_score"),
-    Reason("above_threshold", "removed: enough voxels around it have just turned occupied", Cause.GRAZING_RAYS),
+    Reason("above_threshold", "removed: enough voxels around it have just turned occupied", Cause.PARTLY_EMPTY),
     Reason(
         "carried", "removed: its voxel was dynamic one scan ago, and its score exceeds min_score", Cause.SHARED_CELL
     ),

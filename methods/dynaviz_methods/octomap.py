@@ -113,7 +113,7 @@ def _positive(params: OctoMapParams, *names: str) -> None:
 HIT, CROSSED, NEVER_CROSSED, OUT_OF_REACH, GROUND, NOISE = range(6)
 REASONS = (
     Reason("hit_more_than_missed", "kept: rays crossed the voxel, but hits outweigh misses", Cause.STANDING),
-    Reason("crossed_by_rays", "removed: rays crossed the voxel, and misses outweigh hits", Cause.GRAZING_RAYS),
+    Reason("crossed_by_rays", "removed: rays crossed the voxel, and misses outweigh hits", Cause.PARTLY_EMPTY),
     Reason("never_crossed", "kept: no ray crossed the voxel", Cause.NOTHING_BEHIND),
     Reason(
         "out_of_reach",

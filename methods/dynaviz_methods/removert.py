@@ -100,16 +100,16 @@ class RemovertParams:
 AGREES, NEARER, REVERTED, HIDDEN, OUT_OF_VIEW, LEFT_ALONE, SURROUNDED = 0, 1, 4, 5, 6, 7, 8
 REASONS = (
     Reason("agrees", "kept: at least two scans see a surface there, and no scan sees past it", Cause.STANDING),
-    Reason("nearer_than_scan_at_res_1", "removed: a scan sees past it at the first resolution", Cause.GRAZING_RAYS),
+    Reason("nearer_than_scan_at_res_1", "removed: a scan sees past it at the first resolution", Cause.PARTLY_EMPTY),
     Reason(
         "nearer_than_scan_at_res_2",
         "removed: a scan sees past it at the second resolution, but none at the first",
-        Cause.GRAZING_RAYS,
+        Cause.PARTLY_EMPTY,
     ),
     Reason(
         "nearer_than_scan_at_res_3",
         "removed: a scan sees past it, but only at the third resolution or later",
-        Cause.GRAZING_RAYS,
+        Cause.PARTLY_EMPTY,
     ),
     Reason("reverted", "kept: a scan sees past it, but none at a resolution of the revert step", Cause.SHARED_CELL),
     Reason(

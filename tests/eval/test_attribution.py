@@ -35,17 +35,19 @@ def cause(kind: str, reason: int, size=(1, 1, 1), **looks) -> Cause | None:
     [
         ({"touching": 51}, Cause.SHARED_CELL),
         ({"touching": 50}, Cause.NOTHING_BEHIND),
-        ({"size": (1.6, 0.1, 0.5)}, Cause.GRAZING_RAYS),
-        ({"size": (0.1, 1.6, 0.5)}, Cause.GRAZING_RAYS),
-        ({"size": (1.6, 1.6, 0.61)}, Cause.NOTHING_BEHIND),
-        ({"size": (9, 9, 2), "ground": 51}, Cause.GRAZING_RAYS),
-        ({"size": (9, 9, 2), "ground": 50}, Cause.NOTHING_BEHIND),
-        ({"size": (1.5, 1.5, 0.5)}, Cause.NOTHING_BEHIND),
+        ({"surface": 100, "grazed": 51}, Cause.GRAZING_RAYS),
+        ({"surface": 100, "grazed": 50}, Cause.NOTHING_BEHIND),
+        ({"surface": 15, "grazed": 15}, Cause.GRAZING_RAYS),
+        ({"surface": 14, "grazed": 14}, Cause.NOTHING_BEHIND),
+        ({"surface": 50, "ground": 51}, Cause.NOTHING_BEHIND),
+        ({"surface": 49, "ground": 51}, Cause.SPARSE_RINGS),
+        ({"surface": 49, "ground": 50}, Cause.NOTHING_BEHIND),
+        ({"cells": 51, "surface": 100, "grazed": 51}, Cause.GRAZING_RAYS),
         ({"cells": 51}, Cause.SPARSE_RINGS),
         ({"cells": 50}, Cause.NOTHING_BEHIND),
     ],
 )
-def test_the_cause_of_a_removed_case_depends_on_its_shape(looks, expected):
+def test_the_cause_of_a_removed_case_depends_on_measured_angles_and_density(looks, expected):
     assert cause("false_positive", 2, **looks) is expected
 
 
@@ -69,18 +71,23 @@ def test_the_cause_of_a_kept_case_follows_its_reasons_and_motion(reason, looks, 
     assert cause("false_negative", reason, **looks) is expected
 
 
+def test_a_method_cannot_declare_at_which_angle_rays_met_a_surface():
+    assert cause("false_positive", 0) is Cause.PARTLY_EMPTY
+    assert cause("false_positive", 0, surface=100, grazed=51) is Cause.GRAZING_RAYS
+
+
 @pytest.mark.parametrize("kind", ["false_negative", "false_positive"])
 def test_shape_and_motion_only_refine_causes_of_visibility(kind):
-    looks = {"frames": 20, "touching": 100, "cells": 100, "size": (9, 9, 0.1)}
+    looks = {"frames": 20, "touching": 100, "cells": 100, "surface": 100, "grazed": 100}
     assert cause(kind, 4, **looks) is Cause.HEIGHT_LIMIT
     assert cause(kind, 5, **looks) is cause(kind, len(REASONS), **looks) is None  # the last code has no reason
 
 
 def test_the_cause_of_most_points_wins_over_the_most_frequent_reason():
     total = np.zeros(1, CASE)
-    total["points"], total["cells"], total["high"] = 100, 10, (9, 9, 0.1)
+    total["points"], total["cells"] = 100, 10
     total["reasons"] = [30, 30, 0, 0, 40, 0, 0, 0]
-    assert causes_of("false_positive", total, REASONS) == [(Cause.GRAZING_RAYS, 0)]
+    assert causes_of("false_positive", total, REASONS) == [(Cause.PARTLY_EMPTY, 0)]
     total["reasons"] = [20, 20, 0, 0, 60, 0, 0, 0]
     assert causes_of("false_positive", total, REASONS) == [(Cause.HEIGHT_LIMIT, 4)]
 

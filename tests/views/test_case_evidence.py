@@ -17,6 +17,7 @@ from dynaviz.contracts.method import Cause
 from dynaviz.engine.case_evidence import decided_by, evidence_of, flip
 from dynaviz.engine.ledger import PointLedger, TermValue
 from dynaviz.explorer.strip import strip, what_if
+from dynaviz.spatial.surface import GRAZING
 from dynaviz.views.read.reader import RunRecording
 
 METHODS = sorted(registry.loadable("methods"))
@@ -71,6 +72,22 @@ def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunReco
             assert term.holds == found.removed
             if term.value is not None and math.isfinite(term.value) and not math.isnan(term.threshold):
                 assert TESTS[term.test](term.value, term.threshold) == found.removed
+
+
+def test_rays_graze_a_case_if_and_only_if_they_are_measured_to(recording: RunRecording) -> None:
+    """Most scans that cross the points of a case with this cause meet the surface at a small angle, and of no other."""
+    assert recording.result is not None
+    for number, ledgers in cases(recording):
+        case, crossing = (
+            recording.result.failures[number - 1],
+            [e for ledger in ledgers for e in ledger.entries if e.crossed],
+        )
+        angles = [entry.angle_deg for entry in crossing if entry.angle_deg is not None]
+        if case.cause == Cause.GRAZING_RAYS:
+            assert median(angles) < GRAZING
+        if case.cause == Cause.PARTLY_EMPTY:
+            assert any(entry.hits for ledger in ledgers for entry in ledger.entries)
+            assert 2 * len(angles) < len(crossing) or median(angles) >= GRAZING
 
 
 CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason states, by the ledger alone
