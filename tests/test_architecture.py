@@ -115,9 +115,9 @@ def within(name: str, *modules: str) -> bool:
     return any(name == module or name.startswith(module + ".") for module in modules)
 
 
-@pytest.mark.parametrize("path", files("dynaviz"), ids=lambda p: str(p.relative_to(ROOT)))
-def test_the_core_names_no_method_and_no_metric(path: Path) -> None:
-    assert not [name for name in imports(path) if within(name, "dynaviz_methods", "dynaviz_eval")]
+def test_the_core_names_no_method_and_no_metric() -> None:
+    plugged = "dynaviz_methods", "dynaviz_eval"
+    assert [path for path in files("dynaviz") if any(within(name, *plugged) for name in imports(path))] == []
 
 
 def test_only_viz_imports_rerun() -> None:

@@ -43,9 +43,7 @@ def findings(scans: list[Scan]) -> tuple[Finding, ...]:
     return doctor(InMemory(scans, "drive", SENSOR)).findings
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(k, marks=[] if k in ("height", "a step of GPS") else pytest.mark.slow) for k in DRIFTS]
-)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[] if k == "height" else pytest.mark.slow) for k in DRIFTS])
 def test_drift_is_named(kind: str) -> None:
     """Scans are placed by the drifting poses, as a reader places scans of the sensor frame."""
     scans = [moved(scan, DRIFTS[kind](k)) for k, scan in enumerate(SCANS)]

@@ -48,6 +48,7 @@ def test_fewer_scans_or_rings_suit_fewer_methods() -> None:
     assert set(sampling(100, 64).poor) <= set(sampling(100, 16).poor)
 
 
+@pytest.mark.slow
 def test_a_dense_drive_suits_every_method() -> None:
     diagnosis = doctor(InMemory(crossing(30), "drive", replace(SENSOR, rings=64)))
     assert diagnosis.sampling

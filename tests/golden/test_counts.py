@@ -32,7 +32,7 @@ TOLERANCE = 0.003  # share of all points, if the scene itself differs in last di
 METHODS = [handle.name for handle in registry.handles("methods") if handle.distribution == "dynaviz"]
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(scope="module", params=[pytest.param("demo", marks=pytest.mark.slow), "square_mid360"])
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sequence:
     folder = tmp_path_factory.mktemp("scenes") / request.param
     frames, stride = SCENES[request.param]

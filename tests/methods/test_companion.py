@@ -57,12 +57,14 @@ def test_an_operator_who_follows_is_removed(method: str, followed: tuple[InMemor
     rows = [scan.instances == operator for scan in drive.scans]
     removed = sum(int((result.labels[k] & row).sum()) for k, row in enumerate(rows))
     total = sum(int(row.sum()) for row in rows)
-    print(method, removed, total)
     assert total > 10_000
     assert removed > 0.9 * total
 
 
-@pytest.mark.parametrize(("ahead", "left"), [(9.0, 0.0), (1.0, 3.0)], ids=["followed", "beside"])
+@pytest.mark.parametrize(
+    ("ahead", "left"),
+    [pytest.param(9.0, 0.0, id="followed", marks=pytest.mark.slow), pytest.param(1.0, 3.0, id="beside")],
+)
 def test_a_car_that_comes_along_is_no_carrier(ahead: float, left: float, monkeypatch: pytest.MonkeyPatch) -> None:
     drive, car = with_car(ahead, left)
     assert estimate_carrier(drive) == ()

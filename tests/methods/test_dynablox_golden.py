@@ -16,7 +16,7 @@ from dynaviz_methods.dynablox import Dynablox
     [
         ("mini", None, 99.46, 73.13),
         ("mini", "semindoor", 99.72, 69.97),
-        ("kitti_tracking_0012", "kitti", 99.96, 47.59),
+        pytest.param("kitti_tracking_0012", "kitti", 99.96, 47.59, marks=pytest.mark.slow),
     ],
 )
 def test_scores(request, name, preset, sa, da):

@@ -36,7 +36,8 @@ MARKS = {**dict.fromkeys(INDICES, ("boundscheck",)), "scores_alike_in_a_moved_wo
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(handle.name, marks=pytest.mark.slow if handle.name == "octomap_g" else [])  # is within octomap_gf
+        pytest.param(handle.name, marks=pytest.mark.slow if handle.name in ("octomap", "octomap_g") else [])
+        # octomap_gf runs what both run
         for handle in registry.handles("methods")
     ],
 )
