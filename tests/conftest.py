@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -85,11 +86,13 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def real_data(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The real data in the native layout of each data set, unpacked once for all pytest-xdist workers."""
+    """The real data in the native layout of each data set, unpacked once for all runs. Tests do not write there."""
     base = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent
-    folder, partial, lock = base / "real", base / "real.partial", base / "real.lock"
+    unpack, lock = shared / "data/unpack.py", base / "real.lock"
+    folder = Path(__file__).parents[1] / f"build/real-{unpack.stat().st_mtime_ns}"
+    partial = folder.with_suffix(".partial")
     while not folder.exists():
         try:
             lock.mkdir()
@@ -98,7 +101,8 @@ def real_data(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
             continue
         try:
             if not folder.exists():
-                subprocess.run([sys.executable, shared / "data/unpack.py", partial], check=True, capture_output=True)
+                shutil.rmtree(partial, ignore_errors=True)
+                subprocess.run([sys.executable, unpack, partial], check=True, capture_output=True)
                 partial.rename(folder)
         finally:
             lock.rmdir()

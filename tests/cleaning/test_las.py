@@ -20,7 +20,7 @@ from dynaviz.spatial import geometry
 from dynaviz.testing.world import crossing
 
 UTM = np.array([512_000.0, 5_403_000.0, 380.0])
-SCANS = crossing(14)
+SCANS = crossing(9)
 WKT = b'PROJCS["WGS 84 / UTM zone 32N",AUTHORITY["EPSG","32632"]]\0'
 KEYS = np.array([[1, 1, 0, 1], [3072, 0, 1, 32632]], "<u2")
 pytestmark = pytest.mark.filterwarnings("ignore:the sensor is unknown")
