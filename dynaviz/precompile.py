@@ -45,7 +45,7 @@ def compiling(late: Collection[str] = LATE) -> Iterator[None]:
 
 @contextlib.contextmanager
 def compiling_the_rest() -> Iterator[None]:
-    """Compile on another core what scores and records, while this process compiles the method that it runs.
+    """Compile on another core what casts rays, joins, scores and records, while this process runs a method.
 
     Nothing happens if any kernel is compiled already. The other process ends with this block at the latest.
     """
@@ -54,7 +54,7 @@ def compiling_the_rest() -> Iterator[None]:
     if kernels.compiled():
         yield
         return
-    rest = _SPAWN.Process(target=_score_in_background, daemon=True)
+    rest = _SPAWN.Process(target=_the_rest, daemon=True)
     rest.start()
     try:
         yield
@@ -76,11 +76,35 @@ def _label(names: list[str]) -> None:
             execute(RunSpec(method(method.Params()), InMemory(crossing(9)), method.Params()), probe=MemoryProbe())
 
 
-def _score_in_background() -> None:
-    """As ``_score``, until SIGTERM, which lets it remove its files; errors occur again where the kernels are used."""
+def _the_rest() -> None:
+    """Compile until SIGTERM, which lets this process remove its files; errors occur again where kernels are used."""
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    with contextlib.suppress(Exception, KeyboardInterrupt):
+    with contextlib.suppress(Exception, KeyboardInterrupt), contextlib.redirect_stderr(io.StringIO()):
+        _cast()
         _score()
+
+
+def _cast() -> None:
+    """Cast the rays of a scan, count its voxels and join its points: kernels that compile for long and come late."""
+    import numpy as np
+
+    from dynaviz import kernels
+    from dynaviz.arrays import all_finite
+    from dynaviz.blocks.blocks import VOXELS, BlockGrid
+    from dynaviz.contracts.extent import Extent
+    from dynaviz.testing import crossing
+
+    (scan,) = crossing(1)
+    grid, chosen = BlockGrid(Extent.of(scan), 0.2), all_finite(scan.points)
+    marks = grid.mark(scan, chosen, chosen)
+    near = kernels.clearance.grown(
+        np.zeros((len(marks.blocks) + 1, 8), np.uint64), np.zeros((len(marks.blocks), 6), np.int32), 1
+    )
+    counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
+    kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
+    objects, cells, _ = kernels.objects.cells_of(scan.points, chosen, 0.5, 1.0)
+    order = np.argsort(cells)
+    kernels.objects.connect(objects, order, cells[order])
 
 
 def _score() -> None:
