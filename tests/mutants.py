@@ -28,7 +28,10 @@ import scipy.sparse.csgraph  # noqa: F401
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
-METRICS = "confusion breakdown error_distance reasons voxelwise failures cases attribution spool".split()
+METRICS = (
+    *("confusion", "breakdown", "error_distance", "reasons", "voxelwise"),
+    *("failures", "cases", "attribution", "spool"),
+)
 SECONDS = 300  # a mutant may loop forever
 GUARDS = {"strict", "frozen", "slots", "eq", "assume_unique"}
 SWAPS = {
