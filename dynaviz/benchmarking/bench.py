@@ -18,6 +18,7 @@ from dynaviz.benchmarking.source import open_spec
 from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.tasks.local import LocalExecutor
+from dynaviz.tasks.memory import forget_peak
 
 
 def bench(
@@ -86,7 +87,8 @@ def _executor(out: Path, scheduler: str | None, plan: BenchPlan, callbacks: Benc
         callbacks.running(task.cell, phase, done, total)
 
     if not scheduler:
-        yield LocalExecutor(out, plan.workers, report)
+        # A process runs several cells where each can be told its own peak memory.
+        yield LocalExecutor(out, plan.workers, report, reuse=forget_peak())
         return
     from dynaviz.tasks.cluster import DaskExecutor
 

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from dynaviz.benchmarking.plan import BenchCell, settings
+from dynaviz.benchmarking.plan import BenchCell, SequenceSpec, settings
 from dynaviz.benchmarking.source import open_spec
 from dynaviz.contracts.plugin_code import plugin
+from dynaviz.contracts.scan import Sequence
 from dynaviz.engine.outputs import FILES
 from dynaviz.errors import DataError, DynavizError
 from dynaviz.io.atomic import sha256
 from dynaviz.progress import Progress, silent
-from dynaviz.runs.execution import run_method
+from dynaviz.runs.execution import Surveyed, run_method
 from dynaviz.runs.options import RunOptions
 from dynaviz.scores.result import Result, environment
 
@@ -60,12 +61,14 @@ class CellTask:
             threads=threads,
             record=cell.record,
         )
+        sequence, refine = open_spec(cell.source), cell.source.options.refine_poses
         result = run_method(
             chosen.method,
-            open_spec(cell.source),
+            sequence,
             options,
             out=folder,
-            refine_poses=cell.source.options.refine_poses,
+            refine_poses=refine,
+            survey=None if refine else _surveyed(cell.source, sequence, progress),
             command=command(cell),
             progress=progress,
         )
@@ -75,6 +78,30 @@ class CellTask:
     def finished(self, folder: Path) -> bool:
         """Whether its result is complete and has the same data, parameters and versions."""
         return result_of(self.cell, folder) is not None
+
+
+_surveys: dict[tuple[SequenceSpec, int, int], Surveyed] = {}  # of the last sequence that this process has read
+
+
+def _surveyed(source: SequenceSpec, sequence: Sequence, progress: Progress) -> Surveyed | None:
+    """The survey of a sequence, whose cells follow each other; made again if a file was added, removed or written.
+
+    None for a path that cannot be watched, such as that of a simulation.
+    """
+    files = [file.stat() for name in (source.path, source.options.poses or source.path) for file in _files(Path(name))]
+    if not files:
+        return None
+    key = source, len(files), max(file.st_mtime_ns for file in files)
+    if key not in _surveys:
+        _surveys.clear()
+        _surveys[key] = Surveyed.of(sequence, progress)
+    return _surveys[key]
+
+
+def _files(place: Path) -> Iterator[Path]:
+    """A file or folder, and all that is in it; nothing if there is none."""
+    if place.exists():
+        yield from (place, *place.rglob("*"))
 
 
 def result_of(cell: BenchCell, folder: Path) -> Result | None:

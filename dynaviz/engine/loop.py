@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from array import array
 from collections.abc import Callable, Iterable, Mapping
@@ -37,6 +36,7 @@ from dynaviz.sources.opening import provenance
 from dynaviz.sources.origin import PoseFinding
 from dynaviz.sources.pose_noise import PoseNoiseMeter
 from dynaviz.sources.summary import SequenceSummary, summarize
+from dynaviz.tasks.memory import peak_rss_mb
 
 MAX_MAP_POINTS = (1 << 31) - 1  # methods that need the raw map number its points in int32
 
@@ -308,16 +308,6 @@ def _result(
         account=account,
         answers=answers,
     )
-
-
-def peak_rss_mb() -> float | None:
-    """Peak memory of this process so far in MB; None on systems without ``resource`` (Windows)."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
 def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:

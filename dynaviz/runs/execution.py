@@ -6,7 +6,7 @@ import contextlib
 import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -32,7 +32,23 @@ from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
 from dynaviz.scores.result import RecordMode, Result
 from dynaviz.sources.opening import refined
 from dynaviz.sources.origin import PoseFinding
+from dynaviz.sources.pose_noise import PoseNoiseMeter
+from dynaviz.sources.summary import SequenceSummary, summarize
 from dynaviz.views.record.quota import parse_bytes
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """What is found before a run and depends on the sequence only: its summary, and what is likely wrong with it."""
+
+    summary: SequenceSummary
+    findings: tuple[PoseFinding, ...]
+
+    @classmethod
+    def of(cls, sequence: Sequence, progress: Progress = silent) -> Surveyed:
+        """Read a sequence; its findings are warned of."""
+        findings, total = _pose_findings(sequence), len(sequence)
+        return cls(summarize(sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(total)), findings)
 
 
 def run_method(
@@ -42,6 +58,7 @@ def run_method(
     *,
     out: Path | None = None,
     refine_poses: bool = False,
+    survey: Surveyed | None = None,
     command: str = "",
     progress: Progress = silent,
 ) -> Result:
@@ -53,12 +70,13 @@ def run_method(
         options: how to run it.
         out: folder for the files of the run; None writes none.
         refine_poses: refine the poses first, and keep them in the folder.
+        survey: of the sequence, if it is known and the poses are not refined.
         command: what the user typed, for the record.
         progress: called with a phase, the number of frames or tiles done and their total.
     """
     kind, resolved = options.resolved(method)
     given, sequence = sequence, suited(kind, resolved.params, sequence)  # before frames are read to check poses
-    findings = _pose_findings(given)
+    findings = survey.findings if survey else _pose_findings(given)
     if refine_poses:
         sequence = refined(sequence, out, progress)
     recording, mode = recording_of(options.record, out)
@@ -80,6 +98,7 @@ def run_method(
         record=mode,
         folder=out,
         recording=recording,
+        summary=survey.summary if survey else None,
     )
     budget = budget_of(options)
     if (size := options.tile_size) is not None:

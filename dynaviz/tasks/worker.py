@@ -19,6 +19,8 @@ import traceback
 from pathlib import Path
 from typing import IO, Any
 
+from dynaviz.tasks.memory import forget_peak
+
 INTERVAL = 0.2  # seconds between two lines of a phase
 END = b"END\n"
 
@@ -34,6 +36,7 @@ def main() -> int:
     while content := received.get():
         task, folder, threads = pickle.loads(content)
         _run(task, folder, threads, _ProgressReporter(progress_lines))
+        forget_peak()
         busy.clear()
         progress_lines.write(END)
         progress_lines.flush()

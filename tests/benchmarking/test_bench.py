@@ -22,11 +22,14 @@ from dynaviz.benchmarking.bench import bench
 from dynaviz.benchmarking.cells import difference
 from dynaviz.benchmarking.leaderboard import Leaderboard
 from dynaviz.cli import main
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import DataError
 from dynaviz.io.pcd import write_pcd
+from dynaviz.runs import execution
 from dynaviz.scores.collect import combined
 from dynaviz.scores.result import Result
 from dynaviz.scores.sections import Runtime, Sections, SequenceInfo
+from dynaviz.sources.summary import SequenceSummary, summarize
 from dynaviz.synthetic.simulate import write as writing
 
 MAIN = [sys.executable, "-c", "from dynaviz.cli import main; main()"]
@@ -63,6 +66,39 @@ def test_a_failed_or_killed_cell_is_a_row_and_the_others_continue(mixed: tuple[L
     text = shown(board)
     assert "toy-act=raise" in text
     assert "this method cannot" in text
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="elsewhere, each cell has its own process")
+def test_cells_share_a_process_but_not_its_peak_memory(toy: None, rooms: list[Path], tmp_path: Path) -> None:
+    gates = [tmp_path / "first", tmp_path / "last"]
+    for gate in gates:
+        gate.touch()
+    acts = [f"wait:{gates[0]}", "hold", f"wait:{gates[1]}"]
+    table = {**NONE, "sequences": [str(rooms[0])], "workers": 1, "grid": {"toy": {"act": acts}}}
+    _, first, holding, last = bench(table, tmp_path / "out").results
+    assert waiting_process(gates[0]) == waiting_process(gates[1])
+    peaks = [result.runtime.peak_rss_mb or 0.0 for result in (first, holding, last)]
+    assert peaks[1] > 150 + max(peaks[0], peaks[2])  # of the 200 MB that one cell holds
+
+
+def test_a_sequence_is_read_once_for_its_cells(
+    in_process: type[InProcessExecutor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[str] = []
+
+    def counted(sequence: Sequence, *rest: object) -> SequenceSummary:
+        read.append(sequence.name)
+        return summarize(sequence)
+
+    monkeypatch.setattr(execution, "summarize", counted)
+    paths = [write_room(tmp_path / name, frames=2, rays=300) for name in ("one", "two")]
+    table = {**NONE, "sequences": [*map(str, paths)], "grid": {"toy": {"height": [0.3]}}}
+    assert set(states(bench(table, tmp_path / "out")).values()) == {"ran"}
+    assert read == ["one", "two"]
+    write_room(paths[1], frames=2, rays=300, seed=9)
+    bench(table, tmp_path / "out")
+    assert in_process.ran == ["two/toy", "two/toy-height=0.3"]
+    assert read == ["one", "two", "two"]
 
 
 def test_a_cell_has_all_files_of_a_run(mixed: tuple[Leaderboard, Path]) -> None:

@@ -49,6 +49,8 @@ class Toy:
             raise ValueError("this method cannot")
         if act == "die":
             os.kill(os.getpid(), signal.SIGKILL)
+        if act == "hold":
+            self.held = np.ones(25_000_000)
         if act == "wait":  # until a file exists
             open(value + ".part", "w").write(f"{os.getpid()} {os.getppid()}")
             os.replace(value + ".part", value + ".pid")
@@ -78,7 +80,7 @@ class InProcessExecutor:
 
     ran: ClassVar[list[str]] = []
 
-    def __init__(self, out: Path, workers: int, report: object):
+    def __init__(self, out: Path, workers: int, report: object, reuse: bool):
         self._out, InProcessExecutor.ran = out, []
 
     def run(self, todo: Sequence[CellTask]) -> Iterator[CellTask]:
