@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.worlds import thinned
 from scipy.spatial.transform import Rotation
 
 import dynaviz as dv
@@ -24,7 +25,7 @@ from dynaviz.synthetic.simulate import simulate
 from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing
 
-SCANS = crossing()
+SCANS = thinned(crossing())
 FEW = SCANS[:6]  # for faults that show in single scans
 
 

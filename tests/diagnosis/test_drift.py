@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.worlds import thinned
 
 import dynaviz as dv
 from dynaviz.arrays import F64
@@ -17,8 +18,8 @@ from dynaviz.testing import InMemory
 from dynaviz.testing.world import SENSOR, crossing, moved, turn
 
 FRAMES = 30
-SCANS = crossing(FRAMES)  # 0.6 m per frame
-BACK = [*SCANS[:24], *crossing(FRAMES, seed=1)[22::-1]]  # to a place 14 m away and the same way back
+SCANS = thinned(crossing(FRAMES))  # 0.6 m per frame
+BACK = [*SCANS[:24], *thinned(crossing(FRAMES, seed=1)[22::-1])]  # to a place 14 m away and the same way back
 
 
 def lifted(metres: float) -> F64:

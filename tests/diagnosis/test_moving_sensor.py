@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from helpers.worlds import thinned
 
 import dynaviz as dv
 from dynaviz.arrays import F64
@@ -19,7 +20,7 @@ from dynaviz.testing.world import SENSOR, crossing, moved
 
 T_LIDAR_CAM = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # z-up to y-up
-SCANS = crossing(8)
+SCANS = thinned(crossing(8))
 
 
 def placed(scan: Scan, points: F64, T: F64) -> Scan:

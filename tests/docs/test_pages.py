@@ -44,7 +44,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(name, marks=pytest.mark.slow if name in ("tutorial.md", "comparing.md") else [])
+        pytest.param(name, marks=pytest.mark.slow if name in ("tutorial.md", "comparing.md", "protocol.md") else [])
         for name, commands in COMMANDS.items()
         if commands
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dynaviz.arrays import F64
@@ -15,6 +17,11 @@ def pose(x: float, y: float = 0.0, z: float = 1.0) -> F64:
     T_world_sensor = np.eye(4)
     T_world_sensor[:3, 3] = x, y, z
     return T_world_sensor
+
+
+def thinned(scans: list[Scan]) -> list[Scan]:
+    """Every other point of scans that have labels, and one ray origin each."""
+    return [replace(scan, points=scan.points[::2], labels=scan.labels[::2], origins=None) for scan in scans]
 
 
 def room(frames: int = 6, rays: int = 3000, seed: int = 0, labelled: bool = True) -> InMemory:

@@ -26,5 +26,6 @@ def test_octomap_g_scores_like_the_public_program(golden):
     assert ours == pytest.approx(theirs, abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_noise_filter_keeps_more_static_points(mini):
     assert mini.scores(mini.run(OctoMapGF))[0] > mini.scores(mini.run(OctoMapG))[0]

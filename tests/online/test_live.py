@@ -65,7 +65,8 @@ def test_revised_labels_are_those_of_the_offline_run(method: str) -> None:
     again = session(method)
     for scan in scans[:-1]:
         again.add(scan)
-        again.revise()
+        if scan.index % 3 == 2:
+            again.revise()
     assert again.add(scans[-1]).dynamic.sum() == first[-1], "revising must not change later labels"
 
 
