@@ -52,7 +52,7 @@ def changes(node: ast.AST) -> Iterator[tuple[str, str, object]]:
     match node:
         case ast.Compare(ops=[op]):
             yield "comparison", "ops", [SWAPS[type(op)]()]
-        case ast.BinOp(op=op) | ast.AugAssign(op=op):
+        case ast.BinOp(op=op) | ast.AugAssign(op=op) if type(op) in SWAPS:
             yield "arithmetic", "op", SWAPS[type(op)]()
         case ast.BoolOp(op=op):
             yield "boolean", "op", SWAPS[type(op)]()

@@ -37,6 +37,7 @@ def files(package: str) -> list[Path]:
     return sorted(PACKAGES[package].rglob("*.py"))
 
 
+@cache
 def modules() -> dict[str, set[str]]:
     """Each module with the modules that it imports, also inside functions and for types only."""
     names = {

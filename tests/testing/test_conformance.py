@@ -36,8 +36,8 @@ MARKS = {**dict.fromkeys(INDICES, ("boundscheck",)), "scores_alike_in_a_moved_wo
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(handle.name, marks=pytest.mark.slow if handle.name in ("octomap", "octomap_g") else [])
-        # octomap_gf runs what both run
+        pytest.param(handle.name, marks=pytest.mark.slow if handle.name in ("octomap_g", "octomap_gf") else [])
+        # both add filters to octomap that have tests of their own
         for handle in registry.handles("methods")
     ],
 )
