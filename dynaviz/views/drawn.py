@@ -39,11 +39,21 @@ def _components(batch: pa.RecordBatch, row: int) -> Row:
 
 def values(row: Row, name: str) -> np.ndarray:
     """A component's values, fixed-size lists as columns; the component must be present."""
-    array = row[name][1].flatten()
+    return as_columns(row[name][1].flatten())
+
+
+def as_columns(array: pa.Array) -> np.ndarray:
+    """The values of an Arrow array, fixed-size lists as columns."""
     width = array.type.list_size if pa.types.is_fixed_size_list(array.type) else None
-    flat = (array.flatten() if width else array).to_numpy(zero_copy_only=False)
-    shaped: np.ndarray = flat.reshape(-1, width) if width else flat
-    return shaped
+    flat, of = array.flatten() if width else array, pa.types
+    values: np.ndarray
+    if (of.is_integer(flat.type) or of.is_floating(flat.type)) and not flat.null_count:
+        values = np.from_dlpack(flat)  # to_numpy imports pandas, which takes longer than reading most recordings
+    elif of.is_string(flat.type) or (of.is_boolean(flat.type) and not flat.null_count):
+        values = np.array(flat.to_pylist(), object if of.is_string(flat.type) else np.bool_)
+    else:
+        values = flat.to_numpy(zero_copy_only=False)
+    return values.reshape(-1, width) if width else values
 
 
 def positions(row: Row) -> F64 | None:

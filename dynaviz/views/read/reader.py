@@ -26,6 +26,7 @@ from dynaviz.errors import DataError, DynavizError
 from dynaviz.scores.comparison.frame_answers import ARCHETYPE, FrameAnswers
 from dynaviz.scores.result import Result
 from dynaviz.views import classes, paths, stored_ledgers
+from dynaviz.views.drawn import as_columns
 from dynaviz.views.read import chunks
 from dynaviz.views.record.sink import part_of
 
@@ -367,10 +368,7 @@ def _row(batch: pa.RecordBatch, row: int, timelines: Any) -> dict[str, Any]:
     for name in batch.schema.names:
         if name.startswith("rerun") or name in timelines or not batch[name][row].is_valid:
             continue
-        array = batch[name][row].values
-        width = array.type.list_size if pa.types.is_fixed_size_list(array.type) else None
-        flat = (array.flatten() if width else array).to_numpy(zero_copy_only=False)
-        values[name] = flat.reshape(-1, width) if width else flat
+        values[name] = as_columns(batch[name][row].values)
     return values
 
 
