@@ -127,6 +127,7 @@ def test_a_map_of_a_bag_has_gps_time_and_can_be_cleaned_again(tmp_path: Path) ->
     assert "ring" in kept
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no TF from")
 def test_a_map_of_two_lidars_can_be_cleaned_again(tmp_path: Path) -> None:
     """Rays start at the lidar that measured them, in the second pass as well."""

@@ -64,6 +64,7 @@ def check_figures(found: Finding) -> None:
     assert {first, last} <= set(found.frames) or found.count > len(found.frames)
 
 
+@pytest.mark.slow
 def test_a_place_seen_again_later() -> None:
     """The drift is too slow to show on the way, but the sensor comes back to where it started."""
     scans = [moved(scan, lifted(0.25 * ramp(k, 0, len(BACK)))) for k, scan in enumerate(BACK)]

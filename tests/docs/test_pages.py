@@ -44,7 +44,10 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(name, marks=pytest.mark.slow if name in ("tutorial.md", "comparing.md", "protocol.md") else [])
+        pytest.param(
+            name,
+            marks=pytest.mark.slow if name in ("tutorial.md", "comparing.md", "other_programs.md") else [],
+        )
         for name, commands in COMMANDS.items()
         if commands
     ],
