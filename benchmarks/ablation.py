@@ -23,7 +23,7 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods import sky
 from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, ground, history, method
-from dynaviz_methods.seethrough.method import BY_ITSELF, FOOT
+from dynaviz_methods.seethrough.method import FOOT
 
 CHOSEN = (
     "hdl64_town", "hdl64_poor_poses", "hdl64_standing", "vlp32c_square", "vlp16_street", "vlp16_twenty", "vlp16_hall",
@@ -32,14 +32,12 @@ CHOSEN = (
 PARTS = {  # constants to change, and reasons whose points are kept
     "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
-    "no lone voxels": ({}, (BY_ITSELF,)),
     "poses as they are": ({"ground.OFF": 1e9}, ()),
-    "one round": ({"history.ROUNDS": 1}, ()),
     "parts half as wide": ({"history.WIDE": 1}, ()),
     "parts twice as wide": ({"history.WIDE": 6}, ()),
     "all places count alike": ({"history.LEAST": 1e3}, ()),
-    "certain at half the evidence": ({"history.CERTAIN": 0.25}, ()),
-    "certain at twice the evidence": ({"history.CERTAIN": 1.0}, ()),
+    "certain at half the evidence": ({"history.CERTAIN": 0.175}, ()),
+    "certain at twice the evidence": ({"history.CERTAIN": 0.7}, ()),
     "no limit of height": ({"method.HIGHEST": 1e9}, ()),
     "feet up to 0.8 m away": ({"method.UNDER": 4}, ()),
     "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
@@ -51,7 +49,7 @@ PARAMETERS = {
     "guard": (0.2, 0.4),
     "resolution": (0.15, 0.2),
     "votes": (2, 5),
-    "near": (0.15, 0.6),
+    "near": (0.25, 1.0),
     "hit": (0.06, 0.24),
     "prior": (0.05, 0.2),
     "inherit": (0.25, 1.0),

@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit, prange
 
 ONE = np.uint64(1)
-UNKNOWN = np.float32(-1.0)  # what a place inherits if no scan saw where it began or ended
 
 
 @njit(cache=True, nogil=True)
@@ -169,7 +168,7 @@ def inherit(places, parts, around, rank, most, own, first, second, weights, sour
     total, weight = np.zeros(len(around)), np.zeros(len(around))
     for k in range(len(places)):
         p = places[k]
-        f = min(max((own[p] - prior + link * max(first[p], second[p])) / certain, -1.0), 1.0)
+        f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
         total[parts[k]] += f * (least + abs(f))
         weight[parts[k]] += least + abs(f)
     for k in range(len(places)):
@@ -199,7 +198,7 @@ def sweep(starts, part_starts, places, parts, around, rank, most, own, first, se
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, places, height, low, own, born, left, shares, empty, alone, highest, codes):
+def outcomes(voxels, places, height, low, own, born, left, shares, empty, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
@@ -208,12 +207,12 @@ def outcomes(voxels, places, height, low, own, born, left, shares, empty, alone,
             points above the other are too high for a mover, unless infinite, unknown.
         own, born, left: (4 B,) float32: evidence of places, and what they inherit at both ends.
         shares: the weight of what they inherit, and what the sum must exceed.
-        empty: (N,) float32: evidence of the point's own voxel; alone: minimum for a point that is dynamic by itself.
+        empty: (N,) float32: evidence of the point's own voxel.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
-            removed by the evidence of their place, by what it was born with, by what it was left with, alone.
+            removed by the evidence of their place, by what it was born with, by what it was left with.
     """
     link, prior = shares
-    out, near_ground, above, little, never, seen, came, gone, single = codes
+    out, near_ground, above, little, never, seen, came, gone = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
         p = places[i]
@@ -223,10 +222,8 @@ def outcomes(voxels, places, height, low, own, born, left, shares, empty, alone,
             found[i] = near_ground
         elif height[i] > highest and height[i] < np.inf:
             found[i] = above
-        elif own[p] + link * max(born[p], left[p]) > prior:
+        elif own[p] + link * max(born[p], left[p], 0.0) > prior:
             found[i] = seen if own[p] > prior else came if born[p] >= left[p] else gone
-        elif empty[i] > alone:
-            found[i] = single
         else:
             found[i] = little if empty[i] > 0 else never
     return found

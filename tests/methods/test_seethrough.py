@@ -196,11 +196,11 @@ def test_a_place_inherits_the_certainty_of_the_object_with_which_it_begins() -> 
     places, parts, around = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32), np.full((2, 9), np.int32(-1))
     around[:, 4] = [0, 1]
     rank, most, came = np.zeros(3, np.int32), np.full(3, 4, np.int32), np.full(3, -1, np.int32)
-    unknown = np.full(3, kernels.places.UNKNOWN, np.float32)
+    unknown, doubt = np.zeros(3, np.float32), 0.1 / history.CERTAIN
     shares = 0.5, 0.1, history.CERTAIN, history.LEAST
     kernels.places.inherit(places, parts, around, rank, most, own, born, unknown, shares, came, 7)
-    mean = (1.0 * 1.1 - 0.2 * 0.3) / (1.1 + 0.3)
-    np.testing.assert_allclose(born, [mean, mean, -0.2], atol=1e-6)
+    mean = (1.0 * 1.1 - doubt * (0.1 + doubt)) / (1.1 + 0.1 + doubt)
+    np.testing.assert_allclose(born, [mean, mean, -doubt], atol=1e-6)
     assert came.tolist() == [7, 7, 7]
     assert (own + 0.5 * born > 0.1).tolist() == [True, True, False]
 

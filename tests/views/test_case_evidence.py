@@ -166,7 +166,6 @@ CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason
         "followed": lambda ledger: _rule(ledger, "place"),
         "waited": lambda ledger: _rule(ledger, "place"),
         "foot": lambda ledger: _rule(ledger, "foot") or _rule(ledger, "empty foot"),
-        "alone": lambda ledger: _rule(ledger, "alone") and not _rule(ledger, "place"),
         "high": lambda ledger: not _holds(ledger, "more than 4.5 m above the ground"),
     },
 }  # fmt: skip

@@ -13,9 +13,8 @@ from dynaviz.arrays import F32, I32, I64, U16
 from dynaviz.blocks.blocks import BlockGrid
 
 ALWAYS = 1 << 30  # visits: the life of a place whose beginning and end nobody saw
-ROUNDS = 2  # sweeps in both directions
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
-CERTAIN = 0.5  # evidence for full certainty
+CERTAIN = 0.35 # evidence for full certainty
 LEAST = 0.1  # weight of a place without evidence, against 1 more for one that is certain
 LIVE_PRIOR, LIVE_LEAST = 0.005, 0.5  # online, where there is less evidence, and little of it is certain
 
@@ -78,7 +77,7 @@ class History:
         self._own, self._born = (own(np.zeros((rows, 4), np.float32)) for _ in range(2))
         # Of each place: its visits, how many are its birth, and how often its voxels were clear at the last one.
         self._number, self._most, self._clear = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
-        self._never, self._unknown = np.full((rows, 4), np.int32(-1)), np.full((rows, 4), kernels.places.UNKNOWN)
+        self._never, self._unknown = np.full((rows, 4), np.int32(-1)), np.zeros((rows, 4), np.float32)
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1
         grid.watch(self._block_came)
@@ -137,12 +136,11 @@ class History:
             for seen, other in ((begun, ended), (ended, begun))
         )
         forward, backward = k.ranks(places, np.zeros(size, np.int32))
-        born, left = (np.where(most == 0, k.UNKNOWN, np.float32(0)) for most in (births, deaths))
+        born, left = np.zeros(size, np.float32), np.zeros(size, np.float32)
         came, went = np.full(size, -1, np.int32), np.full(size, -1, np.int32)
-        for _ in range(ROUNDS):
-            of = starts, part_starts, places, parts, around
-            k.sweep(*of, forward, births, own, born, left, self._whole, came, False)
-            k.sweep(*of, backward, deaths, own, left, born, self._whole, went, True)
+        of = starts, part_starts, places, parts, around
+        k.sweep(*of, forward, births, own, born, left, self._whole, came, False)
+        k.sweep(*of, backward, deaths, own, left, born, self._whole, went, True)
         return Decision(own, born, left, came, went, *self._whole[:2])
 
     def _remaining(self, visits: Visits) -> Visits:

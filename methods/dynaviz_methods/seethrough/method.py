@@ -10,11 +10,11 @@
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or 0.1 (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
-                m = their mean certainty, (f - prior) / 0.5 from -1 to 1, in which the certain ones count most
+                m = their mean certainty, (f - prior) / 0.35 from -1 to 1, in which the certain ones count most
     birth:      B = mean of m over the first ``votes`` scans with its points, if its voxels were seen clear before
     death:      D = mean of m over the last ones, if they were seen clear afterwards; over all scans if neither
-                f = u + inherit max(B, D); dynamic if f > prior. Sweep forward in time, then backward, twice
-    point:      dynamic if f > prior in its place, or if the evidence of its own voxel exceeds 0.7
+                f = u + inherit max(B, D, 0). Sweep forward in time, then backward
+    point:      dynamic if f > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds 0.4
 
@@ -50,7 +50,6 @@ from dynaviz_methods.voids import widened
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-ALONE = 0.7  # evidence of a voxel whose points are dynamic by themselves
 EMPTY = 0.4  # evidence of a voxel with points of a foot
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
 GROUND = 4 * EDGE, 3  # metres: edge of the cells in which low points are compared; minimum number of them
@@ -78,7 +77,7 @@ class SeeThroughParams:
     resolution: float = 0.1
     guard: float = 0.3
     votes: int = 3
-    near: float = 0.3
+    near: float = 0.5
     hit: float = 0.12
     prior: float = 0.1
     inherit: float = 0.5
@@ -104,7 +103,7 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, BY_ITSELF, WAITED, HIGH = range(10)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, HIGH = range(9)
 REASONS = (
     Reason("never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its place was seen clear", Cause.STANDING),
@@ -113,24 +112,23 @@ REASONS = (
     Reason("seen_through", "removed: its place was seen clear", Cause.SHARED_CELL),
     Reason("followed", "removed: its place began as part of a dynamic object", Cause.SHARED_CELL),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
-    Reason("alone", "removed: its voxel was seen clear, but its place was not", Cause.SPARSE_RINGS),
     Reason("waited", "removed: its place ended as part of a dynamic object", Cause.SHARED_CELL),
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
 )
-BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED, BY_ITSELF)
-REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, BY_ITSELF, WAITED))  # (R,) bool, by code
+BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED)
+REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
     State("passed", Voxels, "Voxels with points that this scan's rays crossed near its hits: no evidence"),
     State(
         "objects",
         PointClasses,
-        "Points by the scans so far: low, static, dynamic, of a place that inherits, foot, alone",
-        legend=("static", "low", "dynamic", "followed", "foot", "alone"),
+        "Points by the scans so far: low, static, dynamic, of a place that inherits, foot",
+        legend=("static", "low", "dynamic", "followed", "foot"),
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 5, 3, 0], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 3, 0], np.uint8)  # reason code to class of the legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +281,7 @@ class SeeThrough:
         empty = kernels.places.of_points(measured.voxels, *self._counts, self._weights)
         of_points = measured.voxels, measured.places, measured.height, np.float32(self.params.ground_height)
         of_places = decision.own, decision.born, decision.left, (decision.inherit, decision.prior)
-        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, ALONE, HIGHEST, BY_PLACE)
+        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
             stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
@@ -327,7 +325,7 @@ class SeeThrough:
             )
             of_places = ("place", own), ("born", born), ("left", left), ("born in", came), ("left in", went)
             quantities += [Quantity(name, of) for name, of in of_places]
-            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(born, left))
+            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(np.maximum(born, left), 0.0))
         return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
 
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
@@ -348,7 +346,6 @@ class SeeThrough:
         name = "evidence of its voxel"
         return (
             Rule("place", (*up, place)),
-            Rule("alone", (*up, Term(name, empty, ">", float(np.float32(ALONE))))),
             Rule("foot", (near, stands)),
             Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(EMPTY))))),
         )
