@@ -14,9 +14,9 @@ from dynaviz.blocks.blocks import BlockGrid
 
 ALWAYS = 1 << 30  # visits: the life of a place whose beginning and end nobody saw
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
-CERTAIN = 0.35 # evidence for full certainty
+CERTAIN = 0.35  # evidence for full certainty
 LEAST = 0.1  # weight of a place without evidence, against 1 more for one that is certain
-LIVE_PRIOR, LIVE_LEAST = 0.005, 0.5  # online, where there is less evidence, and little of it is certain
+LIVE_NEAR, LIVE_PRIOR, LIVE_LEAST = 0.3, 0.02, 0.5  # online, where there is less evidence, and little of it is certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,8 @@ class History:
         self, grid: BlockGrid, inherit: float, prior: float, weights: tuple[float, ...], counts: tuple[U16, ...]
     ) -> None:
         rows, own = len(grid) + 1, grid.per_block
-        self._weights, self._counts = weights, counts
+        self._weights, self._live_weights = weights, (min(weights[0], LIVE_NEAR), *weights[1:])
+        self._counts = counts
         self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
         self._birth = int(weights[2])  # visits: the length of births and deaths
         self._visits: dict[int, Visits] = {}
@@ -95,7 +96,7 @@ class History:
         k, self._now = kernels.places, number
         visits = Visits(number, *k.visit(voxels, objects, self._grid.blocks, WIDE, number, self._up, self._stamps))
         self._visits[number], places = visits, visits.places
-        self._weigh(places, self._own, self._clear)
+        self._weigh(places, self._live_weights, self._own, self._clear)
         visited, most, clear = self._number.ravel(), self._most.ravel(), self._clear.ravel()
         new = places[visited[places] == 0]
         most[new] = np.where(clear[new] > 0, self._birth, ALWAYS)
@@ -103,8 +104,8 @@ class History:
         k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number)
         visited[places] += 1
 
-    def _weigh(self, places: I32, found: F32, clear: I32) -> None:
-        evidence = self._up, *self._counts, self._weights
+    def _weigh(self, places: I32, weights: tuple[float, ...], found: F32, clear: I32) -> None:
+        evidence = self._up, *self._counts, weights
         kernels.places.evidence(places, *evidence, found.reshape(-1), clear.reshape(-1))
 
     def so_far(self) -> Decision:
@@ -129,7 +130,7 @@ class History:
         )
         existing = np.unique(places)
         own, clear = np.zeros(size, np.float32), np.zeros(size, np.int32)
-        self._weigh(existing, own, clear)
+        self._weigh(existing, self._weights, own, clear)
         begun, ended = self._most.ravel() == self._birth, clear > self._clear.ravel()
         births, deaths = (
             np.where(seen, self._birth, np.where(other, 0, ALWAYS)).astype(np.int32)

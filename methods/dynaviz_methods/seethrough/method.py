@@ -20,7 +20,7 @@
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, the
-prior is 0.005, and places without certainty count more in the mean of a part.
+prior is 0.02, ``near`` at most 0.3, and places without certainty count more in the mean of a part.
 """
 
 from __future__ import annotations
