@@ -28,7 +28,7 @@ except ImportError:
 
 from dynaviz.explorer.answers import RRD, Explored, Query
 from dynaviz.explorer.run import ExploredRun
-from dynaviz.views.read.chunks import with_layout
+from dynaviz.views.read.chunks import without_layout
 
 HOME = "127.0.0.1"
 PAGE = Path(__file__).with_name("page")
@@ -93,11 +93,8 @@ def application(explored: Explored, token: str) -> Starlette:
     def file(request: Request) -> Response:
         name = request.path_params["name"]
         if name in recordings:
-            try:
-                layout = explored.contents["layout"][0]({**request.query_params, "run": name.removesuffix(".rrd")})
-            except DynavizError as error:
-                return JSONResponse({"error": str(error)}, 400, HEADERS)
-            return StreamingResponse(with_layout(recordings[name], layout), media_type=RRD, headers=HEADERS)
+            content = without_layout(recordings[name])
+            return StreamingResponse(content, media_type=RRD, headers=HEADERS)
         known = files.get(name)
         if known is None:
             return Response("not found", 404, HEADERS)

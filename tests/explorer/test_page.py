@@ -180,18 +180,29 @@ def test_a_click_with_the_mouse_explains_a_point(page: Page, runs: dict[str, Pat
     page.tab.click(f"#card-a-{card.number}")
     page.wait(f"explorer.viewers.a.time === {frame} && document.body.dataset.layout === 'case-{card.number}'")
     box = page.tab.locator("#viewers canvas").bounding_box()
-    for x, y in on_screen(run.wrong.xyz[rows].astype(float), card, box["width"], box["height"])[:8].tolist():
-        page.tab.mouse.move(box["x"] + x, box["y"] + y)
-        page.draw(4)  # the viewer finds what is under the mouse after it was drawn
-        page.tab.mouse.click(box["x"] + x, box["y"] + y)
-        page.draw(4)
-        if page.state.get("point") in run.wrong.point[rows]:
-            break
+    places = on_screen(run.wrong.xyz[rows].astype(float), card, box["width"], box["height"])
+
+    def click(places: list[list[float]], points: set[int]) -> None:
+        """Click until one of some points is chosen."""
+        for x, y in places:
+            page.tab.mouse.move(box["x"] + x, box["y"] + y)
+            page.draw(4)  # the viewer finds what is under the mouse after it was drawn
+            page.tab.mouse.click(box["x"] + x, box["y"] + y)
+            page.draw(4)
+            if page.state.get("point") in points:
+                return
+
+    wrong = set(run.wrong.point[rows].tolist())
+    click(places[:8].tolist(), wrong)
     at, point = page.state.get("at"), page.state.get("point")
     assert at == frame, "no click met a point of the case"
     assert page.tab.get_attribute(".reason", "data-reason") == run.point(at, point)["reason"]
     assert f"Point {point:,} of frame {at}" in page.tab.inner_text("#point")
     page.tab.wait_for_selector("#point .ledger .strip")  # the replay of the tiny run follows by itself
+    page.tab.keyboard.down("Control")  # the viewer then selects both points
+    click(places[::-1][:8].tolist(), wrong - {point})
+    page.tab.keyboard.up("Control")
+    assert page.state.get("point") in wrong - {point}
 
 
 def test_keys(page: Page, cases: Any) -> None:

@@ -174,9 +174,8 @@ function openViewer(letter, frame) {
     place.append(preview)
     requestAnimationFrame(() => { preview.src = drawing(letter, place) }) // when all viewers have their size
   }
-  // The layout comes at the end of the recording, so that the viewer draws the case when it has read everything.
-  const recording = fetch(`${letter}.rrd?${new URLSearchParams(layoutQuery(letter))}`).then(answer => answer.arrayBuffer())
-  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording], frame, {
+  const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
+  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, ask('layout', layoutQuery(letter))], frame, {
     drawn: () => {
       section.querySelector('.preview')?.remove()
       loaded()

@@ -3,13 +3,19 @@ import widget from './viewer/widget.js'
 
 const BACKGROUND = [18, 20, 26] // of 3D views, in every theme
 const SHARE = 0.1 // of the canvas that has this colour when a 3D view is drawn
+const QUICK = 5 // ms: the viewer reads for 10 ms after each picture, so a shorter one means that it has nothing to read
+const IDLE = 3 // such pictures in a row after which it has read everything
 const EMPTY = 100 // pictures after which a canvas that stays empty cannot be read, and counts as drawn
 const afterFrame = new Set() // called after the viewer has drawn, because its canvas is empty later
 
+console.debug = () => {} // the viewer logs each shader that it compiles there, which takes longer than to compile it
+
 const request = window.requestAnimationFrame.bind(window)
 window.requestAnimationFrame = callback => request(time => {
+  const begin = performance.now()
   callback(time)
-  for (const look of afterFrame) look()
+  const took = performance.now() - begin
+  for (const look of afterFrame) look(took)
 })
 
 const PANELS = { top: 'hidden', blueprint: 'hidden', selection: 'hidden', time: 'collapsed' }
@@ -17,7 +23,7 @@ const PANELS = { top: 'hidden', blueprint: 'hidden', selection: 'hidden', time: 
 export class Viewer {
   /**
    * @param element where to show it
-   * @param contents promises of .rrd files, in the order in which the viewer reads them
+   * @param contents promises of .rrd files, in the order in which the viewer reads them; the last one is the layout
    * @param frame at which it opens
    * @param on functions: drawn() with the first picture of the recording, click(item), time(frame), played(playing)
    */
@@ -28,11 +34,13 @@ export class Viewer {
     this.time = frame // the frame under the cursor, as the viewer reports it
     this.timeline = null
     this.followed = new Set() // frames to which another viewer has led this one
+    this.selected = new Set()
     this.playing = false
     this.listeners = {}
-    this.waiting = [] // until the recording is sent
+    this.waiting = [] // until the recording is read
     this.drawn = false
     this.element = element
+    element.classList.add('reading') // it reads after each picture: small ones take less time
     // Always dark, as its 3D views are: labels on them would be white on pale grey otherwise.
     const values = { _width: 'auto', _height: 'auto', _url: null, _panel_states: PANELS, _theme: 'dark' }
     this.contents = Promise.all(contents)
@@ -61,8 +69,10 @@ export class Viewer {
   /** Show the content of an .rrd file: more data of the recording, or a new layout. */
   show(content) {
     if (this.waiting) this.waiting.push(content)
-    else this.#tell({ type: 'rrd' }, [new DataView(content)])
+    else this.#send(content)
   }
+
+  #send(content) { this.#tell({ type: 'rrd' }, [new DataView(content)]) }
 
   #tell(message, buffers = []) {
     for (const listener of this.listeners['msg:custom'] ?? []) listener(message, buffers)
@@ -71,9 +81,9 @@ export class Viewer {
   #hear(event) {
     if (event === 'ready') {
       this.contents.then(contents => {
-        const all = [...contents, ...this.waiting]
-        this.waiting = this.contents = null
-        for (const content of all) this.show(content)
+        this.waiting.unshift(contents.pop())
+        for (const content of contents) this.#send(content)
+        this.contents = null
       })
       return
     }
@@ -106,11 +116,29 @@ export class Viewer {
   #open(frame) {
     if (this.timeline === 'frame' && frame === this.start) {
       this.opened = true
-      this.#awaitPicture()
+      this.#awaitRead()
     } else {
       // Not in the listener itself: the viewer must not be called while it reports an event.
       setTimeout(() => this.#tell({ type: 'time_ctrl', timeline: 'frame', sequence: String(this.start), play: false }))
     }
+  }
+
+  /** When everything is read, show the layout, in full size. */
+  #awaitRead() {
+    let idle = 0
+    const look = took => {
+      idle = took < QUICK ? idle + 1 : 0
+      if (idle < IDLE) return
+      afterFrame.delete(look)
+      this.element.classList.remove('reading')
+      const { waiting } = this
+      this.waiting = null
+      setTimeout(() => {
+        for (const content of waiting) this.#send(content)
+        this.#awaitPicture()
+      })
+    }
+    afterFrame.add(look)
   }
 
   #awaitPicture() {
@@ -134,9 +162,14 @@ export class Viewer {
     afterFrame.add(look)
   }
 
-  /** Of things behind each other take the points, which may lie behind a box; a ray drawn in front stands for the place. */
+  /**
+   * Of things behind each other take the points, which may lie behind a box; a ray drawn in front stands for the place.
+   * With Ctrl the viewer adds to what is selected, or removes from it: what it adds counts.
+   */
   #click(items) {
-    const hits = items.filter(item => item.type === 'entity' && item.position)
+    const name = item => `${item.entity_path} ${item.instance_id}`, before = this.selected
+    this.selected = new Set(items.map(name))
+    const hits = items.filter(item => item.type === 'entity' && item.position && !before.has(name(item)))
     const points = hits.filter(item => !item.entity_path.startsWith('/world/explore'))
     const hit = points.find(item => item.entity_path === '/world/scan') ?? points.find(item => item.instance_id !== undefined) ?? points[0] ?? hits[0]
     if (hit) setTimeout(() => this.on.click(hit))

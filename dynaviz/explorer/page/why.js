@@ -190,7 +190,7 @@ function scanTable(ledger) {
     cell(entry.frame), cell(entry.hits || '', 'hits'), cell(entry.crossed || '', 'crosses'),
     ...names.map(name => cell(value(entry, name))), cell(entry.removed === null ? '' : entry.removed ? 'remove' : 'keep'),
     cell(`${entry.range_m.toFixed(1)} m`),
-    cell(entry.angle_deg === null ? '' : `${entry.angle_deg.toFixed(0)}°`, entry.angle_deg !== null && entry.angle_deg < 10 && entry.crossed ? 'grazing' : null)))
+    cell(entry.angle_deg === null ? '' : `${entry.angle_deg.toFixed(0)}°`, entry.angle_deg !== null && entry.angle_deg < 20 && entry.crossed ? 'grazing' : null)))
   return make('div', { class: 'wide' }, make('table', {},
     make('thead', {}, make('tr', {}, head.map(name => make('th', { scope: 'col' }, name)))), make('tbody', {}, rows)))
 }

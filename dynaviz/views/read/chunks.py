@@ -10,7 +10,6 @@ protobuf. A chunk is a message of kind 2, whose field 5 is an Arrow IPC stream, 
 from __future__ import annotations
 
 import functools
-import io
 import mmap
 import struct
 from collections.abc import Iterator
@@ -101,12 +100,8 @@ def copy_undamaged(path: Path, out: Path) -> int:
     return count
 
 
-def with_layout(path: Path, layout: bytes) -> Iterator[bytes]:
-    """The bytes of a recording with another layout, which a viewer shows when it has read everything before it.
-
-    Args:
-        path: the recording, whose own layouts become passive.
-        layout: the content of an ``.rrd`` file.
+def without_layout(path: Path) -> Iterator[bytes]:
+    """The bytes of a recording whose own layouts are passive, so that a viewer keeps the one that it shows.
 
     Raises:
         OSError: if the file cannot be read.
@@ -117,9 +112,6 @@ def with_layout(path: Path, layout: bytes) -> Iterator[bytes]:
             if kind == _LAYOUT and message.endswith(_ACTIVE):
                 message = message.removesuffix(_ACTIVE) + _PASSIVE
             yield message
-    content = io.BytesIO(layout)
-    content.seek(_START)
-    yield from (message for _, message in _messages(content))
 
 
 def _messages(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
