@@ -186,7 +186,6 @@ def test_each_step_keeps_its_slices(reason, there, gone):
     assert names(method, scans[0])[-1] == reason
 
 
-@pytest.mark.plain
 def test_the_field_of_view_ends_at_the_steepest_point_at_any_distance():
     there = scan(0, np.concatenate([floor(), post(0.6, 1.1, 1.6, 2.1, 2.6, 3.1, 3.6)]))
     for near, reason in ((post(), "above_view"), (post(2.2, at=(0.4, 0.3)), "not_in_scan")):
