@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.failures import show_failures
 from dynaviz.cli.options import SEQUENCE, Json, Quiet, recording_in, refuse, takes
 from dynaviz.cli.unposed import open_posed_or_not, proposal
 from dynaviz.errors import UsageError
@@ -67,6 +66,8 @@ def info(
     """
     if failures:
         refuse(options, "--failures")
+        from dynaviz.cli.cases import show_failures
+
         show_failures(Path(path), top or 20, json)
         return
     if top is not None:

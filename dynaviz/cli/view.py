@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from dynaviz.cli.console import progress, show
 from dynaviz.cli.options import recording_in, refuse
-from dynaviz.cli.pictures import render_pictures
 from dynaviz.errors import UsageError
 
 
@@ -62,8 +62,19 @@ def view(
         refuse({"web": web, "port": port}, "-o or --clip")
         if len(recordings) > 1:
             raise UsageError("-o and --clip render one recording. Give one RUN")
-        file = recording_in(recordings[0])
-        render_pictures(file, out, clip, tuple(frames or ()), case, view_name, size or "1600x900")
+        if clip is not None and case is None:
+            raise UsageError("--clip shows the frames of a case. Give its number with --case N")
+        if clip is not None and clip.suffix.lower() != ".mp4":
+            raise UsageError(f"--clip {clip}: the name must end in .mp4")
+        if out is not None and out.suffix.lower() == ".mp4":
+            raise UsageError(f"-o {out}: is for images. Give --clip {out}")
+        from dynaviz.views.read.shot import parse_size, shot
+
+        file, pixels, files = recording_in(recordings[0]), parse_size(size or "1600x900"), []
+        with progress("render", unit="images") as report:
+            for target in filter(None, (out, clip)):
+                files += shot(file, target, tuple(frames or ()), view_name, pixels, case, report)
+        show(*(f"Written to {each}." for each in files))
         return
     refuse(
         {"frame": frames, "case": case is not None, "view_name": view_name, "size": size},

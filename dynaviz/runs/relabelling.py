@@ -20,8 +20,7 @@ from dynaviz.io.plain_json import read_json
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.rescore import rescore as score_again
 from dynaviz.runs.run import open_run
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import SCORES
+from dynaviz.scores.scores import SCORES, Counts
 from dynaviz.sources.opening import Source
 
 FILE = "corrections.json"

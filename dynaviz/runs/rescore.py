@@ -12,7 +12,7 @@ from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.engine.packed_bits import PackedBits
 from dynaviz.errors import DataError
 from dynaviz.runs.run import Run
-from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import Counts
 from dynaviz.sources.summary import ScanDigest
 
 

@@ -15,8 +15,7 @@ from dynaviz.scores.behaviour import Behaviour
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range, unpack
 from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
-from dynaviz_eval.ground import GROUND_HEIGHT
-from dynaviz_eval.per_scan import scan_squared_ranges
+from dynaviz_eval.ground import GROUND_HEIGHT, scan_squared_ranges
 from dynaviz_eval.sorted_runs import SortedRuns
 
 WINDOW = 10  # frames: motion is measured over a second of most sensors, long enough to exceed the noise of boxes

@@ -13,9 +13,8 @@ from dynaviz.arrays import F32, I64, U8
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import RANGE_EDGES
-from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
+from dynaviz.scores.scores import RANGE_EDGES, Counts
+from dynaviz_eval.ground import scan_heights, scan_squared_ranges
 
 RANGES = (0.0, *RANGE_EDGES, np.inf)
 HEIGHTS = (-np.inf, 0.2, 0.5, 1.0, 2.0, 4.0, np.inf)

@@ -8,8 +8,7 @@ from typing import Any
 
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import SCORES
+from dynaviz.scores.scores import SCORES, Counts
 
 
 def _sections(counts: Counts) -> dict[str, Any]:

@@ -22,8 +22,7 @@ from dynaviz.spatial.surface import angles, surface_normals
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, gathered, summed
-from dynaviz_eval.ground import on_ground
-from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
+from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 
 # Metres: maximum size of a false-positive case; larger holes are split, and patches of ground within are one. Trails
 # of movers may be longer.

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, Bool
+from dynaviz.contracts.scan import Scan
 
 GROUND_CELL = 1.0  # metres
 # Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 96 % of the lower points
@@ -34,3 +39,34 @@ def on_ground(heights: F32) -> Bool:
     """(N,) bool: whether points at these heights, metres, count as ground."""
     low: Bool = heights < GROUND_HEIGHT
     return low
+
+
+T = TypeVar("T")
+
+
+def once_per_scan(compute: Callable[[Scan], T]) -> Callable[[Scan], T]:
+    """Remember the value for the last scan; a scan is immutable, so the value cannot be stale."""
+    latest: list[tuple[Scan, T]] = []  # replaced as a whole, so that threads see a scan with its own value
+
+    @functools.wraps(compute)
+    def remembered(scan: Scan) -> T:
+        for known, value in latest[:1]:
+            if known is scan:
+                return value
+        value = compute(scan)
+        latest[:] = [(scan, value)]
+        return value
+
+    return remembered
+
+
+@once_per_scan
+def scan_heights(scan: Scan) -> F32:
+    """(N,) float32, metres: as ``ground.heights_above_ground``."""
+    return heights_above_ground(scan.points)
+
+
+@once_per_scan
+def scan_squared_ranges(scan: Scan) -> F32:
+    """(N,) float32, square metres: as ``Scan.squared_ranges``."""
+    return scan.squared_ranges()

@@ -10,8 +10,7 @@ import numpy as np
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, Labelled
 from dynaviz.contracts.scan import Outcome
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import percentage_points_lost
+from dynaviz.scores.scores import Counts, percentage_points_lost
 
 _CODES = 256
 _KINDS = {

@@ -19,8 +19,7 @@ from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import is_ground, shape
 from dynaviz_eval.behaviour import VisitedPlaces
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
-from dynaviz_eval.ground import on_ground
-from dynaviz_eval.per_scan import scan_heights, scan_squared_ranges
+from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
 
 _FRAME = ("frame", "index", "points", "removed")

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import Counts
 from dynaviz_eval.breakdown import BreakdownMetric
 from dynaviz_eval.ground import heights_above_ground
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynaviz.contracts.scan import Outcome, outcomes
-from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import Counts
 from dynaviz_eval.confusion import Confusion
 
 pytestmark = pytest.mark.boundscheck

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import Counts
 from dynaviz_eval.reasons import ReasonsMetric
 
 pytestmark = pytest.mark.boundscheck

@@ -7,7 +7,7 @@ from helpers.html_pages import Page, markdown_table
 from helpers.made_results import REMOVALS, case, result, thing, without_truth
 
 from dynaviz.contracts import registry
-from dynaviz.scores.point_counts import Counts
+from dynaviz.scores.scores import Counts
 from dynaviz_eval.report.tables import tables
 
 CAUSES = {

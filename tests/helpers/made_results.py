@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from dynaviz.scores.point_counts import Counts
 from dynaviz.scores.result import Result
+from dynaviz.scores.scores import Counts
 
 Numbers = tuple[int, int, int, int]  # static kept, static removed, dynamic removed, dynamic kept
 

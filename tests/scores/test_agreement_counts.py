@@ -22,8 +22,7 @@ from dynaviz.scores.comparison.counts import (
     scores,
     spatial_gains,
 )
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import SCORES
+from dynaviz.scores.scores import SCORES, Counts
 
 
 @settings(deadline=None, max_examples=40)

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES
-from dynaviz.scores.comparison.pair import ComparedRun
-from dynaviz.scores.comparison.removed import RemovalComparison
+from dynaviz.scores.comparison.pair import ComparedRun, RemovalComparison
 from dynaviz.scores.comparison.summary import Comparison
 from dynaviz.scores.comparison.tables import sections
 from dynaviz.scores.sections import Runtime, SequenceInfo

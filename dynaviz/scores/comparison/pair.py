@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from dynaviz.scores.comparison.counts import (
     AGREEMENT,
     BOTH,
     FIRST,
+    REMOVED_BY,
     SECOND,
     TRUTHS,
     AgreementCounts,
@@ -23,13 +25,14 @@ from dynaviz.scores.comparison.counts import (
     scores,
 )
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES
-from dynaviz.scores.comparison.removed import ReasonNames as ReasonNames
-from dynaviz.scores.comparison.removed import RemovalComparison, compare_removals
 from dynaviz.scores.comparison.settings import RuntimeRatio, SettingChange, runtime_ratio, setting_changes
 from dynaviz.scores.result import Result
+from dynaviz.scores.scores import percent
 from dynaviz.scores.sections import Runtime
 
 MOST = 10  # frames and places listed, at most
+
+ReasonNames = Mapping[int, str]  # by code
 
 Scores = ByScore[float | None]  # None where undefined
 
@@ -81,12 +84,18 @@ class ScoreChange:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Points that neither run, only the first, only the second, or both labelled correctly."""
+    """Points that neither run, only the first, only the second, or both labelled correctly, or removed."""
 
     neither: int
     only_first: int
     only_second: int
     both: int
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Points of the first and of the second run, percent; NaN without points."""
+        total = self.neither + self.only_first + self.only_second + self.both
+        return float(percent(self.only_first + self.both, total)), float(percent(self.only_second + self.both, total))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +177,39 @@ class PlaceChange:
 
 
 @dataclass(frozen=True, slots=True)
+class RangeRemoved:
+    """Removed points within a band of ranges from the sensor."""
+
+    band: str
+    points: Agreement
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalReasons:
+    """Points that only one run removed (``only_first`` or ``only_second``), by the reasons of both runs."""
+
+    removed_by: str
+    first_reason: str
+    second_reason: str
+    points: int
+
+
+@dataclass(frozen=True, slots=True)
+class RemovalComparison:
+    """Removed points of two runs, of a sequence without ground truth.
+
+    Attributes:
+        points: by which run removed them.
+        by_range: the same, by range from the sensor.
+        by_reason: points that only one run removed, most points first.
+    """
+
+    points: Agreement
+    by_range: tuple[RangeRemoved, ...]
+    by_reason: tuple[RemovalReasons, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class PairComparison:
     """What differs between two runs.
 
@@ -227,7 +269,7 @@ def compare_pair(
         places_note=places_note,
         differ=setting_changes(*results),
         runtime=runtime_ratio(*results),
-        removed=compare_removals(counts, reasons),
+        removed=_removals(counts, reasons),
     )
 
 
@@ -260,6 +302,24 @@ def _by_reason(counts: I64, names: tuple[ReasonNames, ReasonNames]) -> tuple[Rea
             second = None if kind == SECOND else names[1].get(j, str(j))
             rows.append(ReasonPair(TRUTHS[truth], AGREEMENT[kind], first, second, int(points[i, j])))
     return tuple(sorted(rows, key=lambda row: -row.points))
+
+
+def _removals(counts: AgreementCounts, names: tuple[ReasonNames, ReasonNames]) -> RemovalComparison | None:
+    """What the runs removed; None if there is ground truth."""
+    if counts.points.any():
+        return None
+    rows = [
+        RemovalReasons(REMOVED_BY[by], names[0].get(i, str(i)), names[1].get(j, str(j)), points)
+        for by in (FIRST, SECOND)
+        for i, j in np.argwhere(counts.removed_reasons[by]).tolist()
+        for points in [int(counts.removed_reasons[by, i, j])]
+    ]
+    bands = counts.removed_bands
+    return RemovalComparison(
+        Agreement(*bands.sum(1).tolist()),
+        tuple(RangeRemoved(name, Agreement(*bands[:, i].tolist())) for i, name in enumerate(BAND_NAMES)),
+        tuple(sorted(rows, key=lambda row: -row.points)),
+    )
 
 
 def _frame_changes(counts: AgreementCounts) -> tuple[FrameChange, ...]:

@@ -15,8 +15,7 @@ from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.scores.comparison import tables
 from dynaviz.scores.comparison.counts import LEVEL, RESAMPLES, SEED, block_length
-from dynaviz.scores.comparison.pair import ComparedRun, PairComparison, ScoreChange
-from dynaviz.scores.comparison.removed import RemovalComparison
+from dynaviz.scores.comparison.pair import ComparedRun, PairComparison, RemovalComparison, ScoreChange
 from dynaviz.scores.sections import SequenceInfo
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from dynaviz.scores.comparison.pair import (
     PairComparison,
     PlaceChange,
     RangeAgreement,
+    RemovalComparison,
 )
-from dynaviz.scores.comparison.removed import RemovalComparison
 from dynaviz.scores.comparison.settings import text
 from dynaviz.scores.scores import SCORES
 
@@ -147,9 +147,8 @@ def _removed_by_range(first: ComparedRun, second: ComparedRun, removed: RemovalC
             f"{second.letter} in %")  # fmt: skip
     rows = []
     for name, points in (("all", removed.points), *((row.band, row.points) for row in removed.by_range)):
-        counts = (points.only_first, points.only_second, points.neither, points.both)
         shares = ("n/a" if math.isnan(share) else f"{share:.2f}" for share in points.shares)
-        rows.append((name, *(f"{n:,}" for n in counts), *shares))
+        rows.append((*_counts(name, points), *shares))
     note = "There is no ground truth, so it is unknown which points were removed rightly"
     return TableSection("Removed points, by range from the sensor", head, tuple(rows), note)
 

@@ -18,9 +18,8 @@ from dynaviz.io.oxts import read_oxts
 from dynaviz.io.tracklets import Tracklet, read_tracklets
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
-from dynaviz.sources.datasets.camera import Camera
 from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only
-from dynaviz.sources.datasets.kitti_tracking import CATEGORIES, CLASS_NAMES, SWEEP_PERIOD
+from dynaviz.sources.datasets.kitti_tracking import CATEGORIES, CLASS_NAMES, SWEEP_PERIOD, Camera
 from dynaviz.sources.datasets.truth import scan_fields
 from dynaviz.spatial import geometry
 

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
@@ -19,10 +19,34 @@ from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
 from dynaviz.io.oxts import read_oxts
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
-from dynaviz.sources.datasets.camera import Camera
 from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only_folder
 from dynaviz.sources.datasets.truth import Truth, scan_fields
 from dynaviz.spatial import geometry
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera calibrated to the lidar.
+
+    Attributes:
+        T_camera_sensor: (4, 4) float64, metres; camera frame: x right, y down, z forward.
+        projection: (3, 4) float64, from the camera frame to pixels.
+        size: (width, height) of the image, pixels.
+    """
+
+    T_camera_sensor: F64
+    projection: F64
+    size: tuple[float, float] = (1242, 375)
+
+    def project(self, points: F64) -> tuple[Bool, F64, F64]:
+        """Project (N, 3) points in the camera frame: mask of points in the image, columns and rows in pixels."""
+        projected = geometry.apply(self.projection, points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = projected[:, 0] / projected[:, 2], projected[:, 1] / projected[:, 2]
+        width, height = self.size
+        in_image: Bool = (points[:, 2] > 0.5) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return in_image, column, row
+
 
 # Scan.classes are positions in this tuple.
 CATEGORIES = ("none", "Car", "Van", "Truck", "Pedestrian", "Person", "Cyclist", "Tram", "Misc")

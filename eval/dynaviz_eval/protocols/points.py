@@ -11,8 +11,7 @@ from dynaviz.arrays import F32, U8
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.protocol import ProtocolInfo
 from dynaviz.contracts.scan import Label, outcomes
-from dynaviz.scores.point_counts import Counts
-from dynaviz.scores.scores import SCORES
+from dynaviz.scores.scores import SCORES, Counts
 from dynaviz.spatial.nearest import Nearest
 from dynaviz_eval.protocols import Counted
 
