@@ -26,11 +26,10 @@ from dynaviz.scores.result import Result
 from dynaviz.sources.opening import absolute, open_source
 from dynaviz.sources.options import SequenceKeywords, SequenceOptions
 from dynaviz.synthetic.implants.implant_options import ImplantOptions, parse
-from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence, planned
+from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence, planned, write
 from dynaviz.synthetic.implants.lidar_model import LidarModel
 from dynaviz.synthetic.implants.panel import default_panel, votes
 from dynaviz.synthetic.implants.survey import Survey
-from dynaviz.synthetic.implants.write_implants import write
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -63,7 +63,7 @@ def check(
         show(_summary(checked, len(cells), baseline))
     if junit is not None:
         from dynaviz.io.atomic import write_atomic
-        from dynaviz.scores.junit import junit_xml
+        from dynaviz.scores.regression import junit_xml
 
         write_atomic(junit, junit_xml(checked))
     if checked.failed:

@@ -77,9 +77,8 @@ def _simulate(scene: str, out: Path, frames: str | None, seed: int | None) -> No
 def _implant(text: str, out: Path, seed: int | None, frames: str | None) -> None:
     from dynaviz import api
     from dynaviz.synthetic.implants.implant_options import parse
-    from dynaviz.synthetic.implants.implanted_sequence import ImplantedSequence
+    from dynaviz.synthetic.implants.implanted_sequence import SCENE_FILE, ImplantedSequence, write
     from dynaviz.synthetic.implants.panel import default_panel
-    from dynaviz.synthetic.implants.write_implants import SCENE_FILE, write
 
     path, movers = parse(text)
     if seed is not None:

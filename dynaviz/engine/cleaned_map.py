@@ -27,10 +27,9 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
-from dynaviz.io.gps_time import GPS_EPOCH, adjusted_gps_time
+from dynaviz.io.las import GPS_EPOCH, adjusted_gps_time
 from dynaviz.io.las_map import LAS, LasHead
-from dynaviz.io.map_tiles import map_tiles
-from dynaviz.io.maps import Writing, divided_map, open_map
+from dynaviz.io.maps import Writing, divided_map, map_tiles, open_map
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
 from dynaviz.spatial.grid import KeySet, in_key_range, pack

@@ -30,7 +30,7 @@ class LasHead:
     Attributes:
         like: a LAS file whose header the map takes over: version and point format, scales and offsets, global encoding,
             and all records, such as the coordinate system; None for a plain header.
-        adjusted_gps_time: whether ``gps_time`` is adjusted standard GPS time (``dynaviz.io.gps_time``), if ``like`` is
+        adjusted_gps_time: whether ``gps_time`` is adjusted standard GPS time (``dynaviz.io.las``), if ``like`` is
             None.
     """
 

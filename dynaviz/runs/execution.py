@@ -27,7 +27,7 @@ from dynaviz.errors import UsageError
 from dynaviz.io.lock import locked
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.options import Record, RunOptions
-from dynaviz.runs.tiles.counts import TileCounts
+from dynaviz.runs.tiles.grid import TileCounts
 from dynaviz.runs.tiles.label_tiles import TileOptions, label_tiles
 from dynaviz.scores.result import RecordMode, Result
 from dynaviz.sources.opening import refined

@@ -1,4 +1,4 @@
-"""Checks results against limits and against a stored baseline, for CI."""
+"""Checks results against limits and against a stored baseline, for CI; JUnit XML of the checks."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree as xml
 
 import msgspec
 
@@ -254,3 +256,31 @@ def write_baseline(path: str | os.PathLike[str], results: Iterable[Result]) -> N
     # One line per run, so that a diff of two versions shows which runs changed.
     text = f'{{"baseline": {SCHEMA}, "results": [\n' + ",\n".join(rows) + "\n]}\n"
     write_atomic(Path(path), text.encode())
+
+
+def junit_xml(checked: RegressionCheck) -> bytes:
+    """A test suite with a test case for each checked value of each run; values for information are not in it."""
+    root = xml.Element("testsuites", name="dynaviz check")
+    values = [each for each in checked.values if each.outcome is not CheckOutcome.INFO]
+    for run, of_run in groupby(sorted(values, key=lambda each: each.run), key=lambda each: each.run):
+        rows = list(of_run)
+        failed = sum(each.outcome is CheckOutcome.FAILED for each in rows)
+        suite = xml.SubElement(root, "testsuite", name=run, tests=f"{len(rows)}", failures=f"{failed}")
+        for each in rows:
+            case = xml.SubElement(suite, "testcase", classname=run, name=each.name)
+            text = _sentence(each)
+            if each.outcome is CheckOutcome.FAILED:
+                xml.SubElement(case, "failure", message=text).text = text
+            else:
+                xml.SubElement(case, "system-out").text = text
+    xml.indent(root)
+    document: bytes = xml.tostring(root, encoding="utf-8", xml_declaration=True)
+    return document
+
+
+def _sentence(checked: CheckedValue) -> str:
+    """The value, its limit and the remark."""
+    numbers = [] if checked.value is None else [f"{checked.name} {checked.value:.2f} %"]
+    numbers += [] if checked.limit is None else [f"at least {checked.limit:.2f} % is required"]
+    counts = [f"{name} {count:,}" for name, (count, _) in checked.counts.items()]
+    return "; ".join([*numbers, *([checked.remark] if checked.remark else []), *counts]) or "passed"

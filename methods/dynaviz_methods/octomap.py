@@ -31,9 +31,8 @@ from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Step, Te
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, Plane, State, Voxels
 from dynaviz.contracts.scan import Scan
-from dynaviz_methods.ground import ground_plane
+from dynaviz_methods.filters import ground_plane, outliers
 from dynaviz_methods.lookups import known, marked
-from dynaviz_methods.noise import outliers
 
 
 @dataclass(frozen=True)

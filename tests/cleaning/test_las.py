@@ -14,7 +14,7 @@ from helpers.scan_folders import write_tum_poses
 import dynaviz as dv
 from dynaviz.errors import DataError
 from dynaviz.io.fields import read_fields
-from dynaviz.io.gps_time import adjusted_gps_time, leap_offset
+from dynaviz.io.las import adjusted_gps_time, leap_offset
 from dynaviz.io.poses import read_poses
 from dynaviz.spatial import geometry
 from dynaviz.testing.world import crossing

@@ -18,7 +18,7 @@ from helpers.scan_folders import WRITERS, XYZ
 from dynaviz.errors import DataError
 from dynaviz.io.feather import read_feather
 from dynaviz.io.fields import read_points
-from dynaviz.io.tracklets import read_tracklets
+from dynaviz.io.kitti import read_tracklets
 
 LIMIT = 200 << 20  # bytes of memory; every header here states more, and every file is much smaller
 

@@ -17,9 +17,8 @@ from dynaviz.contracts.registry import load
 from dynaviz.contracts.scan import Scan
 from dynaviz.engine.external import PrecomputedLabels
 from dynaviz.io.benchmark import BenchmarkWriter
-from dynaviz.io.boxes import read_boxes
-from dynaviz.io.calib import read_calib
 from dynaviz.io.fields import read_points
+from dynaviz.io.kitti import read_boxes, read_calib
 from dynaviz.io.maps import open_map
 from dynaviz.io.pcd import ENCODINGS, read_pcd
 from dynaviz.io.poses import read_poses

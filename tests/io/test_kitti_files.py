@@ -12,9 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import TrackBox, read_boxes
-from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
-from dynaviz.io.oxts import read_oxts
+from dynaviz.io.kitti import TrackBox, calib_matrix, calib_transform, read_boxes, read_calib, read_oxts
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import read_velodyne

@@ -18,10 +18,9 @@ from helpers.nuscenes_files import write_nuscenes
 from helpers.scan_folders import WRITERS, XYZ
 
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import read_boxes
 from dynaviz.io.fields import read_points
+from dynaviz.io.kitti import read_boxes, read_tracklets
 from dynaviz.io.poses import read_poses
-from dynaviz.io.tracklets import read_tracklets
 from dynaviz.sources.datasets import open_sequence
 
 Command = Callable[..., tuple[int, str, str]]

@@ -10,7 +10,7 @@ import pytest
 from helpers.kitti_files import write_odometry, write_oxts, write_raw_drive
 
 from dynaviz.errors import DataError
-from dynaviz.io.oxts import read_oxts
+from dynaviz.io.kitti import read_oxts
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.kitti_odometry import KittiOdometrySequence
 from dynaviz.sources.datasets.kitti_raw import KittiRawSequence

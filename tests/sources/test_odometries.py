@@ -13,8 +13,7 @@ from dynaviz.arrays import F64
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Scan
 from dynaviz.io.poses import read_poses
-from dynaviz.sources.odometry.contract import Odometry
-from dynaviz.sources.odometry.estimate import estimate
+from dynaviz.sources.odometry.estimate import Odometry, estimate
 from dynaviz.sources.odometry.kiss_icp import KissIcp
 from dynaviz.sources.odometry.small_gicp import SmallGicp
 from dynaviz.spatial import geometry

@@ -10,7 +10,7 @@ from dynaviz.arrays import F32, F64
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
-from dynaviz.io.calib import calib_transform, read_calib
+from dynaviz.io.kitti import calib_transform, read_calib
 from dynaviz.io.poses import read_kitti_poses
 from dynaviz.io.text import read_table
 from dynaviz.io.velodyne import read_velodyne

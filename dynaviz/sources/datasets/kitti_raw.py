@@ -13,9 +13,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
 from dynaviz.io.atomic import open_file
-from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
-from dynaviz.io.oxts import read_oxts
-from dynaviz.io.tracklets import Tracklet, read_tracklets
+from dynaviz.io.kitti import Tracklet, calib_matrix, calib_transform, read_calib, read_oxts, read_tracklets
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only

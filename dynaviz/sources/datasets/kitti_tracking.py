@@ -14,9 +14,7 @@ from dynaviz.arrays import F64, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError
-from dynaviz.io.boxes import REGION, TrackBox, read_boxes
-from dynaviz.io.calib import calib_matrix, calib_transform, read_calib
-from dynaviz.io.oxts import read_oxts
+from dynaviz.io.kitti import REGION, TrackBox, calib_matrix, calib_transform, read_boxes, read_calib, read_oxts
 from dynaviz.io.velodyne import read_velodyne
 from dynaviz.sources.datasets.box_labels import OrientedBox, moving_tracks, track_facts, truth_from_boxes
 from dynaviz.sources.datasets.files import VelodyneSweeps, has_files, numbered_files, only_folder

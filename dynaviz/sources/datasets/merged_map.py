@@ -17,7 +17,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import DataError, UsageError
 from dynaviz.io.fields import coordinates, given_coordinates, read_fields, without_axes
-from dynaviz.io.gps_time import leap_offset
+from dynaviz.io.las import leap_offset
 from dynaviz.io.poses import read_poses
 from dynaviz.sources.datasets.lidars import LIDAR
 from dynaviz.sources.datasets.pose_matching import parse_points_in

@@ -8,7 +8,7 @@ import tomllib
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -17,11 +17,45 @@ from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Scan, Sequence, stream
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
-from dynaviz.sources.odometry.contract import Odometry
 from dynaviz.sources.odometry.pose_table import without_points, write_pose_table
 from dynaviz.spatial import geometry
 from dynaviz.spatial.motion import deskewed_along, smoothed
 from dynaviz.spatial.trajectory import Trajectory
+
+
+class Odometry(Protocol):
+    """Estimates poses, one sweep after the other.
+
+    Attributes:
+        reference: time in the sweep to which its pose refers, for sweeps whose points have times: 0 for the first
+            point, 1 for the last.
+        package: the distribution that implements it, whose version is part of the cache's key.
+
+    Args:
+        reach: metres: range within which most points lie.
+
+    Raises:
+        MissingDependency: if the package is not installed.
+    """
+
+    reference: ClassVar[float]
+    package: ClassVar[str]
+
+    def __init__(self, reach: float) -> None: ...
+
+    def register(self, points: F64, times: F64 | None) -> F64:
+        """Estimate the pose of the next sweep.
+
+        Args:
+            points: (N, 3) float64, metres, sensor frame, each at its own time; finite.
+            times: (N,) float64, seconds; when each point was measured. None if the sweep is already compensated for
+                motion, or the times are unknown.
+
+        Returns:
+            (4, 4) float64, metres: the pose in the frame of the first sweep.
+        """
+        ...
+
 
 FORMAT = 3  # of the cache; a change makes earlier caches invalid
 _SAMPLES = 5  # frames whose ranges are looked at

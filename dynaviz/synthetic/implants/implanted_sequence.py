@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,8 +12,10 @@ from dynaviz.arrays import Bool
 from dynaviz.contracts.scan import Scan, Sequence, select_frames
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
+from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
 from dynaviz.sources.datasets import open_sequence
+from dynaviz.sources.datasets.convert import Conversion, convert
 from dynaviz.synthetic.implants.cast import implant
 from dynaviz.synthetic.implants.implant_options import COUNTS, ImplantOptions, parse
 from dynaviz.synthetic.implants.implant_scene import ImplantScene
@@ -172,3 +175,21 @@ def planned(name: str, options: ImplantOptions, lidar: LidarModel, survey: Surve
         start_ns=survey.start_ns,
         sequence=name,
     )
+
+
+SCENE_FILE = "implants.toml"
+
+
+def write(
+    sequence: ImplantedSequence,
+    out: str | os.PathLike[str],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Conversion:
+    """Write ``out`` as ``dynaviz.sources.datasets.convert`` does, with the scene as ``out/implants.toml``.
+
+    Raises:
+        DataError: if ``out`` exists or cannot be written, or the sequence cannot be read.
+    """
+    done = convert(sequence, out, progress)
+    write_atomic(Path(out) / SCENE_FILE, sequence.scene.to_toml())
+    return done

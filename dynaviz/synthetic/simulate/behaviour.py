@@ -10,7 +10,7 @@ import numpy as np
 
 from dynaviz.arrays import F64
 from dynaviz.synthetic.ray_caster import RayCaster
-from dynaviz.synthetic.simulate import bodies, objects
+from dynaviz.synthetic.simulate import objects
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import Effects
 from dynaviz.synthetic.simulate.lidar import REFLECTING
@@ -239,7 +239,7 @@ def _door(stage: Stage, time: float) -> None:
             continue
         direction = np.array([np.cos(hinge[2]), np.sin(hinge[2])])
         path = Route(np.array([hinge[:2], hinge[:2] + direction]))
-        return stage.add(ObjectClass.MOVING_DOOR, Anchored(path, share, True), bodies.door)
+        return stage.add(ObjectClass.MOVING_DOOR, Anchored(path, share, True), objects.door)
     return None
 
 
@@ -250,7 +250,7 @@ def _trolley(stage: Stage, time: float) -> None:
         if stage.free(way, at - 3, at + 3, 0.4) and stage.apart(way, schedule):
             stage.person(way, schedule)
             pushed = Movement(way, _led(schedule, 0.85, way.length), True)
-            return stage.add(ObjectClass.MOVING_OTHER_VEHICLE, pushed, bodies.trolley())
+            return stage.add(ObjectClass.MOVING_OTHER_VEHICLE, pushed, objects.trolley())
     return None
 
 
@@ -267,7 +267,7 @@ def _sit(stage: Stage, time: float) -> None:
         if not stage.apart(path, schedule):
             continue
         stage.scene.put(objects.bench(), ObjectClass.OTHER_OBJECT, x, y, yaw + np.pi / 2)
-        body = partial(bodies.sitter, end=path.length, height=stage.rng.uniform(1.55, 1.9))
+        body = partial(objects.sitter, end=path.length, height=stage.rng.uniform(1.55, 1.9))
         return stage.add(ObjectClass.MOVING_PERSON, Movement(path, schedule, True), body)
     return None
 
@@ -283,7 +283,7 @@ def _animal(stage: Stage, time: float) -> None:
         path = way.shifted(0.35 * np.sin(way.distance / 1.3))
         schedule = halting(path, at, time, 1.9, 0.1 * stage.scene.duration)
         if stage.free(path, at - 4, at + 4, 0.2) and stage.apart(path, schedule):
-            return stage.add(ObjectClass.MOVING_ANIMAL, Movement(path, schedule, True), bodies.dog)
+            return stage.add(ObjectClass.MOVING_ANIMAL, Movement(path, schedule, True), objects.dog)
     return None
 
 

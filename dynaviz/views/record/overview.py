@@ -45,7 +45,7 @@ _LABELLED = slice(Outcome.STATIC_KEPT, Outcome.FALSE_NEGATIVE + 1)
 
 
 class CountsByTile(Protocol):
-    """Where the counts come from: ``dynaviz.runs.tiles.counts.TileCounts``."""
+    """Where the counts come from: ``dynaviz.runs.tiles.grid.TileCounts``."""
 
     size: float
     outcomes: dict[tuple[int, int], I64]

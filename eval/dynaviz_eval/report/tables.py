@@ -26,9 +26,8 @@ from dynaviz_eval.report.boards import (
     setting,
 )
 from dynaviz_eval.report.by_protocol import ByProtocol, protocol_table
-from dynaviz_eval.report.errors import cause_table, interval_table
+from dynaviz_eval.report.errors import cause_table, interval_table, removal_table
 from dynaviz_eval.report.objects import object_table
-from dynaviz_eval.report.removal_tables import removal_table
 from dynaviz_eval.report.spots import SharedCase, case_table, shared_cases
 from dynaviz_eval.report.table import ABSENT, NONE, Column, Table, Value, count, many, named, percent
 

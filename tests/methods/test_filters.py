@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dynaviz_methods.ground import ground_plane
-from dynaviz_methods.noise import outliers
+from dynaviz_methods.filters import ground_plane, outliers
 
 pytestmark = pytest.mark.boundscheck
 
