@@ -14,7 +14,7 @@ from dynaviz.kernels.keys import X_SHIFT
 from dynaviz.scores.behaviour import Behaviour
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range, unpack
-from dynaviz_eval.cases import EDGE, GAP, Cases, pooled
+from dynaviz_eval.cases import EDGE, GAP, Cases, FramePoints, pooled
 from dynaviz_eval.ground import GROUND_HEIGHT, scan_squared_ranges
 from dynaviz_eval.sorted_runs import SortedRuns
 
@@ -54,7 +54,7 @@ class Objects:
         chosen = chosen[in_key_range(scan.points[chosen], EDGE)]
         groups, none = groups_of(scan, chosen, True), np.zeros(len(chosen), np.uint8)
         ranges = np.sqrt(scan_squared_ranges(scan)[chosen])
-        self._cases.add(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen])
+        self._cases.add(FramePoints(labelled.frame, scan.points[chosen], groups, none, ranges, near[chosen]))
 
     def finish(self) -> None:
         """Complete the tracks; call it after the last scan."""

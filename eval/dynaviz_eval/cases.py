@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,31 @@ MEASURED_EVERY = 20  # points of a case in a frame for one whose surface is meas
 MOST_MEASURED = 32  # of these
 EVERY = 16  # frames between two clean-ups, which drop small cases that are over
 CASE, LAST = 1, 2  # columns of remembered cells
+
+
+@dataclass(frozen=True, eq=False)
+class FramePoints:
+    """The points of one kind of error in a frame.
+
+    Attributes:
+        frame: position in the run.
+        points: (N, 3) float32, metres, world frame; finite.
+        groups: (N,) int64.
+        reasons: (N,) uint8 codes.
+        ranges: (N,) float32, metres from the sensor.
+        touching: (N,) bool, True next to points of another kind, such as dynamic ones.
+        ground: (N,) bool, True on the ground; None if unknown.
+        angles: given rows of ``points``, the angles at which their rays meet the surface; None if unknown.
+    """
+
+    frame: int
+    points: F32
+    groups: I64
+    reasons: U8
+    ranges: F32
+    touching: Bool
+    ground: Bool | None = None
+    angles: Angles | None = None
 
 
 class Cases:
@@ -64,46 +90,16 @@ class Cases:
         self._low = self._high = np.empty((0, 3), np.int32)
         self._used = 0
 
-    def add(
-        self,
-        frame: int,
-        points: F32,
-        groups: I64,
-        reasons: U8,
-        ranges: F32,
-        touching: Bool,
-        ground: Bool | None = None,
-        angles: Angles | None = None,
-    ) -> None:
-        """Add the points of a frame. Call it in the order of frames.
+    def add(self, wrong: FramePoints) -> None:
+        """Add the points of a frame. Call it in the order of frames."""
+        if len(wrong.points):
+            self._new.append(self._rows(wrong))
+        if wrong.frame % EVERY == EVERY - 1:
+            self.settle(wrong.frame)
 
-        Args:
-            frame: position in the run.
-            points: (N, 3) float32, metres, world frame; finite.
-            groups: (N,) int64.
-            reasons: (N,) uint8 codes.
-            ranges: (N,) float32, metres from the sensor.
-            touching: (N,) bool, True next to points of another kind, such as dynamic ones.
-            ground: (N,) bool, True on the ground; None if unknown.
-            angles: given rows of ``points``, the angles at which their rays meet the surface; None if unknown.
-        """
-        if len(points):
-            self._new.append(self._rows(frame, points, groups, reasons, ranges, touching, ground, angles))
-        if frame % EVERY == EVERY - 1:
-            self.settle(frame)
-
-    def _rows(
-        self,
-        frame: int,
-        points: F32,
-        groups: I64,
-        reasons: U8,
-        ranges: F32,
-        touching: Bool,
-        ground: Bool | None,
-        angles: Angles | None,
-    ) -> NDArray[np.void]:
+    def _rows(self, wrong: FramePoints) -> NDArray[np.void]:
         """Link the points of a frame to cases; one row for each of its cases."""
+        frame, points, groups, reasons = wrong.frame, wrong.points, wrong.groups, wrong.reasons
         self._make_room(len(points))
         of_point, first, fresh, self._used = kernels.cases.link(
             pack(points, EDGE), groups, frame, GAP, self._limit,
@@ -112,8 +108,8 @@ class Cases:
         self._remembered += fresh
         of_point = kernels.cases.roots(self._parent, self._used)[of_point]  # cases may have joined since
         case, counts, low, high, sums, crossed = kernels.cases.fold(
-            of_point, self._used, points, ranges, first, touching, first & False if ground is None else ground,
-            reasons, self.kind["reasons"].shape[0],
+            of_point, self._used, points, wrong.ranges, first, wrong.touching,
+            first & False if wrong.ground is None else wrong.ground, reasons, self.kind["reasons"].shape[0],
         )  # fmt: skip
         rows = np.zeros(len(case), self.kind)
         rows["case"], rows["frame"], rows["group"], rows["ranges"] = case, frame, groups[counts[:, 0]], sums
@@ -121,10 +117,10 @@ class Cases:
             rows[name] = counts[:, column]
         rows["low"], rows["high"], rows["near"], rows["far"] = low[:, :3], high[:, :3], low[:, 3], high[:, 3]
         rows["reasons"] = crossed
-        if angles is not None:
+        if wrong.angles is not None:
             row = np.searchsorted(case, of_point)
             measured = _spread_over(row, rows["points"])
-            found, of = angles(measured), row[measured]
+            found, of = wrong.angles(measured), row[measured]
             weights = (rows["points"] / np.bincount(of))[of]
             for name, chosen in (("surface", found >= 0), ("grazed", found < GRAZING)):
                 rows[name] = np.bincount(of, weights * chosen)

@@ -21,7 +21,7 @@ from dynaviz.spatial.grid import in_key_range
 from dynaviz.spatial.surface import angles, surface_normals
 from dynaviz_eval.attribution import causes_of, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
-from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, gathered, summed
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, gathered, summed
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 
 # Metres: maximum size of a false-positive case; larger holes are split, and patches of ground within are one. Trails
@@ -95,7 +95,8 @@ class FailuresMetric:
             if removed and ground is not None:  # where the class is unknown, ground is a group of its own
                 groups[groups <= _UNLABELLED] |= ground[groups <= _UNLABELLED]
             measured = partial(_angles, scan, wrong) if removed else None
-            cases.add(labelled.frame, points, groups, labelled.reasons[wrong], ranges, near, ground, measured)
+            reasons = labelled.reasons[wrong]
+            cases.add(FramePoints(labelled.frame, points, groups, reasons, ranges, near, ground, measured))
 
     @staticmethod
     def _next_to_movers(labelled: Labelled) -> Bool:

@@ -18,7 +18,7 @@ from dynaviz.scores.scores import RANGE_EDGES
 from dynaviz.spatial.grid import in_key_range
 from dynaviz_eval.attribution import is_ground, shape
 from dynaviz_eval.behaviour import VisitedPlaces
-from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, boxes, facts, summed
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, summed
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
 from dynaviz_eval.suspicion import MOVING, cluster_sentence, moved, suspicion
 
@@ -97,7 +97,8 @@ class _Clusters:
         near, ground = _next_to_kept(labelled, ground)[chosen], ground[chosen]
         groups = ground.astype(np.int64)  # so that ground does not join the objects on it
         points, ranges = scan.points[chosen], np.sqrt(scan_squared_ranges(scan)[chosen])
-        self._cases.add(labelled.frame, points, groups, labelled.reasons[chosen], ranges, near, ground)
+        reasons = labelled.reasons[chosen]
+        self._cases.add(FramePoints(labelled.frame, points, groups, reasons, ranges, near, ground))
 
     def finish(self) -> dict[str, Any]:
         self._cases.settle(self._frame + GAP + 1)  # all clusters are over by then

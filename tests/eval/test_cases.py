@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, gathered, summed
+from dynaviz_eval.cases import EVERY, GAP, KEEP, Cases, FramePoints, gathered, summed
 
 pytestmark = pytest.mark.boundscheck
 
@@ -12,7 +12,7 @@ def add(cases: Cases, frame: int, points, groups=0, reasons=0, ranges=1.0, touch
     points = np.asarray(points, np.float32).reshape(-1, 3)
     n = len(points)
     dtypes = (groups, np.int64), (reasons, np.uint8), (ranges, np.float32), (touching, np.bool_)
-    cases.add(frame, points, *(np.broadcast_to(np.asarray(v, t), n) for v, t in dtypes))
+    cases.add(FramePoints(frame, points, *(np.broadcast_to(np.asarray(v, t), n) for v, t in dtypes)))
 
 
 def test_a_row_describes_a_case_in_a_frame():

@@ -16,7 +16,7 @@ from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
 from dynaviz.scores.sections import FailureCase, RangeSpan
 from dynaviz.scores.spans import in_words, shared_objects
-from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, summed
+from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, summed
 from dynaviz_eval.failures import FailuresMetric
 
 pytestmark = pytest.mark.boundscheck
@@ -48,8 +48,8 @@ def test_cases_are_connected_components(seed, n, frames, size):
     cases = Cases(2, np.inf, small.append)
     for frame, points in enumerate(scans):
         m = len(points)
-        empty = np.zeros(m, np.uint8)
-        cases.add(frame, points, np.zeros(m, np.int64), empty, np.zeros(m, np.float32), np.zeros(m, np.bool_))
+        zeros = np.zeros(m, np.int64), np.zeros(m, np.uint8), np.zeros(m, np.float32), np.zeros(m, np.bool_)
+        cases.add(FramePoints(frame, points, *zeros))
     cases.settle(frames + GAP)
     found = np.concatenate([some["points"] for some in (summed(cases.rows), *small)])
     assert sorted(found) == sorted(len(c) for c in components(scans))
@@ -61,7 +61,8 @@ def test_memory_does_not_grow_with_frames():
     for frame in range(600):
         points = rng.uniform([frame - 40, -40, -40], [frame + 40, 40, 40], (60, 3)).astype(np.float32)
         none = np.zeros(60, np.int64)
-        cases.add(frame, points, none, none.astype(np.uint8), np.zeros(60, np.float32), none.astype(np.bool_))
+        zeros = none, none.astype(np.uint8), np.zeros(60, np.float32), none.astype(np.bool_)
+        cases.add(FramePoints(frame, points, *zeros))
         sizes.append((len(cases._table), len(cases._parent), len(cases.rows)))
     assert (np.max(sizes[300:], axis=0) <= 1.5 * np.max(sizes[100:300], axis=0)).all()
     cases.settle(599 + GAP + 1)
