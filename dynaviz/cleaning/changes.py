@@ -132,14 +132,14 @@ class Pair:
             UsageError: if the sequence does not have frames of exactly two drives.
         """
         whole = base_of(sequence)
-        if not isinstance(whole, Drives) or len(whole.drives) != 2:
-            number = len(whole.drives) if isinstance(whole, Drives) else 1
+        if not isinstance(whole, Drives) or len(whole.parts) != 2:
+            number = len(whole.parts) if isinstance(whole, Drives) else 1
             raise UsageError(f"--changed compares two drives, not {number}. Give two paths: monday/ tuesday/")
-        end = len(whole.drives[0])
+        end = len(whole.parts[0])
         first = bisect.bisect_left(range(len(sequence)), end, key=lambda position: sequence[position].index)
         if not 0 < first < len(sequence):
             raise UsageError("--changed: --frames selects frames of one drive only. Select frames of both")
-        names = tuple(drive.name for drive in whole.drives)
+        names = tuple(drive.name for drive in whole.parts)
         return cls(sequence, first, names if names[0] != names[1] else ("drive 1", "drive 2"))
 
     def alone(self, which: int, sequence: Sequence) -> SequenceSlice:

@@ -21,13 +21,62 @@ OBJECTS = 1_000_000  # instance numbers of a drive follow those of the one befor
 
 
 @dataclass(frozen=True)
-class Drives:
+class Joined:
+    """Frames of several sequences, moved into the world frame of the first."""
+
+    parts: tuple[Sequence, ...]
+
+    def place(self, position: int) -> tuple[int, int]:
+        """The part that a frame is from, and its position there."""
+        raise NotImplementedError
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor of the first part."""
+        return self.parts[0].sensor
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether any part has ground truth."""
+        return any(part.has_labels for part in self.parts)
+
+    @property
+    def origin(self) -> F64:
+        """(3,) float64, metres: that of the first part."""
+        return origin_of(self.parts[0])
+
+    def __len__(self) -> int:
+        return sum(map(len, self.parts))
+
+    def attributes(self, position: int) -> Attributes:
+        """Those of the part's frame."""
+        part, row = self.place(position)
+        return attributes_of(self.parts[part], row)
+
+    def coordinates(self, position: int) -> F32 | F64 | None:
+        """Those of the part's frame."""
+        part, row = self.place(position)
+        return coordinates_of(self.parts[part], row)
+
+    def unposed(self) -> Iterator[Unposed]:
+        """Those of all parts."""
+        for part in self.parts:
+            yield from unposed_of(part)
+
+    def __getitem__(self, position: int) -> Scan:
+        part, row = self.place(position)
+        scan: Scan = self.parts[part][row]
+        if (offset := origin_of(self.parts[part]) - self.origin).any():
+            scan = scan.moved(offset)
+        return dataclasses.replace(scan, index=range(len(self))[position])
+
+
+@dataclass(frozen=True)
+class Drives(Joined):
     """Drives one after the other, in one world frame: a car that stood in one and is gone in another is found.
 
     Frames are numbered through, and so are objects. All drives have the sensor of the first.
     """
-
-    drives: tuple[Sequence, ...]
 
     @classmethod
     def of(cls, drives: Several[Sequence]) -> Drives:
@@ -44,55 +93,19 @@ class Drives:
     @property
     def name(self) -> str:
         """The names of the drives."""
-        return "+".join(drive.name for drive in self.drives)
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor of the drives."""
-        return self.drives[0].sensor
-
-    @property
-    def has_labels(self) -> bool:
-        """Whether any drive has ground truth."""
-        return any(drive.has_labels for drive in self.drives)
-
-    def __len__(self) -> int:
-        return sum(map(len, self.drives))
-
-    @property
-    def origin(self) -> F64:
-        """(3,) float64, metres: that of the first drive, to which the others are moved."""
-        return origin_of(self.drives[0])
-
-    def attributes(self, position: int) -> Attributes:
-        """Those of the drive's frame."""
-        drive, row = self._place(position)
-        return attributes_of(self.drives[drive], row)
-
-    def coordinates(self, position: int) -> F32 | F64 | None:
-        """Those of the drive's frame."""
-        drive, row = self._place(position)
-        return coordinates_of(self.drives[drive], row)
-
-    def unposed(self) -> Iterator[Unposed]:
-        """Those of all drives."""
-        for each in self.drives:
-            yield from unposed_of(each)
+        return "+".join(drive.name for drive in self.parts)
 
     def __getitem__(self, position: int) -> Scan:
-        drive, row = self._place(position)
-        scan = self.drives[drive][row]
-        if (offset := origin_of(self.drives[drive]) - self.origin).any():
-            scan = scan.moved(offset)
-        instances = scan.instances
-        if instances is not None and drive:
-            instances = np.where(instances > 0, instances + drive * OBJECTS, instances).astype(np.int32)
-        return dataclasses.replace(scan, index=position, instances=instances)
+        scan, (drive, _) = super().__getitem__(position), self.place(position)
+        if scan.instances is None or not drive:
+            return scan
+        instances = np.where(scan.instances > 0, scan.instances + drive * OBJECTS, scan.instances).astype(np.int32)
+        return dataclasses.replace(scan, instances=instances)
 
-    def _place(self, position: int) -> tuple[int, int]:
+    def place(self, position: int) -> tuple[int, int]:
         """The drive of a frame, and its position in it."""
-        ends = list(accumulate(map(len, self.drives)))
+        ends = list(accumulate(map(len, self.parts)))
         if not 0 <= position < ends[-1]:
             raise IndexError(position)
         drive = bisect.bisect_right(ends, position)
-        return drive, position - (ends[drive] - len(self.drives[drive]))
+        return drive, position - (ends[drive] - len(self.parts[drive]))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64
-from dynaviz.contracts.attributes import Attributes, Unposed, attributes_of, coordinates_of, origin_of, unposed_of
-from dynaviz.contracts.scan import Scan, Sequence
-from dynaviz.contracts.sensors import Sensor
+from dynaviz.arrays import I64
+from dynaviz.contracts.attributes import Attributes, origin_of
+from dynaviz.contracts.scan import Sequence
 from dynaviz.errors import UsageError
+from dynaviz.sources.datasets.drives import Joined
 from dynaviz.sources.datasets.pose_matching import NO_POSES
 from dynaviz.spatial.trajectory import HasTrajectories, Moved, PosesOverTime
 
@@ -23,16 +22,15 @@ LIDAR = "lidar"
 
 
 @dataclass(frozen=True)
-class Lidars:
+class Lidars(Joined):
     """Scans of several lidars in the order of their times. Each has the pose of its own lidar, where its rays start.
 
     Attributes:
-        lidars: a sequence for each lidar, in one world frame.
+        parts: a sequence for each lidar, in one world frame.
         names: of the lidars: topics or folders.
         order: (frames, 2) int64: lidar of each frame, and position in its sequence.
     """
 
-    lidars: tuple[Sequence, ...]
     names: tuple[str, ...]
     order: I64
 
@@ -72,38 +70,19 @@ class Lidars:
     @property
     def name(self) -> str:
         """That of the bag, or of the folder with the lidars."""
-        folder: Path | None = getattr(self.lidars[0], "folder", None)
-        return folder.parent.name if folder is not None else self.lidars[0].name
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor of the first lidar."""
-        return self.lidars[0].sensor
-
-    @property
-    def has_labels(self) -> bool:
-        """Whether any lidar has ground truth."""
-        return any(lidar.has_labels for lidar in self.lidars)
+        folder: Path | None = getattr(self.parts[0], "folder", None)
+        return folder.parent.name if folder is not None else self.parts[0].name
 
     @property
     def facts(self) -> dict[str, str]:
         """The lidars with their numbers of scans, and the facts of the first."""
-        counts = ", ".join(f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.lidars, strict=True))
-        return {"lidars": counts, **getattr(self.lidars[0], "facts", {})}
-
-    @property
-    def origin(self) -> F64:
-        """(3,) float64, metres: that of the first lidar, to which the others are moved."""
-        return origin_of(self.lidars[0])
-
-    def __len__(self) -> int:
-        return len(self.order)
+        counts = ", ".join(f"{name} ({len(lidar):,})" for name, lidar in zip(self.names, self.parts, strict=True))
+        return {"lidars": counts, **getattr(self.parts[0], "facts", {})}
 
     def attributes(self, position: int) -> Attributes:
         """Those of the lidar's frame, and the number of the lidar."""
-        lidar, row = self.order[position].tolist()
-        found = attributes_of(self.lidars[lidar], row)
-        points = len(next(iter(found.values()))) if found else len(self.lidars[lidar][row])
+        found, (lidar, row) = super().attributes(position), self.place(position)
+        points = len(next(iter(found.values()))) if found else len(self.parts[lidar][row])
         return {**found, LIDAR: np.full(points, lidar, np.uint8)}
 
     @property
@@ -111,27 +90,15 @@ class Lidars:
         """T_world_sensor over time of each lidar; only of those that know it."""
         return {
             number: Moved(own, origin_of(lidar) - self.origin)
-            for number, lidar in enumerate(self.lidars)
+            for number, lidar in enumerate(self.parts)
             if isinstance(lidar, HasTrajectories)
             for own in lidar.trajectories.values()
         }
 
-    def coordinates(self, position: int) -> F32 | F64 | None:
-        """Those of the lidar's frame."""
+    def place(self, position: int) -> tuple[int, int]:
+        """The lidar of a frame, and the position in its sequence."""
         lidar, row = self.order[position].tolist()
-        return coordinates_of(self.lidars[lidar], row)
-
-    def unposed(self) -> Iterator[Unposed]:
-        """Those of all lidars."""
-        for each in self.lidars:
-            yield from unposed_of(each)
-
-    def __getitem__(self, position: int) -> Scan:
-        lidar, row = self.order[position].tolist()
-        scan: Scan = self.lidars[lidar][row]
-        if (offset := origin_of(self.lidars[lidar]) - self.origin).any():
-            scan = scan.moved(offset)
-        return dataclasses.replace(scan, index=range(len(self))[position])
+        return lidar, row
 
 
 def names_in(text: str) -> tuple[str, ...]:
