@@ -123,42 +123,26 @@ def difference(cell: BenchCell, result: Result, folder: Path) -> str | None:
     """The first property in which a result differs from its cell, as text; None if it matches."""
     recorded = None if cell.record == "none" else cell.record
     here, there = environment(), result.environment
-    expected: dict[str, Any] = {
-        "sequence": cell.source.name,
-        "digest": cell.digest,
-        "method": cell.parameter_set.method,
-        "variant": cell.parameter_set.variant,
-        "parameters": dict(cell.parameter_set.parameters),
-        "online": cell.parameter_set.online,
-        "seed": cell.parameter_set.seed,
-        "recording": recorded,
-        "code": code.sha256 if (code := plugin("methods", cell.parameter_set.method)) else "",
-        **{package: here.versions[package] for package in DECIDING},
-    }
-    actual: dict[str, Any] = {
-        "sequence": result.sequence.name,
-        "digest": result.sequence.digest,
-        "method": result.method,
-        "variant": result.variant,
-        "parameters": result.parameters,
-        "online": result.online,
-        "seed": result.seed,
-        "recording": result.record,
-        "code": result.plugin.sha256 if result.plugin else "",
-        **{package: there.versions.get(package) for package in DECIDING},
+    chosen, code = cell.parameter_set, plugin("methods", cell.parameter_set.method)
+    same: dict[str, tuple[Any, Any]] = {  # what the result has, and what the cell needs
+        "sequence": (result.sequence.name, cell.source.name),
+        "digest": (result.sequence.digest, cell.digest),
+        "method": (result.method, chosen.method),
+        "variant": (result.variant, chosen.variant),
+        "parameters": (result.parameters, dict(chosen.parameters)),
+        "online": (result.online, chosen.online),
+        "seed": (result.seed, chosen.seed),
+        "recording": (result.record, recorded),
+        "code": (result.plugin.sha256 if result.plugin else "", code.sha256 if code else ""),
+        **{package: (there.versions.get(package), here.versions[package]) for package in DECIDING},
     }
     if cell.timing:
-        expected |= {"machine": here.machine, "threads": here.machine.cores, "states recorded": False}
-        actual |= {
-            "machine": there.machine,
-            "threads": result.runtime.threads,
-            "states recorded": result.instrumented,
-        }
-    for name, value in expected.items():
-        if name == "code" and value != actual[name]:
-            return f"the code of {cell.parameter_set.method} changed"
-        if _plain(value) != _plain(actual[name]):
-            return f"{name} is {actual[name]!r}, not {value!r}"
+        same["machine"] = there.machine, here.machine
+        same["threads"] = result.runtime.threads, here.machine.cores
+        same["states recorded"] = result.instrumented, False
+    for name, (found, needed) in same.items():
+        if _plain(found) != _plain(needed):
+            return f"the code of {chosen.method} changed" if name == "code" else f"{name} is {found!r}, not {needed!r}"
     if recorded:
         with contextlib.suppress(OSError):
             if sha256(folder / "run.rrd") == result.recording_sha256:

@@ -87,22 +87,13 @@ def list_(
 def _show_lists(chosen: list[Listing], json: Path | None) -> None:
     from rich.table import Table
 
+    names = ("name", "description", "package")
     if json is not None:
-        names = ("name", "description", "package")
         plain = {each.value: [dict(zip(names, row, strict=True)) for row in _rows(each.value)] for each in chosen}
         if print_json(plain, json):
             return
     for listing in chosen:
-        table = Table(
-            "name",
-            "description",
-            "package",
-            title=listing.value,
-            title_justify="left",
-            box=None,
-            pad_edge=False,
-            min_width=60,
-        )
+        table = Table(*names, title=listing.value, title_justify="left", box=None, pad_edge=False, min_width=60)
         for row in _rows(listing.value):
             table.add_row(*row)
         show(table, "")

@@ -111,16 +111,7 @@ class Diagnosis:
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file."""
         rows = [
-            {
-                "name": finding.name,
-                "confidence": finding.confidence.name.lower(),
-                "problem": finding.problem,
-                "fix": finding.fix,
-                "frames": finding.frames,
-                "count": finding.count,
-                "file": finding.file,
-            }
-            for finding in self.findings
+            dataclasses.asdict(finding) | {"confidence": finding.confidence.name.lower()} for finding in self.findings
         ]
         noise = self.pose_noise
         return {
