@@ -76,7 +76,7 @@ def bench(
     ] = None,
     holdout: Annotated[
         list[str] | None,
-        typer.Option(metavar="SEQ", help="Sequence to hide from the search and to run at the end. Repeatable."),
+        typer.Option(metavar="SEQ", help="Sequence to exclude from the search and run at the end. Repeatable."),
     ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Random seed of the search. [default: 0]")

@@ -16,7 +16,7 @@ TILES = Annotated[
     typer.Option(
         metavar="METRES|autoware",
         help="Run on squares of this size, for drives of any length, and write a file for each into a folder, or "
-        "Autoware's divided map if MAP has no suffix; 'autoware' writes that without dividing the run.",
+        "Autoware's divided map if MAP has no suffix; 'autoware' writes one without dividing the run.",
     ),
 ]
 
@@ -55,11 +55,9 @@ def clean(
         bool, typer.Option("--mark", help="Write all points, with the attributes 'dynamic' and 'reason'.")
     ] = False,
     drop_unposed: Annotated[
-        bool, typer.Option("--drop-unposed", help="Leave out points that no pose covers, instead of keeping them.")
+        bool, typer.Option("--drop-unposed", help="Discard points without a pose instead of keeping them.")
     ] = False,
-    changed: Annotated[
-        bool, typer.Option("--changed", help="Also find what is in one of two drives and not in the other.")
-    ] = False,
+    changed: Annotated[bool, typer.Option("--changed", help="Also find what changed between two drives.")] = False,
     accept: Annotated[
         bool, typer.Option("--accept", help="Exit with 0 even if much was removed or the poses are likely wrong.")
     ] = False,
@@ -68,7 +66,7 @@ def clean(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Clean a map of moving objects, from raw data to the map.
+    """Remove moving objects: from raw data to a clean map.
 
     Poses are estimated with small-gicp if there are none. Intensity, ring, time and all other attributes are kept.
     Writes the map, and next to it a folder with a summary, the labels and a recording. Exit code 3: the map is written,

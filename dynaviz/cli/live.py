@@ -32,14 +32,15 @@ def live(
         typer.Option(metavar="X", help="Speed; 0 labels every scan as fast as possible."),
     ] = 1.0,
     reach: Annotated[
-        float, typer.Option(metavar="METRES", help="Judge points up to this distance, and keep the map up to it.")
+        float,
+        typer.Option(metavar="METRES", help="Label points, and keep the map, up to this distance from the sensor."),
     ] = 60.0,
     view: Annotated[bool, typer.Option("--view", help="Show the scans in the viewer.")] = False,
     serve: Annotated[bool, typer.Option("--serve", help="Show the scans in a browser on this machine.")] = False,
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve. The port after it is also used."
+            min=1, max=65534, metavar="PORT", help="Port of the page, with --serve. The next port is also used."
         ),
     ] = None,
     out: Annotated[
@@ -51,7 +52,7 @@ def live(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Play a recording to a method scan by scan, as a sensor would.
+    """Feed a recording to a method scan by scan, as a sensor would.
 
     Memory is bounded. A scan is dropped if the next one arrives before the method is ready. The report shows how many
     scans were dropped, and the latency of the others.

@@ -67,7 +67,7 @@ Record = Annotated[RecordModeOption, typer.Option(help="How much to record in ru
 Threads = Annotated[int | None, typer.Option(min=1, metavar="N", help="Threads for kernels. [default: all cores]")]
 Moved = Annotated[
     str | None,
-    typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it is no longer where the run found it."),
+    typer.Option("--sequence", metavar="SEQ", help="Sequence of the run, if it has moved."),
 ]
 
 SEQUENCE: dict[str, Any] = {
@@ -143,7 +143,8 @@ RUN: dict[str, Any] = {
     "record_budget": Annotated[
         str | None,
         typer.Option(
-            metavar="SIZE", help="Size of the recordings, such as 2GB; states of the method are left out first."
+            metavar="SIZE",
+            help="Maximum size of the recordings, such as 2GB; the states of the method are left out first.",
         ),
     ],
     "view": Annotated[bool, typer.Option("--view", help="Show the run live in the viewer.")],

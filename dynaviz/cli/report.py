@@ -33,7 +33,7 @@ def report(
         typer.Option(
             "--sequence",
             metavar="SEQ",
-            help="For a board: sequence of some of the runs, if it is no longer where they found it. Repeatable.",
+            help="For a board: sequence of some of the runs, if it has moved. Repeatable.",
         ),
     ] = None,
 ) -> None:

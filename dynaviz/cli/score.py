@@ -38,7 +38,7 @@ def score(
         str | None,
         typer.Argument(
             metavar="[SEQ]",
-            help="Sequence with ground truth. FORMAT:PATH forces the format. Without it, MAP is a run, scored again.",
+            help="Sequence with ground truth. FORMAT:PATH forces the format. Without it, MAP is a run to rescore.",
         ),
     ] = None,
     out: Annotated[
@@ -50,7 +50,8 @@ def score(
     ] = RADIUS,
     name: Annotated[str | None, typer.Option(help="Name in tables. [default: the name of the file or folder]")] = None,
     key: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Array with the labels, for .npz files of scans with several.")
+        str | None,
+        typer.Option(metavar="NAME", help="Name of the array with the labels, for .npz files with several arrays."),
     ] = None,
     record: Record = RecordModeOption.errors,
     threads: Threads = None,
@@ -60,7 +61,7 @@ def score(
     *,
     options: dict[str, Any],
 ) -> None:
-    """Score maps or labels of other programs, or a run once more.
+    """Score maps or labels of other programs, or rescore a run.
 
     Writes labels, maps, scores and a recording.
 
@@ -74,8 +75,8 @@ def score(
     Label files are named by frame number (000000.label). They contain 0 and 1, or classes of SemanticKITTI, of which
     251 and above are moving. Scans without a file are not scored.
 
-    With a run alone, the scores with the ground truth of its corrections.json are shown, which the explorer writes. The
-    files of the run and its sequence do not change.
+    With a run alone, this shows its scores against the corrected ground truth in its corrections.json, which the
+    explorer writes. The files of the run and its sequence do not change.
     """
     if sequence is None:
         own = {"out": out, "name": name, "key": key, "json": json, "threads": threads}

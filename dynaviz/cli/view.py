@@ -43,7 +43,7 @@ def view(
     port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65534, metavar="PORT", help="Port of the page, with --web. The port after it is also used."
+            min=1, max=65534, metavar="PORT", help="Port of the page, with --web. The next port is also used."
         ),
     ] = None,
 ) -> None:
