@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from dynaviz.cli.console import print_json, show
 from dynaviz.cli.options import run_in
-from dynaviz.scores.sections import FailureCase, Failures, RemovedCluster
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz.scores.sections import Failures, RemovedCluster
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -58,7 +59,8 @@ def _weight(case: FailureCase | RemovedCluster) -> str:
 def _details(case: FailureCase | RemovedCluster) -> str:
     low, high = (" ".join(f"{x:.1f}" for x in corner) for corner in (case.low, case.high))
     frames = f"frames {case.first_frame} to {case.last_frame}, worst {case.worst_frame}"
-    return f"{case.points:,} points, {frames}, from ({low}) to ({high}) m; {main_reasons(case.reasons)}"
+    cause = f"{case.cause}: " if isinstance(case, FailureCase) and case.cause else ""
+    return f"{case.points:,} points, {frames}, from ({low}) to ({high}) m; {cause}{main_reasons(case.reasons)}"
 
 
 def main_reasons(reasons: Mapping[str, int], most: int = 3) -> str:

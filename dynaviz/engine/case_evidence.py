@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from dynaviz.engine.ledger import LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, RuleValue, TermValue
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.spatial.surface import GRAZING
 
 BOUNDS = {"<": "below", "<=": "at most", ">": "above", ">=": "at least"}
@@ -37,8 +38,6 @@ class CaseEvidence:
         points: number of points with a ledger.
         searched: number of scans searched.
         hit, crossed: median number of scans that hit, and that crossed, the cell of a point.
-        grazing: share of the crossing scans that meet the surface at less than ``GRAZING`` degrees, 0 to 1; 0 if most
-            crossed points lie on no surface.
         removed: the label of most points.
         deciding: the rule that decided; None for a labeller without evidence.
     """
@@ -47,7 +46,6 @@ class CaseEvidence:
     searched: int
     hit: float
     crossed: float
-    grazing: float
     removed: bool
     deciding: Deciding | None
 
@@ -56,30 +54,35 @@ class CaseEvidence:
         """The evidence in a sentence or two."""
         cells = "Its cell was" if self.points == 1 else f"In the median of {self.points:,} points, the cell was"
         counts = f"hit by {_scans(self.hit)} and crossed by {self.crossed:g} of {self.searched:,}"
-        low = (
-            f" ({100 * self.grazing:.0f} % of them at less than {GRAZING:g}° to the surface)"
-            if self.grazing and self.crossed
-            else ""
-        )
         decided = "" if self.deciding is None else f" {_decided(self.deciding, self.points, self.removed)}"
-        return f"{cells} {counts}{low}.{decided}"
+        return f"{cells} {counts}.{decided}"
 
 
 def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
     """What ledgers, at least one, have in common."""
     removed = 2 * sum(ledger.removed for ledger in ledgers) > len(ledgers)
-    crossing = [entry for ledger in ledgers for entry in ledger.entries if entry.crossed]
-    known = [entry for entry in crossing if entry.angle_deg is not None]
-    low = sum(entry.angle_deg < GRAZING for entry in known if entry.angle_deg is not None)
     return CaseEvidence(
         points=len(ledgers),
         searched=max(ledger.searched for ledger in ledgers),
         hit=_median(ledgers, lambda entry: entry.hits > 0),
         crossed=_median(ledgers, lambda entry: entry.crossed > 0),
-        grazing=low / len(known) if known and 2 * len(known) >= len(crossing) else 0.0,
         removed=removed,
         deciding=_deciding([ledger for ledger in ledgers if ledger.removed == removed and ledger.rules], removed),
     )
+
+
+def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> str:
+    """What ledgers, at least one, of a case have in common, and the measured angles of the case, in sentences.
+
+    Points with the reason that decided the case stand for it, as they do in its own sentence.
+    """
+    deciding = [ledger for ledger in ledgers if case is not None and ledger.reason.name == case.reason]
+    found = evidence_of(deciding or ledgers).text
+    if deciding and len(deciding) < len(ledgers):
+        found = f"{found} {len(ledgers) - len(deciding):,} other points have other reasons."
+    if case is None or case.grazed is None:
+        return found
+    return f"{found} Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°."
 
 
 def decided_by(ledger: PointLedger) -> RuleValue | None:

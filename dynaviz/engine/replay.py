@@ -12,8 +12,9 @@ from dynaviz.arrays import Intp
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.probe import SILENT
 from dynaviz.contracts.scan import Scan, stream
-from dynaviz.engine.ledger import Ledger, PointLedger
+from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.loop import Clock, Listener, RunSpec, context_of, execute, labelled_by
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.sources.summary import SequenceSummary
 
 

@@ -13,8 +13,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from dynaviz.engine.case_evidence import decided_by, evidence_of
-from dynaviz.engine.ledger import PointLedger
+from dynaviz.engine.case_evidence import decided_by, evidence_text
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.errors import UsageError
 from dynaviz.explorer import cards
 from dynaviz.explorer.ledgers import Ledgers
@@ -175,7 +175,7 @@ class Explored:
         if not ledgers:
             return {}
         return {
-            "text": evidence_of(ledgers).text,
+            "text": evidence_text(ledgers, None if "points" in query else card.failure),
             "strip": strip(ledgers),
             "spans": spans_of_rays(ledgers),
             "what_if": what_if(ledgers, run.result.parameters),

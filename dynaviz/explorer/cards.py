@@ -11,10 +11,11 @@ import numpy as np
 from dynaviz import colours
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.ledger import PointLedger
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.explorer.run import ExploredRun
 from dynaviz.runs.relabelling import Corner
-from dynaviz.scores.sections import FailureCase, RemovedCluster
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz.scores.sections import RemovedCluster
 from dynaviz.views.cases import OUTCOMES, middle_of, title_of
 from dynaviz.views.read.focus import ASIDE, FIELD_OF_VIEW, distance_to
 from dynaviz.views.witnesses import evenly
@@ -43,7 +44,8 @@ class Card:
         outcome: of its points.
         rows: (K,) its points in the run's ``wrong``.
         low, high: (3,) float64, metres, world frame: its box in its worst frame.
-        point: row in the scan of its worst frame: a wrong point in the middle of it; None if none was drawn.
+        point: row in the scan of its worst frame: a wrong point in the middle of it, of those with stored evidence if
+            there are any; None if none was drawn.
     """
 
     number: int
@@ -53,6 +55,11 @@ class Card:
     low: F64
     high: F64
     point: int | None
+
+    @property
+    def failure(self) -> FailureCase | None:
+        """The case, with ground truth."""
+        return self.case if isinstance(self.case, FailureCase) else None
 
     @property
     def title(self) -> str:
@@ -86,8 +93,10 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     worst = rows[wrong.frame[rows] == case.worst_frame]
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)
-    xyz = wrong.xyz[worst].astype(np.float64)
-    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(wrong.point[worst[middle_of(xyz)]]))
+    xyz, points = wrong.xyz[worst].astype(np.float64), wrong.point[worst]
+    explained = np.isin(points, [ledger.point for ledger in run.ledgers(number)])
+    asked = np.flatnonzero(explained) if explained.any() else np.arange(len(points))
+    return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(points[asked[middle_of(xyz[asked])]]))
 
 
 def pairs(run: ExploredRun, mine: Sequence[Card], others: Sequence[Card]) -> dict[int, int]:
@@ -127,7 +136,7 @@ def plain(
         same: by letter of the other runs, as ``pairs`` returns it.
     """
     case = card.case
-    failure = case if isinstance(case, FailureCase) else None
+    failure = card.failure
     cluster = case if isinstance(case, RemovedCluster) else None
     return {
         "number": card.number,

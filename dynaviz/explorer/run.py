@@ -13,13 +13,13 @@ import numpy as np
 from dynaviz.arrays import F32, F64, I64, U8, Bool
 from dynaviz.contracts import registry
 from dynaviz.contracts.scan import Label, Outcome
-from dynaviz.engine.ledger import PointLedger
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.errors import DataError, UsageError
 from dynaviz.runs.explanation import sentence
 from dynaviz.runs.run import open_run
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
+from dynaviz.scores.failure_case import case_at
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import case_at
 from dynaviz.views import paths
 from dynaviz.views.cases import WRONG
 from dynaviz.views.read.focus import Focus
@@ -159,7 +159,9 @@ class ExploredRun:
         outcome, position = Outcome(answers.outcome[point]), self._position(frame, point)
         case = None
         if position is not None and outcome in (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE):
-            case = case_at(self.result.failures, outcome.name.lower(), frame, position)
+            known = self._near(frame, point, position, removed, reason.name)
+            of = (None, None) if known is None else (known[0].class_, known[0].instance)
+            case = case_at(self.result.failures, outcome.name.lower(), frame, position, *of)
         cause, number = (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
         corrected = (corrections or {}).get(number)
         if corrected is not None:
@@ -189,6 +191,11 @@ class ExploredRun:
             The ledger and its distance from the point, metres; None if none is within ``NEAR``.
         """
         asked = self.point(frame, point)
+        return self._near(frame, point, asked["position"], asked["removed"], asked["reason"])
+
+    def _near(
+        self, frame: int, point: int, position: list[float] | None, removed: bool, reason: str
+    ) -> tuple[PointLedger, float] | None:
         worst = [case.worst_frame for case in self.result.failures or ()]
         worst = worst or [cluster.worst_frame for cluster in self.result.clusters]
         numbers = [number for number, of_case in enumerate(worst, 1) if of_case == frame]
@@ -196,12 +203,12 @@ class ExploredRun:
         for ledger in candidates:
             if ledger.point == point:
                 return ledger, 0.0
-        if asked["position"] is None:
+        if position is None:
             return None
         alike = [
-            (math.dist(ledger.position, asked["position"]), k)
+            (math.dist(ledger.position, position), k)
             for k, ledger in enumerate(candidates)
-            if (ledger.removed, ledger.reason.name) == (asked["removed"], asked["reason"])
+            if (ledger.removed, ledger.reason.name) == (removed, reason)
         ]
         distance, k = min(alike, default=(math.inf, -1))
         return (candidates[k], distance) if distance <= NEAR else None

@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any
 
 from dynaviz.engine.case_evidence import BOUNDS, decided_by
-from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
+from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue
 
 
 def strip(ledgers: Sequence[PointLedger]) -> dict[str, Any]:

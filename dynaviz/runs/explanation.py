@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 from dynaviz.contracts.evidence import Explains
 from dynaviz.contracts.method import Reason
 from dynaviz.engine.case_evidence import evidence_of, flip
-from dynaviz.engine.ledger import Ledger, PointLedger
+from dynaviz.engine.ledger import Ledger
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.run import Run, open_run
+from dynaviz.scores.failure_case import case_at
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import case_at
 from dynaviz.sources.opening import Source
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def cause_at(result: Result, ledger: PointLedger) -> str | None:
     if not ledger.wrong:
         return None
     kind = "false_positive" if ledger.removed else "false_negative"
-    case = case_at(result.failures, kind, ledger.frame, ledger.position)
+    case = case_at(result.failures, kind, ledger.frame, ledger.position, ledger.class_, ledger.instance)
     return None if case is None else case.cause
 
 

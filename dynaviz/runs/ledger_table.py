@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from dynaviz.engine.ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
+from dynaviz.engine.point_ledger import LedgerEntry, PointLedger, QuantityInfo, RuleValue, TermValue
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -26,11 +26,11 @@ from dynaviz.io.atomic import atomic_file
 from dynaviz.io.plain_json import read_json
 from dynaviz.scores.account import PointAccount
 from dynaviz.scores.answers import Answers, SavedAnswers
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.labels import RunLabels
 from dynaviz.scores.sections import (
     CaseTotals,
     Environment,
-    FailureCase,
     Machine,
     Removals,
     RemovedCluster,

@@ -5,13 +5,13 @@ Percentages are None where undefined: without dynamic ground truth there is no D
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 from msgspec import Struct, field
 
-ROUNDED = 0.02  # metres around the box of a case, whose corners are rounded
+from dynaviz.scores.failure_case import FailureCase, RangeSpan
 
 
 class SequenceInfo(Struct, frozen=True):
@@ -135,77 +135,6 @@ class ErrorDistances(Struct, frozen=True):
     within_10: float | None = field(name="within_1.0", default=None)
     histogram: tuple[int, ...] | None = None
     count: int = 0
-
-
-class RangeSpan(Struct, frozen=True):
-    """Ranges of a case's points from the sensor, metres."""
-
-    min: float
-    mean: float
-    max: float
-
-
-class FailureCase(Struct, frozen=True):
-    """Wrong points that belong together.
-
-    Attributes:
-        kind: ``false_negative`` or ``false_positive``.
-        points: how many points are wrong; a point counts once per frame.
-        cost: percentage points of DA or SA.
-        first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
-        low, high: corners, (3,) metres, world frame.
-        range: from the sensor, metres; moved: metres, how far the case moved.
-        reasons: points by reason, most frequent first.
-        cause: the failure cause (``dynaviz.contracts.method.Cause``), or None.
-        class_, instance: of the ground truth, or None.
-        what: what it is, in words; sentence: a description for the reader.
-        behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone; None if unknown.
-        ground: share of the points on the ground, 0 to 1; None if unknown.
-        spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
-    """
-
-    kind: Literal["false_negative", "false_positive"]
-    points: int
-    cost: float
-    first_frame: int
-    last_frame: int
-    worst_frame: int
-    frames: int
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    range: RangeSpan
-    moved: float
-    reasons: Mapping[str, int]
-    cause: str | None = None
-    class_: int | None = field(name="class", default=None)
-    instance: int | None = None
-    what: str = ""
-    sentence: str = ""
-    behaviour: str | None = None
-    ground: float | None = None
-    spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
-
-    @property
-    def metric(self) -> str:
-        """The score that it costs: DA for points wrongly kept, SA for points wrongly removed."""
-        return "DA" if self.kind == "false_negative" else "SA"
-
-
-def case_at(cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]) -> FailureCase | None:
-    """The costliest case of a kind whose frames and box contain a wrong point; None if no listed case does.
-
-    Args:
-        cases: costliest first.
-        kind: ``false_negative`` or ``false_positive``.
-        frame: position in the run.
-        place: (3,) metres, world frame.
-    """
-    for case in cases:
-        if case.kind == kind and case.first_frame <= frame <= case.last_frame:
-            sides = zip(case.low, place, case.high, strict=True)
-            if all(low - ROUNDED <= at <= high + ROUNDED for low, at, high in sides):
-                return case
-    return None
 
 
 class CaseTotals(Struct, frozen=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from dynaviz.scores.sections import FailureCase
+from dynaviz.scores.failure_case import FailureCase
 
 Span = tuple[int, int]  # first and last frame
 Spans = Mapping[str, Sequence[Span]]  # by state, one of those in ``LANES``

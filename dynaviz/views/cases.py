@@ -8,11 +8,12 @@ from typing import cast
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.metric import Figure, FrameBoxes
-from dynaviz.contracts.scan import Outcome
+from dynaviz.contracts.scan import Outcome, Scan
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.result import Result
-from dynaviz.scores.sections import FailureCase, RemovedCluster
+from dynaviz.scores.sections import RemovedCluster
 from dynaviz.scores.spans import Spans, in_words
 
 LISTED = 20  # cases in the list and in the map, at most ...
@@ -38,6 +39,7 @@ class ShownCase:
         lost: what it costs: percentage points of SA or of DA; without ground truth, the number of removed ``points``.
         text: Markdown, without evidence.
         spans: of frames by state, as in ``FailureCase``.
+        failure: the case, with ground truth.
     """
 
     number: int
@@ -49,6 +51,7 @@ class ShownCase:
     lost: Mapping[str, float]
     text: str
     spans: Spans
+    failure: FailureCase | None = None
 
     @property
     def label(self) -> str:
@@ -65,6 +68,17 @@ def suspicious(result: Result) -> list[RemovedCluster]:
     """The most suspicious clusters of removed points; none if the run had ground truth."""
     removals = result.sections.removals
     return list(removals.clusters[:LISTED]) if removals else []
+
+
+def belong(failure: FailureCase | None, scan: Scan, rows: I64) -> Bool:
+    """(K,) bool: which points of a scan are of the class and object of a case, as far as these are known."""
+    of_case = np.ones(len(rows), np.bool_)
+    for number, numbers in (
+        () if failure is None else ((failure.class_, scan.classes), (failure.instance, scan.instances))
+    ):
+        if number is not None and numbers is not None:
+            of_case &= numbers[rows] == number
+    return of_case
 
 
 def middle_of(xyz: F32 | F64) -> int:
@@ -92,9 +106,10 @@ def shown(result: Result, boxes: FrameBoxes) -> list[ShownCase]:
         row = np.flatnonzero((boxes.case == i) & (boxes.frames == case.worst_frame))
         low, high = (boxes.box_low[row[0]], boxes.box_high[row[0]]) if len(row) else (case.low, case.high)
         corners = np.asarray(low, np.float64), np.asarray(high, np.float64)
-        spans = case.spans if isinstance(case, FailureCase) else {}
+        failure = case if isinstance(case, FailureCase) else None
+        spans = failure.spans if failure else {}
         outcome = Outcome(boxes.outcomes[i])
-        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, spans))
+        cases.append(ShownCase(i + 1, title, outcome, case.worst_frame, *corners, lost, text, spans, failure))
     return cases
 
 

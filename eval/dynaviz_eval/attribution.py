@@ -17,6 +17,7 @@ STATIONARY = 1.0  # metres: a case that moves less did not move, in sentences
 SLOW = 0.1  # metres per frame: slower than anyone walks in front of most sensors
 LONG = 10  # frames: what is slow in at least this many frames stands for long
 MEASURED = 0.15  # share of the points of a case that must lie on a surface, to tell at which angle rays meet it
+GRAZED = 0.5  # of its measured surface: with more at small angles, these are the cause
 FLAT = 0.6  # metres: a case lower than this and wider than WIDE is a level surface
 WIDE = 1.5  # metres
 
@@ -56,7 +57,7 @@ def _refine_removed(case: np.void, cause: Cause) -> Cause:
     """Why rays seem to have passed through static points."""
     if 2 * case["touching"] > case["points"]:
         return Cause.SHARED_CELL
-    if 2 * case["grazed"] > case["surface"] >= MEASURED * case["points"]:
+    if (grazed_share(case) or 0.0) > GRAZED:
         return Cause.GRAZING_RAYS
     if _is_sparse(case) or (is_ground(case) and 2 * case["surface"] < case["points"]):  # a single ring has no surface
         return Cause.SPARSE_RINGS
@@ -69,6 +70,12 @@ def _refine_kept(case: np.void, cause: Cause) -> Cause:
         long = case["frames"] >= LONG and case["moved"] < SLOW * case["frames"]
         return Cause.STANDING if long else Cause.OCCUPIED
     return Cause.SPARSE_RINGS if cause is Cause.SPARSE_RINGS or _is_sparse(case) else Cause.NOTHING_BEHIND
+
+
+def grazed_share(case: np.void) -> float | None:
+    """The share of the surface of a case that its rays meet at a small angle; None if too little is measured."""
+    surface = int(case["surface"])
+    return int(case["grazed"]) / surface if surface and surface >= MEASURED * case["points"] else None
 
 
 def _is_sparse(case: np.void) -> bool:

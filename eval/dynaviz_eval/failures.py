@@ -19,7 +19,7 @@ from dynaviz.scores.scores import percentage_points_lost
 from dynaviz.scores.spans import Spans, spans_of
 from dynaviz.spatial.grid import in_key_range
 from dynaviz.spatial.surface import angles, surface_normals
-from dynaviz_eval.attribution import causes_of, sentence, shape
+from dynaviz_eval.attribution import causes_of, grazed_share, sentence, shape
 from dynaviz_eval.behaviour import Objects, VisitedPlaces, groups_of
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, boxes, facts, gathered, summed
 from dynaviz_eval.ground import on_ground, scan_heights, scan_squared_ranges
@@ -38,8 +38,8 @@ class FailuresMetric:
     ``cases``: at most 100, each with ``kind``, ``points``, ``cost`` (percentage points of DA or SA), ``first_frame``,
     ``last_frame``, ``worst_frame``, number of ``frames``, ``low`` and ``high`` corner (metres, world frame), ``range``
     from the sensor (metres), distance ``moved`` (metres), ``reasons`` with their counts, ``cause``, ``class``,
-    ``instance``, ``what`` it is, its ``behaviour``, the share of its points on the ``ground``, ``spans`` of frames by
-    state, and a ``sentence``.
+    ``instance``, ``what`` it is, its ``behaviour``, the share of its points on the ``ground``, that of its surface
+    met at small angles (``grazed``), ``spans`` of frames by state, and a ``sentence``.
     ``causes``: numbers of cases and points by kind and cause, of all cases. ``others``: cases and points that are not
     listed.
     """
@@ -158,6 +158,8 @@ class FailuresMetric:
                 **found,
                 "cost": float(percentage_points_lost(found["points"], self._totals[kind])),
                 "cause": None if cause is None else str(cause),
+                "reason": names[code],
+                "grazed": None if (grazed := grazed_share(case)) is None else round(grazed, 3),
                 "class": number if number >= 0 else None,
                 "instance": (group & 0xFFFFFFFF) or None if kind == "false_negative" else None,
                 "what": self._names.get(number) or shape(kind, case),

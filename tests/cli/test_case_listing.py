@@ -8,8 +8,9 @@ import pytest
 from rich.console import Console
 
 from dynaviz.cli.cases import listing, top_of
+from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.result import Result, result_table
-from dynaviz.scores.sections import FailureCase, RangeSpan, Removals, RemovedCluster, Sections, SequenceInfo
+from dynaviz.scores.sections import Removals, RemovedCluster, Sections, SequenceInfo
 
 WHERE = {
     "points": 1234,

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Outcome, Scan
-from dynaviz.scores.sections import FailureCase, RangeSpan
+from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.spans import in_words, shared_objects
 from dynaviz_eval.cases import EDGE, GAP, KEEP, Cases, FramePoints, summed
 from dynaviz_eval.failures import FailuresMetric

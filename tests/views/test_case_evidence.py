@@ -14,9 +14,10 @@ import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.evidence import TESTS
 from dynaviz.contracts.method import Cause
-from dynaviz.engine.case_evidence import decided_by, evidence_of, flip
-from dynaviz.engine.ledger import PointLedger, TermValue
+from dynaviz.engine.case_evidence import decided_by, evidence_of, evidence_text, flip
+from dynaviz.engine.point_ledger import PointLedger, TermValue
 from dynaviz.explorer.strip import strip, what_if
+from dynaviz.runs.explanation import cause_at
 from dynaviz.spatial.surface import GRAZING
 from dynaviz.views.read.reader import RunRecording
 
@@ -74,17 +75,25 @@ def test_the_numbers_of_the_evidence_are_those_of_the_ledgers(recording: RunReco
                 assert TESTS[term.test](term.value, term.threshold) == found.removed
 
 
-def test_rays_graze_a_case_if_and_only_if_they_are_measured_to(recording: RunRecording) -> None:
-    """Most scans that cross the points of a case with this cause meet the surface at a small angle, and of no other."""
+def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(recording: RunRecording) -> None:
+    """The share that all sentences quote decides, and the rays that crossed its stored points agree."""
+    meanings = {reason.name: reason.meaning.partition(": ")[2] for reason in recording.reasons}
     assert recording.result is not None
     for number, ledgers in cases(recording):
-        case, crossing = (
-            recording.result.failures[number - 1],
-            [e for ledger in ledgers for e in ledger.entries if e.crossed],
-        )
+        case = recording.result.failures[number - 1]
+        crossing = [entry for ledger in ledgers for entry in ledger.entries if entry.crossed]
         angles = [entry.angle_deg for entry in crossing if entry.angle_deg is not None]
+        assert {cause_at(recording.result, ledger) for ledger in ledgers} == {case.cause}
+        deciding = [ledger for ledger in ledgers if ledger.reason.name == case.reason]
+        assert case.sentence.lower().endswith(f"{meanings[case.reason].lower()}.")
+        assert evidence_text(ledgers, case).startswith(evidence_of(deciding or ledgers).text)
+        stated = f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
+        assert evidence_text(ledgers, case).endswith(stated) == (case.grazed is not None)
         if case.cause == Cause.GRAZING_RAYS:
+            assert (case.grazed or 0) > 0.5
             assert median(angles) < GRAZING
+        if case.cause in (Cause.PARTLY_EMPTY, Cause.SPARSE_RINGS):
+            assert (case.grazed or 0) <= 0.5
         if case.cause == Cause.PARTLY_EMPTY:
             assert any(entry.hits for ledger in ledgers for entry in ledger.entries)
             assert 2 * len(angles) < len(crossing) or median(angles) >= GRAZING

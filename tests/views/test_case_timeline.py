@@ -16,7 +16,7 @@ from dynaviz import colours
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.probe import RangeImage, State, Voxels
 from dynaviz.contracts.scan import Outcome
-from dynaviz.scores.sections import FailureCase
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import paths, witnesses
 from dynaviz.views.cases import DID, listed, suspicious

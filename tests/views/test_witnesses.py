@@ -8,7 +8,7 @@ import pytest
 from dynaviz import kernels
 from dynaviz.colours import CROSSED, GRAZED, HIT
 from dynaviz.contracts.method import Reason
-from dynaviz.engine.ledger import LedgerEntry, PointLedger
+from dynaviz.engine.point_ledger import LedgerEntry, PointLedger
 from dynaviz.views.witnesses import rays_of
 
 STEPS = np.linspace(0, 1, 4001)

@@ -16,7 +16,8 @@ from dynaviz.contracts.metric import FrameBoxes, Labelled
 from dynaviz.contracts.scan import Label, Outcome, Scan
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.scores.comparison.frame_answers import FrameAnswers
-from dynaviz.scores.sections import FailureCase, Sections
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz.scores.sections import Sections
 from dynaviz.views import cases, drawn, keys, paths
 from dynaviz.views.compare.compare_layout import CASE_AROUND, CASE_BOX, CASE_KEY, CASE_STATES, CASE_TEXT, GAIN
 from dynaviz.views.read.reader import DrawnPoints, RunRecording

@@ -18,7 +18,7 @@ from dynaviz import colours
 from dynaviz.arrays import F64, U8
 from dynaviz.contracts.scan import Outcome
 from dynaviz.errors import DynavizError, UsageError
-from dynaviz.scores.sections import FailureCase
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.spans import LANES, Span, lane
 from dynaviz.views import keys, paths, viewer
 from dynaviz.views.cases import OUTCOMES, listed, suspicious

@@ -12,12 +12,12 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, I64
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import FrameBoxes
 from dynaviz.contracts.scan import Outcome
-from dynaviz.engine.case_evidence import evidence_of
-from dynaviz.engine.ledger import PointLedger
+from dynaviz.engine.case_evidence import evidence_text
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.scores.spans import LANES, lane
 from dynaviz.views import classes, drawn, object_lanes, paths, stored_ledgers, witnesses
 from dynaviz.views.cases import POINTS, ShownCase, middle_of
@@ -39,8 +39,8 @@ THIN = rr.Radius.ui_points(0.5)
 RAYS = rr.Radius.ui_points(0.35)
 HOW = "*Arrow keys: next and previous case. To replay the run, choose `frame` in the bar below.*"
 
-
 Replay = Callable[[Sequence[tuple[int, Sequence[int]]]], list[tuple[PointLedger, ...]]]
+Members = Callable[[ShownCase, I64], Bool]
 
 
 class CaseTimeline:
@@ -82,11 +82,14 @@ class CaseTimeline:
                 self._sink.log(path, rr.SeriesLines(colors=colour, widths=1.5, names=f"{name} if fixed"), static=True)
                 self._sink.case_columns(path, numbers, rr.Scalars.columns(scalars=fixed))
 
-    def draw(self, replay: Replay, sensor: F64, boxes: FrameBoxes) -> tuple[str | None, dict[str, F32]]:
+    def draw(
+        self, replay: Replay, members: Members, sensor: F64, boxes: FrameBoxes
+    ) -> tuple[str | None, dict[str, F32]]:
         """Draw the cases, on both timelines, and store the evidence on their points.
 
         Args:
             replay: repeats the run.
+            members: tells which rows of the recorded points belong to a case.
             sensor: (frames, 3) metres, world frame: its positions.
             boxes: of the cases, by frame.
 
@@ -99,7 +102,7 @@ class CaseTimeline:
         contents = [paths.SCAN, paths.SENSOR, *drawn_boxes, *map(paths.names, drawn_boxes), *states]
         rows = drawn.rows_of(self._sink.written(contents), {case.frame for case in self._cases})
         self._styles()
-        asked = [points_of(case, rows.get((paths.SCAN, case.frame))) for case in self._cases]
+        asked = [points_of(case, rows.get((paths.SCAN, case.frame)), members) for case in self._cases]
         ledgers = replay([(case.frame, points) for case, points in zip(self._cases, asked, strict=True)])
         room, deciding = stored_ledgers.MOST_BYTES, []
         for case, found in zip(self._cases, ledgers, strict=True):
@@ -109,7 +112,7 @@ class CaseTimeline:
             self._outline(case.label, case.outcome, case.low, case.high, sensor[case.frame])
             self._rays(witnesses.rays_of(found, witnesses.STRIPS))
             self._lanes(case, found)
-            evidence = f"- **Evidence**: {evidence_of(found).text}\n" if found else ""
+            evidence = f"- **Evidence**: {evidence_text(found, case.failure)}\n" if found else ""
             self._text(f"{case.text}\n{evidence}{see(self._info, deciding[-1])}\n{HOW}")
             packed = stored_ledgers.pack(found)
             if (room := room - len(packed)) >= 0:
@@ -242,7 +245,7 @@ def _aims(sensor: F64, middle: F64) -> F32:
     return lines
 
 
-def points_of(case: ShownCase, scan: drawn.Row | None) -> list[int]:
+def points_of(case: ShownCase, scan: drawn.Row | None, members: Members) -> list[int]:
     """Rows in the scan of a case's worst frame: its middle point, and others that are spread over it."""
     if scan is None or (xyz := drawn.positions(scan)) is None or not len(xyz):
         return []
@@ -250,12 +253,18 @@ def points_of(case: ShownCase, scan: drawn.Row | None) -> list[int]:
     mine = np.flatnonzero(inside & (classes.outcomes(drawn.values(scan, "Points3D:class_ids")) == case.outcome))
     if not len(mine):
         return []
+    rows = (
+        drawn.values(scan, "dynaviz.Scan:point").astype(np.int64)
+        if "dynaviz.Scan:point" in scan
+        else np.arange(len(xyz))
+    )
+    of_case = members(case, rows[mine])
+    mine = mine[of_case] if of_case.any() else mine  # other points may stand for its own
     middle = mine[middle_of(xyz[mine])]
     _, first = np.unique(np.floor(xyz[mine] / APART), axis=0, return_index=True)
     mine = mine[np.sort(first)]
     mine = np.union1d(mine[witnesses.evenly(len(mine), POINTS_ASKED - 1)], middle)
-    rows = drawn.values(scan, "dynaviz.Scan:point")[mine] if "dynaviz.Scan:point" in scan else mine
-    chosen: list[int] = rows.astype(int).tolist()
+    chosen: list[int] = rows[mine].tolist()
     return chosen
 
 

@@ -15,12 +15,12 @@ import numpy as np
 import rerun as rr
 
 from dynaviz import colours
-from dynaviz.arrays import F32, F64, Bool, Intp
+from dynaviz.arrays import F32, F64, I64, Bool, Intp
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
 from dynaviz.contracts.probe import PolarGrid, State, Text, Value
 from dynaviz.contracts.scan import Outcome, Scan
-from dynaviz.engine.ledger import PointLedger
 from dynaviz.engine.loop import Listener, RunSpec
+from dynaviz.engine.point_ledger import PointLedger
 from dynaviz.engine.replay import replay
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.io.atomic import sha256
@@ -221,8 +221,14 @@ class Recorder(Listener):
         if self._scene is None:
             timeline.write_texts()
             return Findings(truth, True, reasons=curves)
-        state, tracked = timeline.draw(partial(self._replay, result.labels), np.array(self._positions), boxes)
+        replay = partial(self._replay, result.labels)
+        state, tracked = timeline.draw(replay, self._members, np.array(self._positions), boxes)
         return Findings(truth, True, tracked, state, curves)
+
+    def _members(self, case: cases.ShownCase, rows: I64) -> Bool:
+        """(K,) bool: which rows of the recorded points in its worst frame belong to a case."""
+        scan = self._run.sequence[case.frame]
+        return cases.belong(case.failure, scan, rows if self._rows is None else self._rows(scan)[rows])
 
     def _replay(
         self, labels: Sequence[Bool], asked: Sequence[tuple[int, Sequence[int]]]

@@ -12,9 +12,10 @@ from dynaviz import colours
 from dynaviz.arrays import U8
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.scan import Outcome
+from dynaviz.scores.failure_case import FailureCase
 from dynaviz.scores.result import Result
 from dynaviz.scores.scores import percentage_points_lost
-from dynaviz.scores.sections import FailureCase, RemovedCluster, RemovedInterval
+from dynaviz.scores.sections import RemovedCluster, RemovedInterval
 from dynaviz.views import paths
 from dynaviz.views.cases import listed, suspicious, title_of
 

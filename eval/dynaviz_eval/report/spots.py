@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaviz.scores.sections import FailureCase, RemovedCluster
+from dynaviz.scores.failure_case import FailureCase
+from dynaviz.scores.sections import RemovedCluster
 from dynaviz_eval.report.boards import ScoreBoard, ScoreRow, best_of_each_method
 from dynaviz_eval.report.errors import TINY
 from dynaviz_eval.report.table import ABSENT, Column, Table, Value

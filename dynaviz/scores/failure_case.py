@@ -1,0 +1,105 @@
+"""A failure case of a result, and the case of a point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from msgspec import Struct, field
+
+ROUNDED = 0.02  # metres around the box of a case, whose corners are rounded
+
+
+class RangeSpan(Struct, frozen=True):
+    """Ranges of a case's points from the sensor, metres."""
+
+    min: float
+    mean: float
+    max: float
+
+
+class FailureCase(Struct, frozen=True):
+    """Wrong points that belong together.
+
+    Attributes:
+        kind: ``false_negative`` or ``false_positive``.
+        points: how many points are wrong; a point counts once per frame.
+        cost: percentage points of DA or SA.
+        first_frame, last_frame, worst_frame: positions in the run; frames: number of frames.
+        low, high: corners, (3,) metres, world frame.
+        range: from the sensor, metres; moved: metres, how far the case moved.
+        reasons: points by reason, most frequent first.
+        cause: the failure cause (``dynaviz.contracts.method.Cause``), or None.
+        class_, instance: of the ground truth, or None.
+        what: what it is, in words; sentence: a description for the reader.
+        behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone; None if unknown.
+        ground: share of the points on the ground, 0 to 1; None if unknown.
+        reason: the reason that decided it, of which ``sentence`` gives the meaning; empty in earlier results.
+        grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1; None for kept
+            points, and if too few lie on a surface.
+        spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
+    """
+
+    kind: Literal["false_negative", "false_positive"]
+    points: int
+    cost: float
+    first_frame: int
+    last_frame: int
+    worst_frame: int
+    frames: int
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    range: RangeSpan
+    moved: float
+    reasons: Mapping[str, int]
+    cause: str | None = None
+    class_: int | None = field(name="class", default=None)
+    instance: int | None = None
+    what: str = ""
+    sentence: str = ""
+    behaviour: str | None = None
+    ground: float | None = None
+    reason: str = ""
+    grazed: float | None = None
+    spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
+
+    @property
+    def metric(self) -> str:
+        """The score that it costs: DA for points wrongly kept, SA for points wrongly removed."""
+        return "DA" if self.kind == "false_negative" else "SA"
+
+
+def case_at(
+    cases: Sequence[FailureCase],
+    kind: str,
+    frame: int,
+    place: Sequence[float],
+    class_: int | None = None,
+    instance: int | None = None,
+) -> FailureCase | None:
+    """The costliest case of a kind whose frames and box contain a wrong point; None if no listed case does.
+
+    A case whose worst frame this is comes before all others.
+
+    Args:
+        cases: costliest first.
+        kind: ``false_negative`` or ``false_positive``.
+        frame: position in the run.
+        place: (3,) metres, world frame.
+        class_, instance: of the point; None if unknown.
+    """
+    for case in sorted(cases, key=lambda case: case.worst_frame != frame):
+        if (
+            case.kind == kind
+            and case.first_frame <= frame <= case.last_frame
+            and _alike(case.class_, class_)
+            and _alike(case.instance, instance)
+        ):
+            sides = zip(case.low, place, case.high, strict=True)
+            if all(low - ROUNDED <= at <= high + ROUNDED for low, at, high in sides):
+                return case
+    return None
+
+
+def _alike(one: int | None, other: int | None) -> bool:
+    return None in (one, other) or one == other
