@@ -152,6 +152,8 @@ def compare(
         UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
         DataError: for recordings that cannot be read or compared (``recordings/README.md``).
     """
-    from dynaviz.views.compare.compare import compare as compare_recordings
+    from dynaviz.views.compare.compare import Compared
 
-    return compare_recordings(recordings, out, progress)
+    compared = Compared(recordings, out, progress)
+    compared.write(progress)
+    return compared.comparison

@@ -43,13 +43,18 @@ def compare(
     dynaviz compare a.rrd b.rrd c.rrd -o compare.rrd --json compare.json
     dynaviz compare old.rrd new.rrd --fail-below -0.5
     """
-    from dynaviz import api
+    from dynaviz.views.compare.compare import Compared
 
     with progress("compare", unit="recordings") as report:
-        comparison = api.compare(*map(recording_in, recordings), out=out, progress=report)
+        compared = Compared([recording_in(each) for each in recordings], out, report)
+    comparison = compared.comparison
     printed = print_json(comparison.to_dict(), json)
     if not printed:
-        show(comparison, f"Written to {out}. Open it with: {program()} view {out}")
+        show(comparison)  # before the recording is written, which takes longer
+    with progress("compare", unit="recordings") as report:
+        compared.write(report)
+    if not printed:
+        show(f"Written to {out}. Open it with: {program()} view {out}")
     if json is not None and not printed:
         show(f"Written to {json}.")
     if view:

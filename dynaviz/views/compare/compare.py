@@ -28,42 +28,51 @@ LETTERS = "ABCDEFGH"
 FINE = 1.0  # metres: edge of the cells that are drawn
 
 
-def compare(
-    recordings: Sequence[str | os.PathLike[str]],
-    out: str | os.PathLike[str] | None = None,
-    progress: Progress = silent,
-) -> Comparison:
-    """Compare recordings of runs on the same points; the data set is not needed.
+class Compared:
+    """Runs on the same points, compared from their recordings; the data set is not needed.
 
     Args:
         recordings: two or more, at most one for each of ``LETTERS``; each is compared with the first.
-        out: where to write a recording that shows them side by side; None writes none.
+        out: where a recording will be written that shows them side by side; None if none will.
         progress: called with a phase, the number of recordings done, and their total number.
+
+    Attributes:
+        comparison: what they differ in.
 
     Raises:
         UsageError: for fewer than two recordings, too many, or an ``out`` that is one of them.
         DataError: for a recording that cannot be read, of an unfinished run, without ground truth, or of other points
             than the first.
     """
-    opened = _open(recordings, out)
-    results = [_result(recording) for recording in opened]
-    unscored = _leave_out_unanswered(opened, results)
-    counts = _count(opened, progress)
-    total = counts[0].points.sum(1)
-    places = _cells(opened, progress)
-    pairs = []
-    for i in range(1, len(opened)):
-        gains = spatial_gains(places[0][0], places[i][0], total) if places else None
-        pairs.append(_pair(i, opened, results, counts[i - 1], gains))
-    labels = names(results, [recording.path for recording in opened])
-    runs = [_run(i, name, opened[i], results[i], _scores(counts, i)) for i, name in enumerate(labels)]
-    comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs), unscored)
-    if out is not None:
-        from dynaviz.views.compare import merge
 
-        fine: list[SpatialGains] = [spatial_gains(places[0][1], other[1], total) for other in places[1:]]
-        merge.write(Path(out), opened, comparison, counts, fine, progress)
-    return comparison
+    def __init__(
+        self,
+        recordings: Sequence[str | os.PathLike[str]],
+        out: str | os.PathLike[str] | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        self._opened = opened = _open(recordings, out)
+        results = [_result(recording) for recording in opened]
+        unscored = _leave_out_unanswered(opened, results)
+        self._counts = counts = _count(opened, progress)
+        self._out, self._total = out, counts[0].points.sum(1)
+        self._places = places = _cells(opened, progress)
+        pairs = []
+        for i in range(1, len(opened)):
+            gains = spatial_gains(places[0][0], places[i][0], self._total) if places else None
+            pairs.append(_pair(i, opened, results, counts[i - 1], gains))
+        labels = names(results, [recording.path for recording in opened])
+        runs = [_run(i, name, opened[i], results[i], _scores(counts, i)) for i, name in enumerate(labels)]
+        self.comparison = Comparison(results[0].sequence, tuple(runs), tuple(pairs), unscored)
+
+    def write(self, progress: Progress = silent) -> None:
+        """Write the recording, if there shall be one."""
+        if self._out is not None:
+            from dynaviz.views.compare import merge
+
+            places, total = self._places, self._total
+            fine: list[SpatialGains] = [spatial_gains(places[0][1], other[1], total) for other in places[1:]]
+            merge.write(Path(self._out), self._opened, self.comparison, self._counts, fine, progress)
 
 
 def _open(paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str] | None) -> list[RunRecording]:
