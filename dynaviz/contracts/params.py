@@ -130,8 +130,8 @@ def to_toml(name: str, params: Any, run: Mapping[str, Any]) -> bytes:
     return tomli_w.dumps({"run": dict(run), name: dataclasses.asdict(params)}).encode()
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
+def read_toml(path: Path, hint: str = "For the parameter names run 'dynaviz list METHOD'") -> dict[str, Any]:
+    """Read a TOML file; ``hint`` says what to give instead.
 
     Raises:
         DataError: if it cannot be read or is not valid TOML; the message has the line.
@@ -140,14 +140,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             return tomllib.load(file)
     except OSError as error:
-        raise DataError(path, error.strerror or "cannot be read", hint="Give a TOML file") from None
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # invalid TOML, invalid UTF-8, integers too long to convert, nesting too deep
-        raise DataError(
-            path, f"not valid TOML: {error}", hint="For the parameter names run 'dynaviz list METHOD'"
-        ) from None
+        raise DataError(path, error.strerror or "cannot be read", hint=hint) from None
+    except (ValueError, RecursionError) as error:  # also invalid UTF-8, too long integers, too deep nesting
+        raise DataError(path, f"not valid TOML: {error}", hint=hint) from None
 
 
 def preset_description(files: Iterable[Path]) -> str:

@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, Bool, single
+from dynaviz.arrays import F32, F64, Bool, all_finite, single
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import Context, Labels, MethodInfo, Reason
 from dynaviz.contracts.scan import Scan, Sequence
@@ -80,7 +80,7 @@ class ExternalMap:
             raise UsageError(f"radius = {radius}: give metres, 0 or more; the public benchmark uses {RADIUS}")
         far = origin if origin is not None and origin.any() else None
         points = read_points(path) if far is None else single(coordinates(read_fields(path)) - far)
-        chosen = finite(points)
+        chosen = all_finite(points)
         self.path, self.points, self.params = path, np.compress(chosen, points, 0), MapParams(radius)
         self.total, self.not_finite = len(points), len(points) - len(self.points)
         if not len(self.points):
@@ -102,7 +102,7 @@ class ExternalMap:
 
     def label(self, scan: Scan) -> Labels:
         """Dynamic where no point of the map lies within the radius."""
-        chosen = finite(scan.points)
+        chosen = all_finite(scan.points)
         near = self._tree.within(np.compress(chosen, scan.points, 0), self.params.radius)
         reasons = np.full(len(scan), _NOT_FINITE, np.uint8)
         reasons[chosen] = np.where(near, _NEAR, _FAR)
@@ -211,10 +211,3 @@ def read_external(
     if labels.suffix.lower() == ".npz":
         return PrecomputedLabels(labels, name)
     return ExternalMap(path, name, radius, origin_of(sequence))
-
-
-def finite(points: F32) -> Bool:
-    """(N,) bool: which of (N, 3) points are finite."""
-    x, y, z = np.isfinite(points).T
-    found: Bool = x & y & z
-    return found

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaviz.arrays import F64
+from dynaviz.arrays import F64, all_finite
 from dynaviz.contracts.metric import Labelled
 from dynaviz.contracts.scan import Label
-from dynaviz.engine.external import External, ExternalMap, PrecomputedLabels, TakesMap, finite
+from dynaviz.engine.external import External, ExternalMap, PrecomputedLabels, TakesMap
 from dynaviz.engine.label_folder import LabelFolder
 from dynaviz.engine.loop import Listener, RunSpec
 from dynaviz.io.atomic import open_file
@@ -121,7 +121,7 @@ class MapCheck(SourceCheck):
         if labelled.scan.labels is None:
             return
         static = labelled.scan.points[np.flatnonzero(labelled.scan.labels == Label.STATIC)[::_SAMPLE]]
-        static = static[finite(static)]
+        static = static[all_finite(static)]
         self._static += len(static)
         self._nearby += int(self._map.nearby(static).sum())
 

@@ -88,7 +88,7 @@ def test_frames_of_the_sequence(run_command: Command, folder: Path, tmp_path: Pa
         ("implant:", "gives no sequence"),
         ("implant:nowhere?cars=2", "nowhere: does not exist. Give the folder of a sequence."),
         ("implant:{folder}?carz=2", "unknown option 'carz=2'. Did you mean 'cars'?"),
-        ("implant:{folder}?scene=none.toml", "none.toml: cannot be read"),
+        ("implant:{folder}?scene=none.toml", "none.toml: No such file"),
         ("implant:{folder}?panel=nobody&persons=1", "unknown method 'nobody'"),
     ],
 )

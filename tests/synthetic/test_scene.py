@@ -61,7 +61,7 @@ def test_another_seed_gives_another_scene(street: InMemory, implanted: Implanted
         ("[10.0, 0.0, 1.0]", "[10.0, 0.0]", "is invalid"),
         ("[3.0, 20.0]", "[0.5, 20.0]", "schedule must not decrease"),
         ("instance = 7", "instance = 0", "Expected `int` >= 1 - at `$.movers[0].instance`"),
-        ("[[movers]]", "[[movers", "cannot be read"),
+        ("[[movers]]", "[[movers", "not valid TOML"),
     ],
 )
 def test_invalid_scene_files(tmp_path: Path, old: str, new: str, problem: str) -> None:

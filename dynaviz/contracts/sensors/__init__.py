@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from dynaviz.contracts.params import read_toml
 from dynaviz.errors import DataError, UsageError
 
 Count = Annotated[int, Meta(gt=0, lt=10**9)]
@@ -86,10 +87,7 @@ def _read(path: Path) -> Sensor:
     """A sensor from a file of the user."""
     known = [each.name for each in dataclasses.fields(Sensor) if each.name != "name"]
     hint = f"Write lines such as rings = 32, elevation = [-25.0, 15.0] or height = 1.8. Known: {', '.join(known)}"
-    try:
-        facts = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DataError(path, f"cannot be read ({error})", hint=hint) from None
+    facts = read_toml(path, hint)
     for key in facts:
         if key not in known:
             raise DataError(path, f"a sensor has no '{key}'", hint=hint)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, single
 from dynaviz.contracts.attributes import Attributes, far_origin
+from dynaviz.contracts.params import read_toml
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.errors import DataError, NoPoses
@@ -162,10 +162,7 @@ def _read_facts(path: Path) -> Mapping[str, Any]:
     if not path.exists():
         return {"classes": {}}
     hint = 'Set name = "...", sensor = "..." (see dynaviz list sensors) and rate = 10.0'
-    try:
-        facts = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DataError(path, f"cannot be read ({error})", hint=hint) from None
+    facts = read_toml(path, hint)
     types: dict[str, Any] = {"name": str, "sensor": str, "rate": (int, float)}
     for key, type_ in types.items():
         if key in facts and not isinstance(facts[key], type_):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from dynaviz.arrays import F64
+from dynaviz.contracts.params import read_toml
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError
 from dynaviz.synthetic.simulate import objects
@@ -167,10 +167,7 @@ class ImplantScene:
         Raises:
             DataError: if it cannot be read, or an entry is missing or invalid.
         """
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise DataError(path, f"cannot be read ({error})", hint=_HINT) from None
+        table = read_toml(path, _HINT)
         if table.get("format") != FORMAT:
             raise DataError(path, f"has format = {table.get('format')!r}, expected {FORMAT}", hint=_HINT)
         try:
