@@ -145,7 +145,7 @@ class Implanter:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # movers that find no place
             scene = planned("", replace(MOVERS, seed=seed), self.lidar, self.survey)
-        kinds = [mover.kind for mover in scene.implants]
+        kinds = [mover.kind for mover in scene.movers]
         print(f"{self.base.name} seed {seed}:", {kind: kinds.count(kind) for kind in kinds}, flush=True)
         panel = ImplantedSequence(self.blind, scene, self.lidar, "", ("panel",), self.agreed.static)
         return {

@@ -45,7 +45,7 @@ def first_hit(mesh: Mesh, scan: Scan, points: F64) -> F64:
 
 
 def movers(implanted: ImplantedSequence, scan: Scan) -> Iterator[tuple[Implant, Mesh]]:
-    for mover in implanted.scene.implants:
+    for mover in implanted.scene.movers:
         if (mesh := mover.mesh(implanted.scene.time(scan))) is not None:
             yield mover, mesh
 
@@ -66,7 +66,7 @@ def test_every_implanted_point_lies_on_its_mover_within_the_noise(implanted: Imp
 
 
 def test_points_with_times_lie_on_their_mover_at_their_own_time(implanted: ImplantedSequence, pairs: Pairs) -> None:
-    fast = next(mover for mover in implanted.scene.implants if mover.kind == "car")
+    fast = next(mover for mover in implanted.scene.movers if mover.kind == "car")
     off, apart = [], []
     for scan, _ in pairs:
         times = np.random.default_rng(scan.index).uniform(-0.05, 0.05, len(scan)).astype(np.float32)
@@ -132,7 +132,7 @@ def test_movers_never_touch_a_static_point_above_the_ground(implanted: Implanted
 def test_movers_do_not_appear_or_disappear_in_sight(implanted: ImplantedSequence, pairs: Pairs) -> None:
     """They have few points in their first and last scan, unless the recording begins or ends there."""
     times = [implanted.scene.time(before) for before, _ in pairs]
-    for mover in implanted.scene.implants:
+    for mover in implanted.scene.movers:
         start, end = mover.schedule[0, 0], mover.schedule[-1, 0]
         present = [k for k, time in enumerate(times) if start <= time <= end]
         for k, edge in ((present[0], 0), (present[-1], len(pairs) - 1)):
@@ -145,7 +145,7 @@ def test_movers_stand_on_the_ground(implanted: ImplantedSequence, pairs: Pairs) 
     """Static points around their feet or wheels are at their height."""
     static = np.concatenate([before.points[before.labels == Label.STATIC] for before, _ in pairs])
     off = []
-    for mover in implanted.scene.implants:
+    for mover in implanted.scene.movers:
         for x, y, z in mover.path[::4]:
             near = static[np.hypot(static[:, 0] - x, static[:, 1] - y) < 0.4]
             near = near[np.abs(near[:, 2] - z) < 0.5]

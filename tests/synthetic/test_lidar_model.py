@@ -87,7 +87,7 @@ def test_rays_before_the_sky_are_found(ring_by_ring: bool) -> None:
 def test_a_mover_before_the_sky_is_seen_in_full(ring_by_ring: bool) -> None:
     sequence, directions = plain(ring_by_ring=ring_by_ring)
     lidar, scene, scan = LidarModel.measure(sequence), truck_on_the_right(), sequence[0]
-    mesh = scene.implants[0].mesh(0.0)
+    mesh = scene.movers[0].mesh(0.0)
     assert mesh is not None
     starts = np.broadcast_to([0.0, 0, HEIGHT], directions.shape)
     resting = [Target(mesh, 1, 5, np.zeros(3))]

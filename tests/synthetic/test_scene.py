@@ -27,8 +27,8 @@ def test_a_scene_file_round_trips(tmp_path: Path) -> None:
     file.write_bytes(SCENE.to_toml())
     again = ImplantScene.load(file)
     assert again.to_toml() == SCENE.to_toml()
-    assert (again.seed, again.start_ns, again.sequence, again.implants[0].note) == (4, 123, "drive", 'says "hi"')
-    np.testing.assert_array_equal(again.implants[0].path, PATH)
+    assert (again.seed, again.start_ns, again.sequence, again.movers[0].note) == (4, 123, "drive", 'says "hi"')
+    np.testing.assert_array_equal(again.movers[0].path, PATH)
 
 
 def test_a_planned_scene_gives_the_same_scans_from_its_file(
@@ -46,7 +46,7 @@ def test_a_planned_scene_gives_the_same_scans_from_its_file(
 def test_another_seed_gives_another_scene(street: InMemory, implanted: ImplantedSequence) -> None:
     other = ImplantedSequence.of(street, ImplantOptions(cars=0, trucks=0, cyclists=1, persons=1, parks=0, seed=4))
     assert other.name == "street-implants-seed4"
-    assert other.scene.implants[-1].path.tobytes() != implanted.scene.implants[-1].path.tobytes()
+    assert other.scene.movers[-1].path.tobytes() != implanted.scene.movers[-1].path.tobytes()
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
     """The movers that are present at the time of a scan."""
     time, found = scene.time(scan), []
     during = (0.0, 0.0) if scan.times is None or not len(scan) else (scan.times.min(), scan.times.max())
-    for mover in scene.implants:
+    for mover in scene.movers:
         if (mesh := mover.mesh(time)) is not None:
             velocity = mover.velocity(time + float(during[0]), time + float(during[1]))
             mesh = Mesh(mesh.vertices - scan.position, mesh.triangles)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from dynaviz.arrays import F64
 from dynaviz.contracts.params import read_toml
@@ -20,6 +20,8 @@ from dynaviz.synthetic.simulate.movers import Route
 from dynaviz.synthetic.simulate.shapes import Mesh
 
 FORMAT = 1
+MoverKind = Literal["car", "truck", "cyclist", "person"]
+_MOVER_KEYS = ("kind", "instance", "shape", "note", "path", "schedule")
 CLASSES = {"car": 60001, "truck": 60002, "cyclist": 60003, "person": 60004}
 CLASS_NAMES = {number: f"implanted {kind}" for kind, number in CLASSES.items()}
 WHEELBASE = {"car": 2.6, "truck": 4.0, "cyclist": 1.04, "person": 0.0}  # metres
@@ -39,12 +41,22 @@ class Implant:
         note: what it does, for the reader.
     """
 
-    kind: str
-    instance: int
-    shape: int
+    kind: MoverKind
+    instance: Annotated[int, Meta(ge=1, lt=1 << 31)]
+    shape: Annotated[int, Meta(ge=0)]
     path: F64
     schedule: F64
     note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.path.shape[1:] != (3,) or len(self.path) < 2 or self.schedule.shape[1:] != (2,):
+            raise ValueError("path must be two places or more, (x, y, z), and schedule rows of seconds and metres")
+        if not (np.isfinite(self.path).all() and np.isfinite(self.schedule).all()):
+            raise ValueError("path and schedule must be finite")
+        if not (np.diff(self.path[:, :2], axis=0) != 0).any(1).all():
+            raise ValueError("path contains the same place twice in a row")
+        if (np.diff(self.schedule, axis=0) < 0).any():
+            raise ValueError("schedule must not decrease")
 
     @cached_property
     def route(self) -> Route:
@@ -114,18 +126,18 @@ class ImplantScene:
         range_noise: standard deviation of the range, metres.
         drop_out: share of rays that lose their return.
         sky_rays: whether rays without a return may hit a mover; needs a regular scan pattern.
-        implants: the movers.
+        movers: the movers.
         rate: sweeps per second; the time of a frame is its number divided by this.
         start_ns: if not None, the time of a frame is its stamp minus this.
         sequence: name of the sequence, for the reader.
     """
 
     seed: int
-    range_noise: float
-    drop_out: float
+    range_noise: Annotated[float, Meta(ge=0, le=10)]
+    drop_out: Annotated[float, Meta(ge=0, le=1)]
     sky_rays: bool
-    implants: tuple[Implant, ...]
-    rate: float = 10.0
+    movers: tuple[Implant, ...] = ()
+    rate: Annotated[float, Meta(ge=1e-3, le=1e6)] = 10.0
     start_ns: int | None = None
     sequence: str = ""
 
@@ -143,20 +155,9 @@ class ImplantScene:
         if self.start_ns is not None:
             head["start_ns"] = self.start_ns
         head |= {"range_noise": self.range_noise, "drop_out": self.drop_out, "sky_rays": self.sky_rays}
-        movers = [
-            {
-                "kind": implant.kind,
-                "instance": implant.instance,
-                "shape": implant.shape,
-                "note": implant.note,
-                "path": implant.path.tolist(),
-                "schedule": implant.schedule.tolist(),
-            }
-            for implant in self.implants
-        ]
         text = tomli_w.dumps(head)
-        for mover in movers:  # one line per array: thousands of numbers, of which a reader wants the beginning
-            lines = "".join(f"{key} = {_inline(value)}\n" for key, value in mover.items())
+        for mover in self.movers:  # one line per array: thousands of numbers, of which a reader wants the beginning
+            lines = "".join(f"{key} = {_inline(getattr(mover, key))}\n" for key in _MOVER_KEYS)
             text += f"\n[[movers]]\n{lines}"
         return text.encode()
 
@@ -171,50 +172,18 @@ class ImplantScene:
         if table.get("format") != FORMAT:
             raise DataError(path, f"has format = {table.get('format')!r}, expected {FORMAT}", hint=_HINT)
         try:
-            found = msgspec.convert(table, _SceneFile)
+            return msgspec.convert(table, cls, dec_hook=_rows)
         except msgspec.ValidationError as error:
             raise DataError(path, f"is invalid: {error}", hint=_HINT) from None
-        movers = tuple(
-            Implant(m.kind, m.instance, m.shape, np.array(m.path), np.array(m.schedule), m.note) for m in found.movers
-        )
-        measured = found.seed, found.range_noise, found.drop_out, found.sky_rays
-        return cls(*measured, movers, found.rate, found.start_ns, found.sequence)
 
 
-class _MoverFile(Struct):
-    """A mover in a scene file."""
-
-    kind: Literal["car", "truck", "cyclist", "person"]
-    instance: Annotated[int, Meta(ge=1, lt=1 << 31)]
-    shape: Annotated[int, Meta(ge=0)]
-    path: Annotated[list[tuple[float, float, float]], Meta(min_length=2)]
-    schedule: Annotated[list[tuple[float, float]], Meta(min_length=1)]
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        path, schedule = np.array(self.path), np.array(self.schedule)
-        if not (np.isfinite(path).all() and np.isfinite(schedule).all()):
-            raise ValueError("path and schedule must be finite")
-        if not (np.diff(path[:, :2], axis=0) != 0).any(1).all():
-            raise ValueError("path contains the same place twice in a row")
-        if (np.diff(schedule, axis=0) < 0).any():
-            raise ValueError("schedule must not decrease")
-
-
-class _SceneFile(Struct):
-    """A scene file; the fields are those of ``ImplantScene``."""
-
-    seed: int
-    range_noise: Annotated[float, Meta(ge=0, le=10)]
-    drop_out: Annotated[float, Meta(ge=0, le=1)]
-    sky_rays: bool
-    movers: tuple[_MoverFile, ...] = ()
-    rate: Annotated[float, Meta(ge=1e-3, le=1e6)] = 10.0
-    start_ns: int | None = None
-    sequence: str = ""
+def _rows(kind: Any, value: Any) -> F64:
+    """The rows of an array in a scene file."""
+    return np.array(msgspec.convert(value, list[tuple[float, ...]]))
 
 
 def _inline(value: Any) -> str:
+    value = value.tolist() if isinstance(value, np.ndarray) else value
     if isinstance(value, str):
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return repr(value)

@@ -112,7 +112,7 @@ class ImplantedSequence:
     @property
     def facts(self) -> Mapping[str, str]:
         """What was implanted and measured, for ``dynaviz info``."""
-        kinds = [mover.kind for mover in self.scene.implants]
+        kinds = [mover.kind for mover in self.scene.movers]
         counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
         return {
             "implants": counts or "none",
@@ -170,7 +170,7 @@ def planned(name: str, options: ImplantOptions, lidar: LidarModel, survey: Surve
         range_noise=lidar.range_noise,
         drop_out=lidar.drop_out,
         sky_rays=lidar.sky_rays,
-        implants=found.implants,
+        movers=found.implants,
         rate=survey.rate,
         start_ns=survey.start_ns,
         sequence=name,

@@ -11,7 +11,7 @@ import numpy as np
 
 from dynaviz.arrays import F64, Bool
 from dynaviz.synthetic.implants.implant_options import ImplantOptions
-from dynaviz.synthetic.implants.implant_scene import Implant
+from dynaviz.synthetic.implants.implant_scene import Implant, MoverKind
 from dynaviz.synthetic.implants.paths import (
     NEAREST,
     SPACING,
@@ -76,14 +76,20 @@ class Kind:
     tall: str = "low"
 
 
-KINDS = {
+KINDS: dict[MoverKind, Kind] = {
     "car": Kind((-1.9, -0.95, 0.0, 0.95, 1.9), 1.05, (4.0, 12.0), 0.006, (14.0, 120.0), 2.5, 45.0, 2.0),
     "truck": Kind((-3.7, -2.2, -0.75, 0.75, 2.2, 3.7), 1.5, (4.0, 9.0), 0.004, (16.0, 120.0), 2.0, 45.0, 5.0, "high"),
     "cyclist": Kind((-0.45, 0.0, 0.45), 0.5, (3.0, 5.5), 0.01, (10.0, 80.0), 1.5, 40.0, 1.6),
     "person": Kind((-0.2, 0.0, 0.2), 0.38, (0.9, 1.7), 0.04, (4.0, 30.0), 1.0, 35.0, 1.4),
 }
 STOPS = ("waits", "parks", "stands")
-ORDER = {"trucks": "truck", "cars": "car", "parks": "car", "cyclists": "cyclist", "persons": "person"}
+ORDER: dict[str, MoverKind] = {
+    "trucks": "truck",
+    "cars": "car",
+    "parks": "car",
+    "cyclists": "cyclist",
+    "persons": "person",
+}
 """Kind of each option; the largest are placed first."""
 
 
@@ -173,12 +179,16 @@ class _Planner:
         apart, _ = cKDTree(survey.positions[:, :2]).query(space.known_ground())
         self._faded = min(FADED, float(np.quantile(apart, 0.9)))
 
-    def place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
+    def place(
+        self, name: MoverKind, parks: bool, number: int, instance: int, rng: np.random.Generator
+    ) -> Implant | None:
         """Place one mover, or return None if no path fits, also at other times and speeds."""
         tries = (self._place(name, parks, number, instance, rng) for _ in range(TRIPS))
         return next((mover for mover in tries if mover), None)
 
-    def _place(self, name: str, parks: bool, number: int, instance: int, rng: np.random.Generator) -> Implant | None:
+    def _place(
+        self, name: MoverKind, parks: bool, number: int, instance: int, rng: np.random.Generator
+    ) -> Implant | None:
         kind, survey = KINDS[name], self._survey
         brushes = name == "person" and number % 2 == 1
         trip = self._trip(kind, parks, number, rng)
