@@ -139,11 +139,9 @@ def write_pcd(
         ValueError: for fields that PCD cannot store.
     """
     arrays = {name: np.asarray(array) for name, array in fields.items()}
-    layout = fields_from_dtypes({name: np.dtype((array.dtype, array.shape[1:])) for name, array in arrays.items()})
-    rows = _pack(layout, arrays)
-    with atomic_file(path) as temporary, open(temporary, "wb") as file:
-        file.write(header_text(layout, len(rows), T_world_sensor))
-        file.write(rows.data)
+    layout = {name: np.dtype((array.dtype, array.shape[1:])) for name, array in arrays.items()}
+    with PcdWriter(path, layout, T_world_sensor) as writer:
+        writer.append(**arrays)
 
 
 class PcdWriter:
