@@ -7,8 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, takes
-from dynaviz.cli.unposed import open_posed_or_not, proposal
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, open_posed_or_not, proposal, takes
 
 
 @takes(SEQUENCE)

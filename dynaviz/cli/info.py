@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol, runtime_checkable
 import typer
 
 from dynaviz.cli.console import print_json, progress, show
-from dynaviz.cli.options import SEQUENCE, Json, Quiet, recording_in, refuse, takes
-from dynaviz.cli.unposed import open_posed_or_not, proposal
+from dynaviz.cli.options import SEQUENCE, Json, Quiet, open_posed_or_not, proposal, recording_in, refuse, takes
 from dynaviz.errors import UsageError
 
 if TYPE_CHECKING:

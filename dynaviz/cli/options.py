@@ -9,12 +9,15 @@ import sys
 from collections.abc import Callable, Collection, Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dynaviz.cli.console import set_quiet
 from dynaviz.errors import UsageError
+
+if TYPE_CHECKING:
+    from dynaviz.contracts.scan import Sequence
 
 
 class PointFrame(StrEnum):
@@ -249,3 +252,27 @@ def run_in(path: Path) -> Path:
 def typed_command() -> str:
     """What the user typed, for the record."""
     return shlex.join(["dynaviz", *sys.argv[1:]])
+
+
+def open_posed_or_not(path: str, options: dict[str, Any]) -> tuple[Sequence, str]:
+    """The sequence, and the problem if it has no poses: then each scan is in its own frame.
+
+    Raises:
+        DataError, UsageError: as ``dynaviz.open``.
+    """
+    from dynaviz import api
+    from dynaviz.errors import NoPoses
+    from dynaviz.sources.datasets.pose_matching import NO_POSES
+
+    try:
+        return api.open(path, **options), ""
+    except NoPoses as error:
+        if options.get("poses") is not None:
+            raise
+        return api.open(path, **{**options, "poses": NO_POSES}), error.problem
+
+
+def proposal(path: str) -> str:
+    """The command that estimates poses and cleans the map."""
+    name = Path(path.partition("#")[0]).stem or "clean"
+    return shlex.join(["dynaviz", "clean", path, "-o", f"{name}_clean.laz"])

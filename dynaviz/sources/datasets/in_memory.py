@@ -16,8 +16,7 @@ from dynaviz.contracts.given import SCANS, given_points, given_pose, given_poses
 from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import NoPoses, UsageError
-from dynaviz.sources.datasets.extrinsic import parse_extrinsic
-from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
+from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_extrinsic, parse_points_in
 from dynaviz.spatial import geometry
 
 _NO_POSES = "Estimate them with --poses small-gicp, or give one for each scan: (points, pose), or poses=(frames, 4, 4)"

@@ -21,8 +21,13 @@ from dynaviz.errors import DataError, NoPoses, UsageError
 from dynaviz.io.fields import columns_of, coordinates, without_axes
 from dynaviz.io.pointcloud2 import cloud_rows, cloud_xyz
 from dynaviz.io.rosbag import Bag, is_bag
-from dynaviz.sources.datasets.extrinsic import parse_extrinsic
-from dynaviz.sources.datasets.pose_matching import NO_POSES, covered_scans, match_poses, parse_points_in
+from dynaviz.sources.datasets.pose_matching import (
+    NO_POSES,
+    covered_scans,
+    match_poses,
+    parse_extrinsic,
+    parse_points_in,
+)
 from dynaviz.sources.datasets.transforms import Chain, TransformTree, frame_name
 from dynaviz.spatial import geometry
 from dynaviz.spatial.trajectory import FIELDS, Mounted, Moved, PosesOverTime, Trajectory, deskew, point_times, unit_of

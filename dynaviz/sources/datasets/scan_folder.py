@@ -25,8 +25,7 @@ from dynaviz.io.pcd import Pcd, read_header
 from dynaviz.io.poses import find_poses, nanoseconds
 from dynaviz.io.semantic_label import read_semantic_labels
 from dynaviz.io.velodyne import FIELDS, detect_columns, read_velodyne, velodyne_attributes
-from dynaviz.sources.datasets.extrinsic import parse_extrinsic
-from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_points_in
+from dynaviz.sources.datasets.pose_matching import NO_POSES, MatchedPoses, match_poses, parse_extrinsic, parse_points_in
 from dynaviz.sources.datasets.semantickitti import CLASS_NAMES, MOVING_CLASSES, UNLABELLED_CLASSES
 from dynaviz.spatial import geometry
 
