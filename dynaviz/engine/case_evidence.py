@@ -74,15 +74,22 @@ def evidence_of(ledgers: Sequence[PointLedger]) -> CaseEvidence:
 def evidence_text(ledgers: Sequence[PointLedger], case: FailureCase | None) -> str:
     """What ledgers, at least one, of a case have in common, and the measured angles of the case, in sentences.
 
-    Points with the reason that decided the case stand for it, as they do in its own sentence.
+    Points with the reason that decided the case stand for it, as they do in its own sentence; if its worst frame has
+    none, those with the most frequent reason there.
     """
-    deciding = [ledger for ledger in ledgers if case is not None and ledger.reason.name == case.reason]
-    found = evidence_of(deciding or ledgers).text
-    if deciding and len(deciding) < len(ledgers):
-        found = f"{found} {len(ledgers) - len(deciding):,} other points have other reasons."
-    if case is None or case.grazed is None:
-        return found
-    return f"{found} Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°."
+    if case is None or case.reason is None:
+        return evidence_of(ledgers).text
+    names = Counter(ledger.reason.name for ledger in ledgers)
+    name = case.reason if case.reason in names else names.most_common(1)[0][0]
+    chosen = [ledger for ledger in ledgers if ledger.reason.name == name]
+    parts = [evidence_of(chosen).text]
+    if name != case.reason:
+        parts.insert(0, f"In its worst frame, another reason decides: {name.replace('_', ' ')}.")
+    if others := len(ledgers) - len(chosen):
+        parts.append(f"{others:,} other point{'s have' if others > 1 else ' has'} other reasons.")
+    if case.grazed is not None:
+        parts.append(f"Rays meet {100 * case.grazed:.0f} % of its surface at less than {GRAZING:g}°.")
+    return " ".join(parts)
 
 
 def decided_by(ledger: PointLedger) -> RuleValue | None:

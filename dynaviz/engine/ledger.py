@@ -136,8 +136,7 @@ class _Book:
     """
 
     def __init__(self, frame: int, scan: Scan, rows: I64) -> None:
-        self.asked, self._frame = Asked(scan.without_truth(), rows, 0), frame
-        self._truth, self._classes, self._instances = scan.labels, scan.classes, scan.instances
+        self.asked, self._frame, self._truth = Asked(scan.without_truth(), rows, 0), frame, scan.labels
         self.points = self.asked.points
         self.cells = voxels_around(self.points, EDGE)
         self.alone = self.over = False
@@ -218,8 +217,6 @@ class _Book:
                 quantities=quantities,
                 entries=tuple(self._entries[k]),
                 searched=self._searched,
-                class_=_at(self._classes, self.asked.rows[k]),
-                instance=_at(self._instances, self.asked.rows[k]),
             )
             for k in range(len(self.points))
         )
@@ -292,10 +289,6 @@ class _Numbers:
         holds = np.array([holds for *_, holds in self._terms])
         gaps = [np.where(np.isnan(values), np.inf, np.abs(values - limits)) for _, values, limits, _ in self._terms]
         return holds.sum(0), -np.where(holds, 0.0, gaps).sum(0)
-
-
-def _at(numbers: np.ndarray | None, row: int) -> int | None:
-    return None if numbers is None else int(numbers[row])
 
 
 def _plain(value: Any) -> float | None:

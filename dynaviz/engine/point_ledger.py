@@ -112,7 +112,7 @@ class PointLedger:
         quantities: what ``entries`` list.
         entries: by frame.
         searched: number of scans searched.
-        class_, instance: of the ground truth, as in ``Scan``; None without, and in earlier recordings.
+        case: number of the case of which a recording stores it; None if it is not stored, and in earlier recordings.
     """
 
     frame: int
@@ -127,8 +127,7 @@ class PointLedger:
     quantities: tuple[QuantityInfo, ...]
     entries: tuple[LedgerEntry, ...]
     searched: int
-    class_: int | None = None
-    instance: int | None = None
+    case: int | None = None
 
     @property
     def wrong(self) -> bool | None:

@@ -81,7 +81,7 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     outcome = OUTCOMES[case.kind] if isinstance(case, FailureCase) else Outcome.UNLABELLED_REMOVED
     wrong = run.wrong
     low, high = np.array(case.low), np.array(case.high)
-    rows = np.sort(by_x[np.searchsorted(x, low[0] - MARGIN) : np.searchsorted(x, high[0] + MARGIN, "right")])
+    rows = by_x[np.searchsorted(x, low[0] - MARGIN) : np.searchsorted(x, high[0] + MARGIN, "right")]
     for values, first, last in (
         (wrong.outcome, outcome, outcome),
         (wrong.frame, case.first_frame, case.last_frame),
@@ -90,6 +90,7 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     ):
         of = values[rows]
         rows = rows[(of >= first) & (of <= last)]
+    rows = np.sort(rows)
     worst = rows[wrong.frame[rows] == case.worst_frame]
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)

@@ -160,8 +160,10 @@ class ExploredRun:
         case = None
         if position is not None and outcome in (Outcome.FALSE_POSITIVE, Outcome.FALSE_NEGATIVE):
             known = self._near(frame, point, position, removed, reason.name)
-            of = (None, None) if known is None else (known[0].class_, known[0].instance)
-            case = case_at(self.result.failures, outcome.name.lower(), frame, position, *of)
+            if known is not None and known[0].case is not None:
+                case = self.result.failures[known[0].case - 1]
+            else:
+                case = case_at(self.result.failures, outcome.name.lower(), frame, position)
         cause, number = (None, 0) if case is None else (case.cause, self.result.failures.index(case) + 1)
         corrected = (corrections or {}).get(number)
         if corrected is not None:

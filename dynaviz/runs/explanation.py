@@ -14,6 +14,7 @@ from dynaviz.contracts.method import Reason
 from dynaviz.engine.case_evidence import evidence_of, flip
 from dynaviz.engine.ledger import Ledger
 from dynaviz.engine.point_ledger import PointLedger
+from dynaviz.errors import DataError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.runs.run import Run, open_run
 from dynaviz.scores.failure_case import case_at
@@ -148,7 +149,9 @@ def explain(
         note = f"{info.name} states no evidence, so there is no ledger: only the rays are known."
     facts = opened.result.method, info.title, spec.sequence.name, opened.result.online
     return {
-        frame: tuple(Why(*facts, each, cause_at(opened.result, each), note) for each in found)
+        frame: tuple(
+            Why(*facts, each, cause_at(opened.result, each), note) for each in (_stored(opened, e) for e in found)
+        )
         for frame, found in ledger.ledgers.items()
     }
 
@@ -157,9 +160,23 @@ def cause_at(result: Result, ledger: PointLedger) -> str | None:
     """The cause of the failure case that contains a point; None if no listed case does, or the label is right."""
     if not ledger.wrong:
         return None
+    if ledger.case is not None:
+        return result.failures[ledger.case - 1].cause
     kind = "false_positive" if ledger.removed else "false_negative"
-    case = case_at(result.failures, kind, ledger.frame, ledger.position, ledger.class_, ledger.instance)
+    case = case_at(result.failures, kind, ledger.frame, ledger.position)
     return None if case is None else case.cause
+
+
+def _stored(run: Run, ledger: PointLedger) -> PointLedger:
+    """The ledger with the number of the case, if the recording of the run stores that: the boxes of cases overlap."""
+    try:
+        recording = run.recording
+    except (DataError, UsageError):  # not recorded
+        return ledger
+    for number, case in enumerate(run.result.failures, 1):
+        if case.worst_frame == ledger.frame and any(each.point == ledger.point for each in recording.ledgers(number)):
+            return dataclasses.replace(ledger, case=number)
+    return ledger
 
 
 def _plain(value: Any) -> Any:

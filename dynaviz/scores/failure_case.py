@@ -34,7 +34,7 @@ class FailureCase(Struct, frozen=True):
         what: what it is, in words; sentence: a description for the reader.
         behaviour: what the object or place did (``dynaviz.scores.behaviour``), in the data alone; None if unknown.
         ground: share of the points on the ground, 0 to 1; None if unknown.
-        reason: the reason that decided it, of which ``sentence`` gives the meaning; empty in earlier results.
+        reason: the reason that decided it, of which ``sentence`` gives the meaning; None in earlier results.
         grazed: share of its surface that its rays meet at a small angle in its worst frame, 0 to 1; None for kept
             points, and if too few lie on a surface.
         spans: first and last frames by state, as in ``dynaviz.scores.spans``; empty in earlier results.
@@ -59,7 +59,7 @@ class FailureCase(Struct, frozen=True):
     sentence: str = ""
     behaviour: str | None = None
     ground: float | None = None
-    reason: str = ""
+    reason: str | None = None
     grazed: float | None = None
     spans: Mapping[str, tuple[tuple[int, int], ...]] = {}
 
@@ -69,37 +69,18 @@ class FailureCase(Struct, frozen=True):
         return "DA" if self.kind == "false_negative" else "SA"
 
 
-def case_at(
-    cases: Sequence[FailureCase],
-    kind: str,
-    frame: int,
-    place: Sequence[float],
-    class_: int | None = None,
-    instance: int | None = None,
-) -> FailureCase | None:
+def case_at(cases: Sequence[FailureCase], kind: str, frame: int, place: Sequence[float]) -> FailureCase | None:
     """The costliest case of a kind whose frames and box contain a wrong point; None if no listed case does.
-
-    A case whose worst frame this is comes before all others.
 
     Args:
         cases: costliest first.
         kind: ``false_negative`` or ``false_positive``.
         frame: position in the run.
         place: (3,) metres, world frame.
-        class_, instance: of the point; None if unknown.
     """
-    for case in sorted(cases, key=lambda case: case.worst_frame != frame):
-        if (
-            case.kind == kind
-            and case.first_frame <= frame <= case.last_frame
-            and _alike(case.class_, class_)
-            and _alike(case.instance, instance)
-        ):
+    for case in cases:
+        if case.kind == kind and case.first_frame <= frame <= case.last_frame:
             sides = zip(case.low, place, case.high, strict=True)
             if all(low - ROUNDED <= at <= high + ROUNDED for low, at, high in sides):
                 return case
     return None
-
-
-def _alike(one: int | None, other: int | None) -> bool:
-    return None in (one, other) or one == other

@@ -84,9 +84,11 @@ def test_a_case_and_its_points_have_one_cause_which_the_measured_angles_decide(r
         crossing = [entry for ledger in ledgers for entry in ledger.entries if entry.crossed]
         angles = [entry.angle_deg for entry in crossing if entry.angle_deg is not None]
         assert {cause_at(recording.result, ledger) for ledger in ledgers} == {case.cause}
-        deciding = [ledger for ledger in ledgers if ledger.reason.name == case.reason]
+        assert case.reason is not None
         assert case.sentence.lower().endswith(f"{meanings[case.reason].lower()}.")
-        assert evidence_text(ledgers, case).startswith(evidence_of(deciding or ledgers).text)
+        deciding = [ledger for ledger in ledgers if ledger.reason.name == case.reason]
+        text = evidence_text(ledgers, case)
+        assert text.startswith(evidence_of(deciding).text) if deciding else "another reason decides" in text
         stated = f"Rays meet {100 * (case.grazed or 0):.0f} % of its surface at less than {GRAZING:g}°."
         assert evidence_text(ledgers, case).endswith(stated) == (case.grazed is not None)
         if case.cause == Cause.GRAZING_RAYS:

@@ -248,8 +248,8 @@ class Recorder(Listener):
             return [()] * len(asked)
         self._open.properties(repeat_s=round(seconds, 3))
         return [
-            tuple(dataclasses.replace(each, point=row) for each, row in zip(ledgers, rows, strict=True))
-            for ledgers, (_, rows) in zip(found, recorded, strict=True)
+            tuple(dataclasses.replace(each, point=row, case=case) for each, row in zip(ledgers, rows, strict=True))
+            for case, (ledgers, (_, rows)) in enumerate(zip(found, recorded, strict=True), 1)
         ]
 
     @property
