@@ -4,6 +4,8 @@ Place p is in block p >> 2. A scan visits the places that contain points of its 
 divided into parts, squares seen from above.
 """
 
+import math
+
 import numpy as np
 from numba import njit, prange
 
@@ -151,7 +153,18 @@ def ranks(places, number):
 
 
 @njit(cache=True, nogil=True)
-def inherit(places, parts, around, rank, most, own, first, second, weights, source, now):
+def _mean(sides, total, weight):
+    """Weighted mean over some parts, -1 for none; not a number if their weight is 0."""
+    summed, weights = 0.0, 0.0
+    for side in sides:
+        if side >= 0:
+            summed += total[side]
+            weights += weight[side]
+    return summed / weights if weights > 0 else np.nan
+
+
+@njit(cache=True, nogil=True)
+def inherit(places, parts, around, rank, most, own, first, second, weights, source, now, older):
     """Let the places of one scan inherit what its objects are: the mean over ``most`` visits, (4 B,), in ``first``.
 
     Args:
@@ -163,24 +176,23 @@ def inherit(places, parts, around, rank, most, own, first, second, weights, sour
         weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
             without any certainty.
         source: (4 B,) int32: the first scan from which a place inherits; modified to ``now``.
+        older: bool: places inherit from those that were visited before, if there are any in the parts around.
     """
     link, prior, certain, least = weights
-    total, weight = np.zeros(len(around)), np.zeros(len(around))
+    total, weight = np.zeros((2, len(around))), np.zeros((2, len(around)))  # of all places, and of older ones
     for k in range(len(places)):
         p = places[k]
         f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
-        total[parts[k]] += f * (least + abs(f))
-        weight[parts[k]] += least + abs(f)
+        for group in range(2 if older and rank[k] > 0 else 1):
+            total[group, parts[k]] += f * (least + abs(f))
+            weight[group, parts[k]] += least + abs(f)
     for k in range(len(places)):
         p, r = places[k], rank[k]
         if r >= most[p]:
             continue
-        total_around, weight_around = 0.0, 0.0
-        for side in around[parts[k]]:
-            if side >= 0:
-                total_around += total[side]
-                weight_around += weight[side]
-        mean = total_around / weight_around
+        mean = _mean(around[parts[k]], total[1], weight[1])
+        if math.isnan(mean):
+            mean = _mean(around[parts[k]], total[0], weight[0])
         if r == 0:
             source[p] = now
         first[p] = mean if r == 0 else (first[p] * r + mean) / (r + 1)
@@ -194,7 +206,7 @@ def sweep(starts, part_starts, places, parts, around, rank, most, own, first, se
         t = scans - 1 - step if back else step
         of, part = slice(starts[t], starts[t + 1]), slice(part_starts[t], part_starts[t + 1])
         scan = places[of], parts[of], around[part], rank[of]
-        inherit(*scan, most, own, first, second, weights, source, t)
+        inherit(*scan, most, own, first, second, weights, source, t, not back)
 
 
 @njit(cache=True, nogil=True, parallel=True)

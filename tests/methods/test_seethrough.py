@@ -89,6 +89,21 @@ def test_a_car_that_arrives_and_parks_is_followed() -> None:
     assert not any(always.label(scan).dynamic.any() for scan in scans[12:]), "an object that never moves is kept"
 
 
+def test_a_car_that_parks_where_no_ray_passed_is_followed() -> None:
+    """Nothing behind the left half returns rays: all that is known is that the car drove there."""
+    background = np.concatenate([GROUND, wall()])
+    background = background[(background[:, 0] < 7.0) | (background[:, 1] < 0.05 * background[:, 0])]
+    places = [*np.arange(-4.0, 2.0, 0.4), *[2.0] * 20]
+    scans = [seen(k, background, block(7.0, y), block(4.0, 6.0)) for k, y in enumerate(places)]
+    method, n, b = running(scans), len(background), len(block(7.0, 0))
+    parked = running(scans[15:])
+    for scan in scans[15::5]:
+        codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
+        assert (codes[n : n + b][high] == FOLLOWED_ON).all()
+        assert not REMOVED[codes[n + b :]].any()
+        assert not parked.label(scan).dynamic.any(), "these scans do not show it arrive"
+
+
 def test_a_parked_car_that_drives_off_has_waited() -> None:
     places = [*[-2.0] * 60, *np.linspace(-1.6, 1.6, 9)]
     scans = [seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0)) for k, y in enumerate(places)]
@@ -190,18 +205,19 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
         assert clear[place] == views
 
 
-def test_a_place_inherits_the_certainty_of_the_object_with_which_it_begins() -> None:
-    """A certain place and one without evidence in one part; a third place in a part of its own."""
+@pytest.mark.parametrize("older", [False, True])
+def test_a_place_inherits_the_certainty_of_the_object_with_which_it_begins(older: bool) -> None:
+    """A certain place, visited before, and a new one without evidence in one part; a third in a part of its own."""
     own, born = np.array([0.7, 0.0, 0.0], np.float32), np.zeros(3, np.float32)
     places, parts, around = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32), np.full((2, 9), np.int32(-1))
     around[:, 4] = [0, 1]
-    rank, most, came = np.zeros(3, np.int32), np.full(3, 4, np.int32), np.full(3, -1, np.int32)
+    rank, most, came = np.array([4, 0, 0], np.int32), np.full(3, 4, np.int32), np.full(3, -1, np.int32)
     unknown, doubt = np.zeros(3, np.float32), 0.1 / history.CERTAIN
     shares = 0.5, 0.1, history.CERTAIN, history.LEAST
-    kernels.places.inherit(places, parts, around, rank, most, own, born, unknown, shares, came, 7)
-    mean = (1.0 * 1.1 - doubt * (0.1 + doubt)) / (1.1 + 0.1 + doubt)
-    np.testing.assert_allclose(born, [mean, mean, -doubt], atol=1e-6)
-    assert came.tolist() == [7, 7, 7]
+    kernels.places.inherit(places, parts, around, rank, most, own, born, unknown, shares, came, 7, older)
+    mean = 1.0 if older else (1.0 * 1.1 - doubt * (0.1 + doubt)) / (1.1 + 0.1 + doubt)
+    np.testing.assert_allclose(born, [0.0, mean, -doubt], atol=1e-6)
+    assert came.tolist() == [-1, 7, 7]
     assert (own + 0.5 * born > 0.1).tolist() == [True, True, False]
 
 

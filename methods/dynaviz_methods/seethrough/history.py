@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, U16
+from dynaviz.arrays import F32, I32, I64, U16, Bool
 from dynaviz.blocks.blocks import BlockGrid
 
 ALWAYS = 1 << 30  # visits: the life of a place whose beginning and end nobody saw
@@ -60,7 +60,7 @@ class History:
         grid: the grid of the places' blocks.
         inherit: weight of what a place inherits.
         prior: what the evidence of a place must exceed, with what it inherits.
-        weights: of a crossing near a hit, of a hit; clear crossings for full evidence, as many as visits of a birth.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence.
         counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
     """
 
@@ -71,13 +71,13 @@ class History:
         self._weights, self._live_weights = weights, (min(weights[0], LIVE_NEAR), *weights[1:])
         self._counts = counts
         self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
-        self._birth = int(weights[2])  # visits: the length of births and deaths
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
         self._up = own(np.zeros((rows, 8), np.uint64))
         self._own, self._born = (own(np.zeros((rows, 4), np.float32)) for _ in range(2))
-        # Of each place: its visits, how many are its birth, and how often its voxels were clear at the last one.
+        # Of each place: its visits, from how many it inherits, and how often its voxels were clear at the last one.
         self._number, self._most, self._clear = (own(np.zeros((rows, 4), np.int32)) for _ in range(3))
+        self._joined = own(np.zeros((rows, 4), np.bool_))  # it came later than other places of its object
         self._never, self._unknown = np.full((rows, 4), np.int32(-1)), np.zeros((rows, 4), np.float32)
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1
@@ -99,9 +99,10 @@ class History:
         self._weigh(places, self._live_weights, self._own, self._clear)
         visited, most, clear = self._number.ravel(), self._most.ravel(), self._clear.ravel()
         new = places[visited[places] == 0]
-        most[new] = np.where(clear[new] > 0, self._birth, ALWAYS)
+        most[new] = np.where(clear[new] > 0, 1, ALWAYS)
+        self._joined.ravel()[new] = _joined(visits, visited)[visited[places] == 0]
         scan, state = (places, visits.parts, visits.around, visited[places]), (self._own, self._born, self._unknown)
-        k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number)
+        k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number, False)
         visited[places] += 1
 
     def _weigh(self, places: I32, weights: tuple[float, ...], found: F32, clear: I32) -> None:
@@ -131,10 +132,10 @@ class History:
         existing = np.unique(places)
         own, clear = np.zeros(size, np.float32), np.zeros(size, np.int32)
         self._weigh(existing, self._weights, own, clear)
-        begun, ended = self._most.ravel() == self._birth, clear > self._clear.ravel()
+        begun, ended = self._most.ravel() == 1, clear > self._clear.ravel()
         births, deaths = (
-            np.where(seen, self._birth, np.where(other, 0, ALWAYS)).astype(np.int32)
-            for seen, other in ((begun, ended), (ended, begun))
+            np.where(seen, 1, np.where(no, 0, ALWAYS)).astype(np.int32)
+            for seen, no in ((begun, ended & ~self._joined.ravel()), (ended, begun))
         )
         forward, backward = k.ranks(places, np.zeros(size, np.int32))
         born, left = np.zeros(size, np.float32), np.zeros(size, np.float32)
@@ -169,6 +170,14 @@ class History:
             places = (to[each.places >> 2] << 2 | each.places & 3).astype(np.int32)
             self._visits[number] = Visits(number, places, each.parts, each.around)
         self._grid, self._counts = grid, counts
+
+
+def _joined(visits: Visits, visited: I32) -> Bool:
+    """(V,) bool: in or next to whose parts there are places with visits before, of which ``visited`` (4 B,) counts."""
+    older = np.zeros(len(visits.around) + 1, np.bool_)
+    older[visits.parts[visited[visits.places] > 0]] = True
+    joined: Bool = np.any(older[visits.around], 1)[visits.parts]
+    return joined
 
 
 def moved(state: NDArray[Any], to: I64, rows: int) -> NDArray[Any]:

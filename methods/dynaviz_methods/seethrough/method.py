@@ -11,16 +11,19 @@
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
                 m = their mean certainty, (f - prior) / 0.35 from -1 to 1, in which the certain ones count most
-    birth:      B = mean of m over the first ``votes`` scans with its points, if its voxels were seen clear before
-    death:      D = mean of m over the last ones, if they were seen clear afterwards; over all scans if neither
+    birth:      B = m in the first scan with its points, if its voxels were seen clear before; in this sweep, m is
+                that of the places that were there before, if there are any
+    death:      D = m in the last one, if its voxels were seen clear afterwards
+    unseen:     B and D are means over all scans if neither end was seen; B also if only the death was, and other
+                places of the object were there before
                 f = u + inherit max(B, D, 0). Sweep forward in time, then backward
     point:      dynamic if f > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
-                around, or if the evidence of its voxel exceeds 0.4
+                around, or if the evidence of its voxel exceeds the prior
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, the
-prior is 0.02, ``near`` at most 0.3, and places without certainty count more in the mean of a part.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, the prior is 0.02,
+``near`` at most 0.3, all places of a part count at birth, and those without certainty more than otherwise.
 """
 
 from __future__ import annotations
@@ -50,7 +53,6 @@ from dynaviz_methods.voids import widened
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-EMPTY = 0.4  # evidence of a voxel with points of a foot
 UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
 GROUND = 4 * EDGE, 3  # metres: edge of the cells in which low points are compared; minimum number of them
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
@@ -64,8 +66,7 @@ class SeeThroughParams:
     Attributes:
         resolution: edge of a voxel, metres.
         guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
-        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place; of scans that are
-            the beginning or the end of a place's life.
+        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
         prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1.
@@ -285,7 +286,7 @@ class SeeThrough:
         under = self._under(measured, reasons)
         if under.any():
             stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
-            reasons[under & (stands_out | (empty > np.float32(EMPTY)))] = FOOT
+            reasons[under & (stands_out | (empty > np.float32(self.params.prior)))] = FOOT
         self._judged = Judged(measured, decision, empty, reasons)
         return reasons
 
@@ -347,7 +348,7 @@ class SeeThrough:
         return (
             Rule("place", (*up, place)),
             Rule("foot", (near, stands)),
-            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(EMPTY))))),
+            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(p.prior))))),
         )
 
     def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
