@@ -79,8 +79,8 @@ class Window(Extent):
         """Number of cells now."""
         return self._cells.count
 
-    def widened(self, around: float) -> Window:
-        """This window, with all cells within ``around`` metres of rays and points."""
+    def widened(self, around: float, axes: tuple[int, ...] = (0, 1, 2)) -> Window:
+        """This window, with all cells within ``around`` metres of rays and points, along all axes."""
         self._cells.around = max(self._cells.around, math.ceil(around / CELL))
         return self
 

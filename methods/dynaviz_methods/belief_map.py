@@ -11,7 +11,6 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
 from dynaviz.blocks.blocks import VOXELS, BlockGrid, voxels_of
 from dynaviz.contracts.extent import Extent
-from dynaviz_methods.voids import widened
 
 CHANGE = 0.005  # probability that a voxel changes its state between two scans, as published
 CAP = 75  # square voxels: from here on, the likelihood of free is 1 in double precision
@@ -60,7 +59,7 @@ class BeliefMap(BlockGrid):
     def __init__(
         self, extent: Extent, resolution: float, half: int, max_range: float, forget_after: int, truncate: bool
     ) -> None:
-        super().__init__(widened(extent, (max(half, 1) + 1) * resolution), resolution)
+        super().__init__(extent.widened((max(half, 1) + 1) * resolution), resolution)
         self._max_range, self._forget_after, self._truncate = max_range, forget_after, truncate
         self._sizes = np.bitwise_count(np.arange(1 << (2 * half + 1)))  # bits set in the numbers of a row
         n = len(self)

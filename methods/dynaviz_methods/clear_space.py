@@ -15,7 +15,6 @@ from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz_methods.belief_map import lane_marks, merged
 from dynaviz_methods.lookups import around, known
-from dynaviz_methods.voids import widened
 
 SUB_VOXELS = 4  # along the edge of a voxel
 GROWTH = 3  # steps
@@ -54,7 +53,7 @@ class ClearSpace(BlockGrid):
     def __init__(self, extent: Extent, params: Any) -> None:
         size = SUB_VOXELS * params.sub_voxel
         # The port skips blocks that are free entirely, which depends on blocks far from any point.
-        super().__init__(_filled(extent, 24 * size) if params.port else widened(extent, 2 * size), size)
+        super().__init__(_filled(extent, 24 * size) if params.port else extent.widened(2 * size), size)
         self._params, n, own = params, len(self), self.per_block
         self._neighbours = self.neighbours()
         self.free, self.seen, self.often, self.revoked, self._hit = (own(np.zeros((n, 8), np.uint64)) for _ in range(5))

@@ -9,11 +9,8 @@ import numpy as np
 from dynaviz import kernels
 from dynaviz.arrays import F64, I32, I64, Bool
 from dynaviz.blocks.blocks import BlockGrid
-from dynaviz.blocks.window import Window
-from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
-from dynaviz.kernels.keys import REACH
-from dynaviz.spatial.grid import SHIFTS, unpack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +43,7 @@ class VoidGrid(BlockGrid):
     def __init__(self, extent: Extent, resolution: float, hit_margin: float, unknown_margin: int) -> None:
         # The largest distance from a point to a voxel that it hits, or that decides whether its own voxel is void.
         around = max(hit_margin, unknown_margin * resolution) + resolution
-        super().__init__(widened(extent, around), resolution)
+        super().__init__(extent.widened(around), resolution)
         self._hit_margin, self._unknown_margin = hit_margin * self._per_metre, unknown_margin
         # Scratch memory, cleared after each scan: whether a block is hit, its hit voxels, and its row in the marks.
         self._struck = np.zeros(len(self) + 1, np.bool_)
@@ -95,14 +92,3 @@ class VoidGrid(BlockGrid):
         rays = np.unique(voxels[integrated] * len(places) + which.ravel()[integrated])
         goals, starts = rays // len(places), rays % len(places)
         return kernels.as_readonly(goals, np.int64), kernels.as_readonly(starts, np.int64), places * self._per_metre
-
-
-def widened(extent: Extent, around: float, shifts: I64 = SHIFTS) -> Extent:
-    """The extent, enlarged by ``around`` metres to both sides along the axes that have some shifts in packed keys."""
-    if isinstance(extent, Window):
-        return extent.widened(around)
-    steps = np.arange(-(n := int(np.ceil(around / CELL))), n + 1)
-    packed = np.unique(((extent.cells.astype(np.int64) + REACH) << SHIFTS).sum(1))
-    for shift in shifts:  # one axis at a time, so that no intermediate list is much longer than the result
-        packed = np.unique((packed[:, None] + (steps << shift)).ravel())
-    return Extent(extent.low - around, extent.high + around, unpack(packed))

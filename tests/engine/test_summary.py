@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.worlds import InMemory, room
 
-from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.extent import CELL, PARTS, Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DynavizError
 from dynaviz.sources.summary import summarize
@@ -90,3 +92,19 @@ def test_a_point_cannot_move_from_one_frame_to_the_next_unseen() -> None:
         return InMemory([Scan(k, rows, np.eye(4)) for k, rows in enumerate((scan.points[:at], scan.points[at:]))])
 
     assert summarize(cut(10)).digest != summarize(cut(11)).digest
+
+
+@pytest.mark.parametrize(("around", "axes"), [(0.0, (0, 1, 2)), (0.3, (0, 1, 2)), (0.9, (0, 1, 2)), (3.2, (2,))])
+def test_extents_know_the_parts_of_cells_that_contain_points_and_grow_by_parts(around, axes) -> None:
+    points = np.random.default_rng(0).normal(0, 4, (100, 3)).astype(np.float32)
+    size = CELL / PARTS
+    farther = [range(-m, m + 1) for m in (math.ceil(around / size) if axis in axes else 0 for axis in range(3))]
+    index = np.floor(points.astype(np.float64) / size).astype(np.int64)
+    expected = {tuple(place) for shift in product(*farther) for place in (index + shift).tolist()}
+
+    extent = Extent.of(Scan(0, points, np.eye(4))).widened(around, axes)
+
+    cell, bit = np.nonzero(extent.parts[:, None] >> np.arange(PARTS**3, dtype=np.uint64) & np.uint64(1))
+    part = np.stack(np.unravel_index(bit, (PARTS,) * 3), 1)
+    assert {tuple(place) for place in (PARTS * extent.cells[cell] + part).tolist()} == expected
+    assert len(extent.cells) == len(np.unique(extent.cells, axis=0))

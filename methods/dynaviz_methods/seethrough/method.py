@@ -49,7 +49,6 @@ from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
 from dynaviz_methods.seethrough.ground import EDGE, EXACT, PIT, Level, ScanGround
 from dynaviz_methods.seethrough.history import Decision, History, moved
-from dynaviz_methods.voids import widened
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
@@ -267,7 +266,7 @@ class SeeThrough:
         assert self._extent is not None
         extent, old = self._extent, _packed(self._grid.blocks)
         self._extent = None
-        self._grid = ClearGrid(widened(extent, LIFTED[0], SHIFTS[2:]), self.params.resolution, self._sensor)
+        self._grid = ClearGrid(extent.widened(LIFTED[0], (2,)), self.params.resolution, self._sensor)
         to = np.searchsorted(_packed(self._grid.blocks), old)
         self._counts = tuple(moved(of, to, len(self._grid) + 1) for of in self._counts)
         self._history.move(self._grid, to, self._counts)
