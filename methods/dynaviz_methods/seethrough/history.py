@@ -60,7 +60,7 @@ class History:
         grid: the grid of the places' blocks.
         inherit: weight of what a place inherits.
         prior: what the evidence of a place must exceed, with what it inherits.
-        weights: of a crossing near a hit, of a hit; clear crossings for full evidence.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence, as many as visits of a birth.
         counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
     """
 
@@ -71,6 +71,7 @@ class History:
         self._weights, self._live_weights = weights, (min(weights[0], LIVE_NEAR), *weights[1:])
         self._counts = counts
         self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
+        self._birth = int(weights[2])  # visits: the length of births and deaths
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
         self._up = own(np.zeros((rows, 8), np.uint64))
@@ -99,7 +100,7 @@ class History:
         self._weigh(places, self._live_weights, self._own, self._clear)
         visited, most, clear = self._number.ravel(), self._most.ravel(), self._clear.ravel()
         new = places[visited[places] == 0]
-        most[new] = np.where(clear[new] > 0, 1, ALWAYS)
+        most[new] = np.where(clear[new] > 0, self._birth, ALWAYS)
         self._joined.ravel()[new] = _joined(visits, visited)[visited[places] == 0]
         scan, state = (places, visits.parts, visits.around, visited[places]), (self._own, self._born, self._unknown)
         k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number, False)
@@ -132,9 +133,9 @@ class History:
         existing = np.unique(places)
         own, clear = np.zeros(size, np.float32), np.zeros(size, np.int32)
         self._weigh(existing, self._weights, own, clear)
-        begun, ended = self._most.ravel() == 1, clear > self._clear.ravel()
+        begun, ended = self._most.ravel() == self._birth, clear > self._clear.ravel()
         births, deaths = (
-            np.where(seen, 1, np.where(no, 0, ALWAYS)).astype(np.int32)
+            np.where(seen, self._birth, np.where(no, 0, ALWAYS)).astype(np.int32)
             for seen, no in ((begun, ended & ~self._joined.ravel()), (ended, begun))
         )
         forward, backward = k.ranks(places, np.zeros(size, np.int32))

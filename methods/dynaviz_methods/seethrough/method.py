@@ -11,9 +11,9 @@
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
                 m = their mean certainty, (f - prior) / 0.35 from -1 to 1, in which the certain ones count most
-    birth:      B = m in the first scan with its points, if its voxels were seen clear before; in this sweep, m is
-                that of the places that were there before, if there are any
-    death:      D = m in the last one, if its voxels were seen clear afterwards
+    birth:      B = mean of m over the first ``votes`` scans with its points, if its voxels were seen clear before; in
+                this sweep, m is that of the places that were there before, if there are any
+    death:      D = mean of m over the last ones, if its voxels were seen clear afterwards
     unseen:     B and D are means over all scans if neither end was seen; B also if only the death was, and other
                 places of the object were there before
                 f = u + inherit max(B, D, 0). Sweep forward in time, then backward
@@ -65,7 +65,8 @@ class SeeThroughParams:
     Attributes:
         resolution: edge of a voxel, metres.
         guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
-        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
+        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place; of scans that are
+            the beginning or the end of a place's life.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
         prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1.
