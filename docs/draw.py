@@ -126,7 +126,7 @@ def of_demo(folder: Path) -> None:
     drawn_from.keep()
     two = folder / "compare.rrd"
     dv.compare(octomap, runs["dufomap"], out=two)
-    save(picture(two, folder, 35, None, WIDE), "pictures/compared.jpg")
+    save(picture(two, folder, 35, None, WIDE, case=1), "pictures/compared.jpg")
 
 
 def overview(measured: dict[str, Any]) -> None:

@@ -253,7 +253,7 @@ class Explored:
         low, high = (np.array(card.case.low), np.array(card.case.high)) if kind == MAP else (card.low, card.high)
         title = f"case {card.number}: {card.title}, frame {card.case.worst_frame}"
         with self._lock:
-            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome, eye)
+            return focus.layout(kind, title, card.case.worst_frame, low, high, card.outcome, eye, "first" in query)
 
     def _marks(self, query: Query) -> bytes:
         """A mark at a point, and the rays of its ledger if that is known."""

@@ -298,7 +298,9 @@ def test_wrong_questions_get_a_line(explorer: Explorer, question: str, message: 
     assert message in json.loads(content)["error"]
 
 
-@pytest.mark.parametrize("question", ["loading", "layout?case=1", "layout?case=1&layout=map", "marks"])
+@pytest.mark.parametrize(
+    "question", ["loading", "layout?case=1", "layout?case=1&first=1", "layout?case=1&layout=map", "marks"]
+)
 def test_layouts_and_marks_are_recordings(explorer: Explorer, question: str) -> None:
     assert get(f"{explorer.url}api/{question}{'&' if '?' in question else '?'}run=b")[1].startswith(b"RRF2")
 

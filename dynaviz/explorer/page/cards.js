@@ -62,7 +62,7 @@ export function filters(form, cards, runs, state, changed) {
   })
   const sorts = Object.entries(SORTS).map(([value, label]) => make('option', { value, selected: (state.sort ?? 'cost') === value }, label))
   const truth = cards.some(card => card.cost !== null)
-  if (!truth) sorts[0].textContent = cards.some(differs) ? 'largest first' : 'most suspicious'
+  if (!truth) sorts[0].textContent = cards.some(differs) ? 'largest first' : 'by suspicion'
   form.replaceChildren(
     make('input', { type: 'search', name: 'search', placeholder: 'Search', 'aria-label': 'Search', value: state.search ?? '', input: changed }),
     make('select', { name: 'sort', 'aria-label': 'Order', change: changed }, sorts),

@@ -175,9 +175,10 @@ function openViewer(letter, frame) {
     requestAnimationFrame(() => { preview.src = drawing(letter, place) }) // when all viewers have their size
   }
   const recording = fetch(`${letter}.rrd`).then(answer => answer.arrayBuffer())
-  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, ask('layout', layoutQuery(letter))], frame, {
-    drawn: () => {
+  viewers[letter] = new Viewer(place, [ask('loading', { run: letter }), recording, ask('layout', { ...layoutQuery(letter), first: 1 })], frame, {
+    drawn: async () => {
       section.querySelector('.preview')?.remove()
+      if (current().layout === 'case') viewers[letter].show(await ask('layout', layoutQuery(letter)))
       loaded()
       if (Object.values(viewers).every(viewer => viewer.drawn)) document.body.dataset.ready = 'viewer'
     },

@@ -29,6 +29,7 @@ FIELD_OF_VIEW = 55.0  # degrees: vertical, of the viewer's eye
 ABOVE: F64 = np.array([-0.2, -0.15, 0.97])
 CASE, FRAME, MAP = "case", "frame", "map"
 LAYOUTS = (CASE, FRAME, MAP)
+SHARES = [3, 2]  # of the height: the first view of a case, and those below
 DIMMED = 4  # the colours of other rays are divided by this
 
 
@@ -67,7 +68,15 @@ class Focus:
         return _content(stream, sink)
 
     def layout(
-        self, kind: str, title: str, frame: int, low: F64, high: F64, colour: Outcome | None, eye: F64 | None = None
+        self,
+        kind: str,
+        title: str,
+        frame: int,
+        low: F64,
+        high: F64,
+        colour: Outcome | None,
+        eye: F64 | None = None,
+        first: bool = False,
     ) -> bytes:
         """A layout, with the box of a case.
 
@@ -79,6 +88,7 @@ class Focus:
             low, high: (3,) metres, world frame: the box.
             colour: outcome whose colour the box has; None for no box.
             eye: (3,) metres, world frame: from where a case is seen; None for obliquely from above.
+            first: whether only the first view of a case shows points, to draw it sooner; the others follow later.
 
         Returns:
             The content of an ``.rrd`` file.
@@ -87,7 +97,7 @@ class Focus:
         if colour is not None:
             look: dict[str, Any] = {"colors": [colours.BRIGHT[colour]], "radii": EDGES, "fill_mode": WIRES}
             stream.log(BOX, rr.Boxes3D(mins=[low], sizes=[high - low], **look), static=True)
-        body = self._body(kind, title, frame, low, high, eye)
+        body = self._body(kind, title, frame, low, high, eye, first)
         stream.send_blueprint(blueprint(body), make_active=True, make_default=False)
         return _content(stream, sink)
 
@@ -123,7 +133,7 @@ class Focus:
         stream.set_log_tick_enabled(False)
         return stream, rr.binary_stream(stream)
 
-    def _body(self, kind: str, title: str, frame: int, low: F64, high: F64, eye: F64 | None) -> Any:
+    def _body(self, kind: str, title: str, frame: int, low: F64, high: F64, eye: F64 | None, first: bool) -> Any:
         common = [paths.SENSOR, paths.TRAJECTORY, *MARKS]
         clouds = [f"{paths.MAP}/**", f"{paths.REMOVED}/**"]
         if kind == MAP:
@@ -132,6 +142,8 @@ class Focus:
             return solid("frame", [paths.SCAN, paths.MAP, paths.RINGS, *common], follow())
         near = eye_on(low, high, ASIDE, CLOSEST, eye)
         case = solid(title, [paths.SCAN, paths.MAP, *common], near)
+        if first:
+            return rrb.Vertical(case, rrb.TextDocumentView(origin=LOADING, name="whole run"), row_shares=SHARES)
         whole = solid("whole run", [*clouds, *common], eye_on(low, high, ABOVE, 30.0))
         below: list[Any] = [whole]
         if (state := self._deciding(frame, low, high)) is not None:
@@ -140,7 +152,7 @@ class Focus:
             name = f"state: {state.split('/')[-1]}"
             view = solid(name, [state, paths.SCAN, *common], near, overrides=overrides)
             below.append(with_key([view], *self._keys[state]) if state in self._keys else view)
-        return rrb.Vertical(case, rrb.Horizontal(*below), row_shares=[3, 2])
+        return rrb.Vertical(case, rrb.Horizontal(*below), row_shares=SHARES)
 
     def _deciding(self, frame: int, low: F64, high: F64) -> str | None:
         """The state with the largest share of its points or voxels in a box; None if none has any."""
