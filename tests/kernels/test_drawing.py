@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynaviz import kernels
 from dynaviz.spatial.grid import KeySet, pack, voxel_downsample
+
+pytestmark = pytest.mark.plain
 
 MIDDLE = np.array([3.0, -2.0, 0.5], np.float32)
 

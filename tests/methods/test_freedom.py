@@ -78,6 +78,7 @@ def test_reasons_and_levels_match_the_reference(values):
         np.testing.assert_array_equal(alone.label(scan).dynamic, np.array(levels) > 0)
 
 
+@pytest.mark.plain
 def test_every_reason_occurs_in_the_small_world():
     scans, found = busy_room(), set()
     for values in ({}, {"counts_to_free": 1, "counts_to_revert": 1}):
@@ -85,6 +86,7 @@ def test_every_reason_occurs_in_the_small_world():
     assert found == set(NAME) - {"out_of_reach"}
 
 
+@pytest.mark.plain
 def test_a_box_that_leaves_is_taken_back():
     """The box at the wall is static while it is there; its points are removed once rays pass through its place."""
     scans = busy_room()

@@ -152,6 +152,7 @@ def test_states_match_the_labels():
             assert 0 <= shown[name].values.min() <= shown[name].values.max() <= 1
 
 
+@pytest.mark.plain
 def test_points_far_from_the_extent_and_empty_scans_are_kept():
     scans = crossed_room(6)
     empty = dataclasses.replace(scans[0], index=99, points=scans[0].points[:0])

@@ -5,7 +5,7 @@ import pytest
 
 from dynaviz.spatial.surface import GRAZING, angles, surface_normals
 
-pytestmark = pytest.mark.boundscheck
+pytestmark = [pytest.mark.plain, pytest.mark.boundscheck]
 
 
 def patch(normal, middle, count=200):

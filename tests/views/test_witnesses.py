@@ -11,6 +11,8 @@ from dynaviz.contracts.method import Reason
 from dynaviz.engine.point_ledger import LedgerEntry, PointLedger
 from dynaviz.views.witnesses import rays_of
 
+pytestmark = pytest.mark.plain
+
 STEPS = np.linspace(0, 1, 4001)
 
 
