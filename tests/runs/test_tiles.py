@@ -341,6 +341,7 @@ def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
 
 def test_the_evidence_of_a_tile_is_that_of_its_points(long_room: InMemory, tmp_path: Path) -> None:
     dv.run("octomap", long_room, out=tmp_path, tiles=SIZE)
+    assert AnyRecording(tmp_path / "overview.rrd").kind == "overview"
     ledgers = 0
     for path in tmp_path.glob("tiles/*/run.rrd"):
         column, row = map(int, path.parent.name.split("_"))
