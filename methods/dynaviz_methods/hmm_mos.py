@@ -120,7 +120,7 @@ REASONS = (
     ),
     Reason(
         "long_occupied",
-        "kept: its voxel has been occupied without change for at least window scans",
+        "kept: its voxel has been occupied without change for at least a window of scans",
         Cause.STANDING,
     ),
     Reason("no_change", "kept: nothing around it has just turned occupied"),
