@@ -327,6 +327,25 @@ def test_all_frames_whose_rays_touch_a_tile_are_found(long_room: InMemory) -> No
     assert sum(len(narrow.frames_reaching(tile, margin)) for tile in index.tiles) < skipped + 12 * len(index.tiles)
 
 
+@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (-1, 0), (0, -1), (1, -1)])
+def test_a_frame_reaches_tiles_only_in_the_directions_in_which_it_sees(direction: tuple[int, int]) -> None:
+    position, size = np.array([103.0, -58.0, 0.0]), 4.0
+    T_world_sensor = np.eye(4)
+    T_world_sensor[:3, 3] = position
+    far = position + 30.0 * np.array([*direction, 0.0])
+    scan = Scan(0, np.array([far, position + 0.1], np.float32), T_world_sensor)
+    index = SequenceIndex.of(InMemory([scan]), size)
+
+    def reached(metres: float) -> bool:
+        x, y = np.floor((position[:2] + metres * np.array(direction)) / size).astype(int).tolist()
+        return len(index.frames_reaching((x, y), 0.1)) == 1
+
+    assert reached(20.0)
+    assert reached(0.0)
+    assert not reached(-20.0)
+    assert not reached(45.0)
+
+
 def test_gaps_keep_every_nth_frame_in_step(long_room: InMemory) -> None:
     n = 10 * CYCLE
     index = dataclasses.replace(SequenceIndex.of(long_room, SIZE), numbers=np.arange(n), positions=np.zeros((n, 3)))
