@@ -17,7 +17,7 @@ from dynaviz.blocks.window import Window
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.kernels.keys import REACH
-from dynaviz.spatial.grid import SHIFTS, unpack
+from dynaviz.spatial.grid import SHIFTS, pack_indices, unpack
 
 VOXELS = 8**3  # in a block
 MARGIN = 10.0  # metres: bounds of points this far beyond the blocks are those of a tile of a map
@@ -258,7 +258,7 @@ def _covering(cells: I32, per_metre: float, bounds: I64) -> I32:
     for shift in product(*spans):
         blocks = np.minimum(first + np.array(shift), last)
         blocks = blocks[((blocks >> 4 >= bounds[0]) & (blocks >> 4 <= bounds[1])).all(1)]
-        packed.append(((blocks + REACH) << SHIFTS).sum(1))
+        packed.append(pack_indices(blocks))
     return unpack(np.unique(np.concatenate(packed)))
 
 

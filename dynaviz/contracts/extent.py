@@ -10,8 +10,7 @@ import numpy as np
 from dynaviz.arrays import F64, I32, I64, U64
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DynavizError
-from dynaviz.kernels.keys import REACH
-from dynaviz.spatial.grid import SHIFTS, KeySet, pack, unpack
+from dynaviz.spatial.grid import SHIFTS, KeySet, pack, pack_indices, unpack
 
 CELL = 0.8  # metres: 8 voxels of 0.1 m, the block size of most grids
 PARTS = 4  # along each axis of a cell
@@ -51,7 +50,7 @@ class Extent:
 
     def widened(self, around: float, axes: tuple[int, ...] = (0, 1, 2)) -> Extent:
         """The extent, enlarged along some axes to all parts of cells within ``around`` metres to both sides."""
-        keys = ((self.cells.astype(np.int64) + REACH) << SHIFTS).sum(1)
+        keys = pack_indices(self.cells)
         parts = ~np.zeros(len(keys), np.uint64) if self.parts is None else self.parts
         for axis in axes:
             left = math.ceil(around / (CELL / PARTS))
@@ -100,7 +99,7 @@ class GrowingExtent:
     def extent(self) -> Extent:
         """Bounds, cells and parts of cells of all scans added so far."""
         index = unpack(self._parts.keys())
-        keys = (((index >> 2).astype(np.int64) + REACH) << SHIFTS).sum(1)
+        keys = pack_indices(index >> 2)
         bits = np.uint64(1) << (index & 3).astype(np.uint64) @ STRIDES
         keys, parts = _merged(keys, bits)
         return Extent(self._low, self._high, unpack(keys), parts)

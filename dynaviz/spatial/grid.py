@@ -49,6 +49,12 @@ def unpack(keys: I64) -> I32:
     return ((keys[:, None] >> SHIFTS & MASK) - REACH).astype(np.int32)
 
 
+def pack_indices(indices: I32 | I64) -> I64:
+    """(N,) int64 packed keys of voxel indices (N, 3), within the key range: the inverse of ``unpack``."""
+    keys: I64 = ((indices.astype(np.int64) + REACH) << SHIFTS).sum(1)
+    return keys
+
+
 class KeySet:
     """A growing set of packed keys; memory grows with the number of distinct keys."""
 

@@ -99,9 +99,10 @@ class History:
         self._visits[number], places = visits, visits.places
         self._weigh(places, self._live_weights, self._own, self._clear)
         visited, most, clear = self._number.ravel(), self._most.ravel(), self._clear.ravel()
-        new = places[visited[places] == 0]
+        fresh = visited[places] == 0
+        new = places[fresh]
         most[new] = np.where(clear[new] > 0, self._birth, ALWAYS)
-        self._joined.ravel()[new] = _joined(visits, visited)[visited[places] == 0]
+        self._joined.ravel()[new] = _joined(visits, visited)[fresh]
         scan, state = (places, visits.parts, visits.around, visited[places]), (self._own, self._born, self._unknown)
         k.inherit(*scan, most, *(of.ravel() for of in state), self._live, self._came.ravel(), number, False)
         visited[places] += 1

@@ -19,11 +19,11 @@
                 f = u + inherit max(B, D, 0). Sweep forward in time, then backward
     point:      dynamic if f > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
-                around, or if the evidence of its voxel exceeds the prior
+                around, or if the evidence of its voxel exceeds ``prior``
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, the prior is 0.02,
-``near`` at most 0.3, all places of a part count at birth, and those without certainty more than otherwise.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, places must
+exceed 0.02, ``near`` is at most 0.3, all places of a part count at birth, and those without certainty count more.
 """
 
 from __future__ import annotations
@@ -42,8 +42,7 @@ from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
-from dynaviz.kernels.keys import REACH
-from dynaviz.spatial.grid import SHIFTS
+from dynaviz.spatial.grid import pack_indices
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
@@ -265,10 +264,10 @@ class SeeThrough:
     def _widen(self) -> None:
         """Go on in a grid with room for levelled scans, above and below all points."""
         assert self._extent is not None
-        extent, old = self._extent, _packed(self._grid.blocks)
+        extent, old = self._extent, pack_indices(self._grid.blocks)
         self._extent = None
         self._grid = ClearGrid(extent.widened(LIFTED[0], (2,)), self.params.resolution, self._sensor)
-        to = np.searchsorted(_packed(self._grid.blocks), old)
+        to = np.searchsorted(pack_indices(self._grid.blocks), old)
         self._counts = tuple(moved(of, to, len(self._grid) + 1) for of in self._counts)
         self._history.move(self._grid, to, self._counts)
 
@@ -374,12 +373,6 @@ class SeeThrough:
             lift = c + a * ((keys[:, 0] + 0.5) * size - x) + b * ((keys[:, 1] + 0.5) * size - y)
             keys = keys + np.outer(np.round(lift / size), (0, 0, 1)).astype(np.int32)
         return keys
-
-
-def _packed(blocks: I64) -> I64:
-    """(B,) int64: keys of blocks (B, 3), in their order."""
-    packed: I64 = ((blocks.astype(np.int64) + REACH) << SHIFTS).sum(1)
-    return packed
 
 
 def _high(height: F32) -> Bool:
