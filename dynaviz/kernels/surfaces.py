@@ -5,38 +5,44 @@ import math
 import numpy as np
 from numba import njit
 
+_SIDE = 128  # columns along a side of the table of places, which wraps around: a scan may lie anywhere
+
 
 @njit(cache=True, nogil=True)
-def moments(points, asked, reaches):
-    """(K, R, 10) float64: of the points in cubes around places, from the middle of the cube.
+def moments(points, asked, inner, reach):
+    """(K, 10) float64: of the points in cubes around places but not in smaller cubes, from the middle of the cube.
 
     The number of points, the sums of their offsets x, y and z, and of the products xx, xy, xz, yy, yz and zz.
 
     Args:
         points: (N, 3) float32, metres.
-        asked: (K, 3) float32, metres: middles of the cubes, sorted by x.
-        reaches: (R,) float64, metres: half the edges of the cubes, ascending.
+        asked: (K, 3) float32, metres, finite: middles of the cubes.
+        inner, reach: half the edges of the cubes, metres; a point on the border is inside. ``inner`` is -1 for none.
     """
-    found, far = np.zeros((len(asked), len(reaches), 10)), reaches[-1]
+    found, mask = np.zeros((len(asked), 10)), _SIDE - 1
+    inverse, wide = 1.0 / reach, 1.001 * reach  # wider by more than rounding
+    first = np.full(_SIDE * _SIDE, np.int64(-1))  # of the places whose cubes reach into a column, a list
+    following, place = np.empty(16 * len(asked), np.int64), np.empty(16 * len(asked), np.int64)
+    used = np.int64(0)
+    for k in range(len(asked)):
+        x, y = np.float64(asked[k, 0]), np.float64(asked[k, 1])
+        for i in range(math.floor((x - wide) * inverse), math.floor((x + wide) * inverse) + 1):
+            for j in range(math.floor((y - wide) * inverse), math.floor((y + wide) * inverse) + 1):
+                column = (i & mask) * _SIDE + (j & mask)
+                following[used], place[used] = first[column], k
+                first[column] = used
+                used += 1
     for i in range(len(points)):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         if not math.isfinite(x + y + z):
             continue
-        k, end = 0, len(asked)
-        while k < end:
-            middle = (k + end) // 2
-            if asked[middle, 0] < x - far:
-                k = middle + 1
-            else:
-                end = middle
-        while k < len(asked) and asked[k, 0] <= x + far:
+        entry = first[(math.floor(x * inverse) & mask) * _SIDE + (math.floor(y * inverse) & mask)]
+        while entry >= 0:
+            k = place[entry]
             dx, dy, dz = x - asked[k, 0], y - asked[k, 1], z - asked[k, 2]
             away = max(abs(dx), abs(dy), abs(dz))
-            if away <= far:
-                r = 0
-                while away > reaches[r]:
-                    r += 1
-                sums = found[k, r]
+            if inner < away <= reach:
+                sums = found[k]
                 sums[0] += 1
                 sums[1] += dx
                 sums[2] += dy
@@ -47,9 +53,5 @@ def moments(points, asked, reaches):
                 sums[7] += dy * dy
                 sums[8] += dy * dz
                 sums[9] += dz * dz
-            k += 1
-    for r in range(1, len(reaches)):
-        for k in range(len(asked)):
-            for column in range(10):
-                found[k, r, column] += found[k, r - 1, column]
+            entry = following[entry]
     return found

@@ -29,19 +29,20 @@ def surface_normals(points: F32, asked: F32, origins: F64) -> F64:
     Returns:
         (K, 3) float64; NaN for points that lie on no surface.
     """
-    found = np.full((len(asked), 3), np.nan)
-    order = np.argsort(asked[:, 0], kind="stable")
-    by_x = kernels.as_readonly(asked[order], np.float32)
-    sums = kernels.surfaces.moments(kernels.as_readonly(points, np.float32), by_x, np.array(REACHES))
-    for reach in range(len(REACHES)):
-        left = np.flatnonzero(np.isnan(found[order, 0]) & (sums[:, reach, 0] >= LEAST))
-        count, first, second = np.split(sums[left, reach], [1, 4], axis=1)
+    found, sums, inner = np.full((len(asked), 3), np.nan), np.zeros((len(asked), 10)), -1.0
+    points = kernels.as_readonly(points, np.float32)
+    for reach in REACHES:
+        left = np.flatnonzero(np.isnan(found[:, 0]))
+        places = kernels.as_readonly(asked[left], np.float32)
+        sums[left] += kernels.surfaces.moments(points, places, inner, reach)
+        inner, left = reach, left[sums[left, 0] >= LEAST]
+        count, first, second = np.split(sums[left], [1, 4], axis=1)
         products = second[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         mean = first / count
         spread, axes = np.linalg.eigh((products - first[:, :, None] * mean[:, None]) / (count[:, None] - 1))
         across, along = np.sqrt(np.maximum(spread[:, :2], 0)).T
         flat = (across < FLAT) & (along > WIDE)
-        found[order[left[flat]]] = axes[flat, :, 0]
+        found[left[flat]] = axes[flat, :, 0]
     found[~(angles(asked - origins, found) >= ALONG_RAY)] = np.nan
     return found
 
