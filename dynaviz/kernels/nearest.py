@@ -9,19 +9,21 @@ from numba import njit, prange
 
 LEAF = 16  # points per leaf of the tree
 _BLOCK = 1024  # queries that a thread processes at once
+_DIGIT = 11  # bits by which points are sorted at once
 
 
 @njit(cache=True, nogil=True)
-def morton(points, low, inverse, axis_bits, index_bits):
-    """(N,) uint64: Morton code of each point (N, 3) in the high bits, its index in the low bits, for sorting.
+def morton_order(points, low, inverse, axis_bits, index_bits):
+    """(N,) int64: rows of points (N, 3) float32 in the order of their Morton codes.
 
     Args:
         low: (3,) float64, lower corner of the cells, metres.
         inverse: cells per metre.
-        axis_bits, index_bits: bits per axis, and bits of the index.
+        axis_bits, index_bits: bits per axis, and bits of a row; at most 64 in all.
     """
-    keys = np.empty(len(points), np.uint64)
-    top = np.float64((1 << axis_bits) - 1)
+    keys, other = np.empty(len(points), np.uint64), np.empty(len(points), np.uint64)
+    counts = np.zeros(((3 * axis_bits + _DIGIT - 1) // _DIGIT, 1 << _DIGIT), np.int64)
+    top, last = np.float64((1 << axis_bits) - 1), np.uint64((1 << _DIGIT) - 1)
     for i in range(len(points)):
         code = np.uint64(0)
         for axis in range(3):
@@ -34,7 +36,21 @@ def morton(points, low, inverse, axis_bits, index_bits):
             k = (k | (k << np.uint64(2))) & np.uint64(0x1249249249249249)
             code |= k << np.uint64(axis)
         keys[i] = (code << np.uint64(index_bits)) | np.uint64(i)
-    return keys
+        for digit in range(len(counts)):
+            counts[digit, code >> np.uint64(_DIGIT * digit) & last] += 1
+    for digit in range(len(counts)):  # sort by the lowest digit of the codes first
+        end = 0
+        for value in range(1 << _DIGIT):
+            counts[digit, value], end = end, end + counts[digit, value]
+        shift = np.uint64(index_bits + _DIGIT * digit)
+        for i in range(len(keys)):
+            value = keys[i] >> shift & last
+            other[counts[digit, value]] = keys[i]
+            counts[digit, value] += 1
+        keys, other = other, keys
+    for i in range(len(keys)):
+        keys[i] &= np.uint64((1 << index_bits) - 1)
+    return keys.view(np.int64)
 
 
 @njit(cache=True, nogil=True)

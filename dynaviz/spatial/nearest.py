@@ -87,8 +87,6 @@ def _in_morton_order(points: F32, low: F64, high: F64) -> tuple[F32, Intp]:
     index_bits = max(len(points).bit_length(), 1)
     axis_bits = min((64 - index_bits) // 3, 16)
     inverse = (1 << axis_bits) / max(float((high - low).max()), 1e-6)
-    keys = kernels.nearest.morton(kernels.as_readonly(points, np.float32), low, inverse, axis_bits, index_bits)
-    keys.sort()
-    keys &= np.uint64((1 << index_bits) - 1)  # in place: of a million points, each copy has 8 MB
-    order = keys.view(np.int64).astype(np.intp, copy=False)
+    points = kernels.as_readonly(points, np.float32)
+    order = kernels.nearest.morton_order(points, low, inverse, axis_bits, index_bits)
     return kernels.as_readonly(np.take(points, order, 0), np.float32), order

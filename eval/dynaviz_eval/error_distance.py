@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import math
+import threading
+from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from dynaviz import kernels
 from dynaviz.arrays import I32, I64
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Figure, FrameHistograms, Labelled
@@ -19,10 +24,7 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 250_000  # wrong points in memory at once
-# Blocks in a slab, which reads all frames that cross it, and in a tree of correct points: a search in four trees takes
-# twice the time of one in a tree of four times the size.
-_BLOCKS = 4
+_BLOCK = 300_000  # points in a slab, and at most wrong ones in memory at once, for each thread
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -75,8 +77,8 @@ class ErrorDistance:
 def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = _BLOCK) -> tuple[I64, I64]:
     """Exact distances from each wrong point to the nearest correct one, as histograms.
 
-    The world is divided into slabs along its longest side. Correct points are read from a box around the wrong points
-    of a slab, some blocks at a time, and each wrong point keeps its smallest distance.
+    The world is divided into slabs along its longest side, and each thread works on one. Correct points are read from a
+    box around the wrong points of a slab, two blocks at a time, and each wrong point keeps its smallest distance.
 
     Returns:
         fine: counts in bins of 0.1 mm up to the limit, and one last bin for larger distances; all zero if there are no
@@ -88,20 +90,27 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
         return fine, by_frame
     low, high = wrong.bounds()
     axis = int(np.argmax(high - low))
-    for left, end in _slabs(wrong, correct, axis, _BLOCKS * block):
+
+    def add(slab: tuple[float, float]) -> None:
         low, high = np.full(3, -np.inf), np.full(3, np.inf)
-        low[axis], high[axis] = left, end
+        low[axis], high[axis] = slab
         for queries, of_frame in wrong.blocks(low, high, block):
             distance = np.full(len(queries), np.inf, np.float32)
             around = [column.astype(np.float64) for column in (queries.min(0), queries.max(0))]
-            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, _BLOCKS * block):
+            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, 2 * block):
                 np.minimum(distance, nearest_distance(queries, reference, LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
-            fine += np.bincount(bins, minlength=len(fine))
             first, last = int(of_frame[0]), int(of_frame[-1]) + 1  # frames are in order
-            here = by_frame[first:last]
-            coarse = (of_frame - first) * here.shape[1] + bins // round(BIN / _STEP)
-            here += np.bincount(coarse, minlength=here.size).reshape(here.shape)
+            shape = last - first, by_frame.shape[1]
+            coarse = (of_frame - first) * shape[1] + bins // round(BIN / _STEP)
+            counts = np.bincount(bins, minlength=len(fine)), np.bincount(coarse, minlength=math.prod(shape))
+            with lock:
+                np.add(fine, counts[0], out=fine)
+                by_frame[first:last] += counts[1].reshape(shape)
+
+    lock, threads = threading.Lock(), kernels.threads_in_use()
+    with ThreadPoolExecutor(threads, initializer=kernels.set_threads, initargs=(1,)) as pool:
+        deque(pool.map(add, _slabs(wrong, correct, axis, block)), maxlen=0)
     return fine, by_frame
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 import weakref
 from array import array
 from collections.abc import Iterator
@@ -51,6 +52,7 @@ class PointSpool:
         self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed with this object
         self.close = weakref.finalize(self, self._file.close)
         self._spans = array("d")  # of each frame: number, start in the file, count, low and high corner
+        self._reading = threading.Lock()  # several threads may read
         self._end = 0
         self.points = 0
 
@@ -112,5 +114,6 @@ class PointSpool:
         return np.array(self._spans).reshape(-1, 9)
 
     def _read(self, span: F64) -> F32:
-        self._file.seek(int(span[START]))
-        return np.fromfile(self._file, np.float32, 3 * int(span[COUNT])).reshape(-1, 3)
+        with self._reading:
+            self._file.seek(int(span[START]))
+            return np.fromfile(self._file, np.float32, 3 * int(span[COUNT])).reshape(-1, 3)
