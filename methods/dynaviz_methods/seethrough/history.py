@@ -184,6 +184,8 @@ def _joined(visits: Visits, visited: I32) -> Bool:
 
 def moved(state: NDArray[Any], to: I64, rows: int) -> NDArray[Any]:
     """State with one row per block, and an empty last row, in a grid in which block k is block ``to[k]``."""
-    found = np.repeat(state[-1:], rows, 0)
+    found = np.zeros((rows, *state.shape[1:]), state.dtype)  # memory of blocks that no scan touches is never used
+    if state[-1].any():
+        found[:] = state[-1]
     found[to] = state[:-1]
     return found

@@ -38,7 +38,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U8, U64, Bool
 from dynaviz.blocks.blocks import VOXELS, Marks, voxels_of
 from dynaviz.contracts.evidence import Asked, Evidence, Quantity, Rule, Term, voxels_around
-from dynaviz.contracts.extent import CELL, Extent
+from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
@@ -174,16 +174,15 @@ class SeeThrough:
     def begin(self, context: Context) -> None:
         """Allocate the map where points will lie."""
         p, self._probe = self.params, context.probe
-        self._extent: Extent | None = context.extent
+        self._extent = context.extent
         self._sensor = context.sensor
         self._grid = ClearGrid(context.extent, p.resolution, context.sensor)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
         self._weights = float(p.near), float(p.hit), float(p.votes)
         self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
+        self._room = 0.0  # metres above and below all points
         self._level = Level(LIFTED[self._grid.rolls] - 0.1)
-        if self._grid.rolls:
-            self._extent = None
         self._observed = 0
         self._judged: Judged | None = None
         self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
@@ -198,10 +197,10 @@ class SeeThrough:
         p = self.params
         surface = self._grounds[scan.index] = ScanGround.of(scan)
         tilt = self._level.error(surface, scan.position)
-        if tilt.any() and self._extent is not None:
-            self._widen()
         now = self._number[scan.index] = self._observed
         self._tilts[now], self._observed = tilt, now + 1
+        if tilt.any() and not self._grid.rolls:
+            self._make_room(scan, tilt)
         measured = self._measured = self._measure(scan, surface)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
@@ -261,12 +260,16 @@ class SeeThrough:
         places = kernels.places.of_voxels(voxels)
         return Measured(number, levelled, surface.heights(scan.points), voxels, places, self._tilts[number])
 
-    def _widen(self) -> None:
-        """Go on in a grid with room for levelled scans, above and below all points."""
-        assert self._extent is not None
-        extent, old = self._extent, pack_indices(self._grid.blocks)
-        self._extent = None
-        self._grid = ClearGrid(extent.widened(LIFTED[0], (2,)), self.params.resolution, self._sensor)
+    def _make_room(self, scan: Scan, tilt: F64) -> None:
+        """Go on in a grid with room for a levelled scan above and below all points, if there is too little."""
+        lift, room = np.abs(_lift(scan.points, scan.position, tilt)), self._room
+        lifted = min(float(lift.max(where=np.isfinite(lift), initial=0.0)), LIFTED[0])
+        while self._room < lifted:
+            self._room = max(2 * self._room, CELL)
+        if self._room == room:
+            return
+        old = pack_indices(self._grid.blocks)
+        self._grid = ClearGrid(self._extent.widened(self._room, (2,)), self.params.resolution, self._sensor)
         to = np.searchsorted(pack_indices(self._grid.blocks), old)
         self._counts = tuple(moved(of, to, len(self._grid) + 1) for of in self._counts)
         self._history.move(self._grid, to, self._counts)
@@ -385,16 +388,22 @@ def _levelled(scan: Scan, tilt: F64) -> Scan:
     """A scan without an error of its pose, (3,), as from ``Level``."""
     if not tilt.any():
         return replace(scan, points=kernels.as_readonly(scan.points, np.float32))
-    x, y = scan.position[:2].tolist()
-    c, a, b = tilt.tolist()
 
     def lowered(xyz: Any) -> Any:
         found = xyz.copy()
-        found[:, 2] -= (c + a * (xyz[:, 0] - x) + b * (xyz[:, 1] - y)).astype(xyz.dtype)
+        found[:, 2] -= _lift(xyz, scan.position, tilt).astype(xyz.dtype)
         return found
 
+    (x, y, _), (c, a, b) = scan.position.tolist(), tilt.tolist()
     shear = np.eye(4)
     shear[2] = -a, -b, 1.0, a * x + b * y - c
     return replace(
         scan, points=lowered(scan.points), T_world_sensor=shear @ scan.T_world_sensor, origins=lowered(scan.origins)
     )
+
+
+def _lift(xyz: F32 | F64, position: F64, tilt: F64) -> F32 | F64:
+    """(N,) metres: how much the error of a pose, (3,), as from ``Level``, lifts points (N, 3) of a sensor (3,)."""
+    (x, y, _), (c, a, b) = position.tolist(), tilt.tolist()
+    lift: F32 | F64 = c + a * (xyz[:, 0] - x) + b * (xyz[:, 1] - y)
+    return lift
