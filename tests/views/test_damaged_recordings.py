@@ -21,7 +21,7 @@ from dynaviz.views import drawn
 from dynaviz.views.read import chunks
 from dynaviz.views.read.focus import CASE
 from dynaviz.views.read.reader import RunRecording, read
-from dynaviz.views.read.repair import repair
+from dynaviz.views.read.repair import salvage
 
 Command = Callable[..., tuple[int, str, str]]
 Damage = Callable[[bytes], bytes]
@@ -105,8 +105,9 @@ def test_every_other_chunk_is_kept_where_a_size_is_wrong(whole: Path, tmp_path: 
     assert [(found.at, found.end, found.truncated) for found in chunks.damages(broken)] == [(at, after, False)]
     with pytest.raises(DataError, match=rf"byte {at}: contains a damaged chunk .*dynaviz info"):
         read(broken)
-    found = repair(broken)
-    assert (found.answered, found.damaged, found.finished) == (FRAMES - 1, 1, True)
+    found = salvage(broken, tmp_path / "saved.rrd")
+    assert (found.answered, found.damaged) == (FRAMES - 1, 1)
+    assert RunRecording(tmp_path / "saved.rrd").complete
 
 
 def test_properties_that_are_not_valid(tmp_path: Path) -> None:

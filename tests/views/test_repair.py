@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
-from dynaviz.errors import DataError, UsageError
+from dynaviz.errors import DataError
 from dynaviz.views.read.reader import RunRecording
-from dynaviz.views.read.repair import repair, repaired
+from dynaviz.views.read.repair import repaired, salvage
 from dynaviz.views.record.sink import of_part, part_of
 
 Command = Callable[..., tuple[int, str, str]]
@@ -34,8 +34,6 @@ def cut(whole: Path, folder: Path, size: int, name: str = "run.rrd") -> Path:
 
 def test_a_complete_recording_is_not_changed(whole: Path) -> None:
     before = whole.stat().st_mtime_ns
-    found = repair(whole)
-    assert (found.path, found.whole, found.finished, found.frames) == (whole, True, True, 6)
     assert repaired(whole) == whole
     assert [path.name for path in whole.parent.iterdir()] == ["run.rrd"]
     assert whole.stat().st_mtime_ns == before
@@ -80,9 +78,10 @@ def test_a_recording_truncated_anywhere(whole: Path, tmp_path_factory: pytest.Te
     folder = tmp_path_factory.mktemp("cut")
     broken = cut(whole, folder, int(share * whole.stat().st_size))
     before = broken.read_bytes()
-    found = repair(broken)
+    found, target = salvage(broken, folder / "run-repaired.rrd"), folder / "run-repaired.rrd"
     assert found.answered <= found.observed <= 6
-    assert found.path is None or len(list(RunRecording(found.path).answers())) == found.answered
+    assert target.exists() == (found.observed > 0)
+    assert not found.answered or len(list(RunRecording(target).answers())) == found.answered
     assert broken.read_bytes() == before
     assert {path.name for path in folder.iterdir()} <= {"run.rrd", "run-repaired.rrd"}
 
@@ -90,22 +89,18 @@ def test_a_recording_truncated_anywhere(whole: Path, tmp_path_factory: pytest.Te
 def test_existing_files_are_not_overwritten(whole: Path, tmp_path: Path) -> None:
     part = cut(whole, tmp_path, whole.stat().st_size - 5000, ".run.rrd.part")
     (tmp_path / "run.rrd").write_bytes(b"a")
-    assert repair(part).path == tmp_path / "run-repaired.rrd"
-    with pytest.raises(UsageError, match=r"run-repaired\.rrd exists already"):
-        repair(part)
-    with pytest.raises(UsageError, match="exists already"):
-        repair(part, tmp_path / "run.rrd")
+    with pytest.warns(UserWarning, match="did not finish|incomplete"):
+        assert repaired(part) == tmp_path / "run-repaired.rrd"
     assert (tmp_path / "run.rrd").read_bytes() == b"a"
 
 
 def test_files_that_are_not_recordings(tmp_path: Path) -> None:
-    (tmp_path / "x.rrd").write_bytes(b"hello")
-    with pytest.raises(DataError, match="not a recording"):
-        repair(tmp_path / "x.rrd")
+    for content in (b"hello", b""):
+        (tmp_path / "x.rrd").write_bytes(content)
+        with pytest.raises(DataError, match="not a recording"):
+            repaired(tmp_path / "x.rrd")
     with pytest.raises(DataError, match="No such file"):
-        repair(tmp_path / "absent.rrd")
-    (tmp_path / "x.rrd").write_bytes(b"")
-    assert repair(tmp_path / "x.rrd").path is None
+        repaired(tmp_path / "absent.rrd")
 
 
 def test_names_of_parts() -> None:
@@ -115,5 +110,5 @@ def test_names_of_parts() -> None:
 
 def test_a_recording_of_scores_is_salvaged(little_room: InMemory, tmp_path: Path) -> None:
     whole = record(little_room, tmp_path / "run.rrd", "scores")
-    found = repair(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"))
-    assert (found.path, found.answered) == (tmp_path / "cut-repaired.rrd", 6)
+    found = salvage(cut(whole, tmp_path, whole.stat().st_size - 4000, "cut.rrd"), tmp_path / "saved.rrd")
+    assert found.answered == len(list(RunRecording(tmp_path / "saved.rrd").answers())) == 6
