@@ -35,25 +35,23 @@ class RemoteFile:
     Attributes:
         title: short description.
         mb: size of the archive in megabytes.
-        frames: number of frames.
         sensor: name of the sensor in dynaviz; None if dynaviz does not have it.
         labelled: whether there is ground truth.
     """
 
     title: str
     mb: int
-    frames: int
     sensor: str | None
     labelled: bool = True
 
 
 SEQUENCES: Mapping[str, RemoteFile] = {
-    "00": RemoteFile("KITTI 00, frames 4390 to 4530", 385, 141, "hdl64e"),
-    "05": RemoteFile("KITTI 05, frames 2350 to 2670", 864, 321, "hdl64e"),
-    "av2": RemoteFile("Argoverse 2, a log in a large city", 1300, 575, "vlp32c_pair"),
-    "semindoor": RemoteFile("a hall that is open on one side", 621, 960, "vlp16"),
-    "twofloor": RemoteFile("two floors, one pedestrian", 725, 3305, "mid360", labelled=False),
-    "kthcampus": RemoteFile("a campus, scanned from a tripod", 256, 18, None, labelled=False),
+    "00": RemoteFile("KITTI 00, frames 4390 to 4530", 385, "hdl64e"),
+    "05": RemoteFile("KITTI 05, frames 2350 to 2670", 864, "hdl64e"),
+    "av2": RemoteFile("Argoverse 2, a log in a large city", 1300, "vlp32c_pair"),
+    "semindoor": RemoteFile("a hall that is open on one side", 621, "vlp16"),
+    "twofloor": RemoteFile("two floors, one pedestrian", 725, "mid360", labelled=False),
+    "kthcampus": RemoteFile("a campus, scanned from a tripod", 256, None, labelled=False),
 }
 
 
@@ -91,7 +89,7 @@ def download(
     out, url = Path(out), f"{base.rstrip('/')}/{name}.zip"
     folder, part = out / name, out / f".{name}.zip.part"
     if os.path.lexists(folder):
-        raise DataError(folder, "already exists", hint="Use it, remove it, or choose another folder with -o")
+        raise DataError(folder, "already exists", hint="Use it, remove it, or choose another folder")
     published = _published_facts(base, name)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -100,7 +98,7 @@ def download(
         if part.exists() and not isinstance(error, Exception):
             error.add_note(f"The partial download is kept in {part}. Run the same command to resume")
         if isinstance(error, OSError):
-            hint = "Free disk space or choose another folder with -o"
+            hint = "Free disk space or choose another folder"
             raise DataError(out, f"cannot be written ({error.strerror})", hint=hint) from None
         raise
     _verify(url, part, published, base)
