@@ -25,6 +25,7 @@ from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
 from dynaviz.contracts.scan import Scan, Sequence, base_of, stream
 from dynaviz.engine.packed_bits import PackedBits
+from dynaviz.engine.updating import updating
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
@@ -191,15 +192,16 @@ def execute(
         finite = all_finite(scan.points)
         removed, not_finite = removed + int((labelled.dynamic & finite).sum()), not_finite + int((~finite).sum())
         at_sensor += int(np.count_nonzero(labelled.reasons == info.reasons.index(AT_SENSOR)))
-        curves = {name: value for metric in run.metrics for name, value in metric.update(labelled).items()}
+        curves = update(labelled)
         for listener in listeners:
             listener.labelled(labelled, curves)
         progress("label", frame + 1, total)
 
-    for steps in _passes(run, observe, label):
-        for frame, scan in enumerate(stream(run.sequence)):
-            for step in steps:
-                step(frame, scan)
+    with updating(run.metrics, threads) as update:
+        for steps in _passes(run, observe, label):
+            for frame, scan in enumerate(stream(run.sequence)):
+                for step in steps:
+                    step(frame, scan)
 
     # Before the metrics finish: the memory they need then is not the method's.
     runtime = clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))

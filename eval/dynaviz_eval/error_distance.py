@@ -24,7 +24,7 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 300_000  # points in a slab, and at most wrong ones in memory at once, for each thread
+_BLOCK = 250_000  # points in a slab, and at most wrong ones in memory at once, for each thread
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
@@ -102,7 +102,7 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
             first, last = int(of_frame[0]), int(of_frame[-1]) + 1  # frames are in order
             shape = last - first, by_frame.shape[1]
-            coarse = (of_frame - first) * shape[1] + bins // round(BIN / _STEP)
+            coarse = (of_frame.astype(np.int64) - first) * shape[1] + bins // round(BIN / _STEP)
             counts = np.bincount(bins, minlength=len(fine)), np.bincount(coarse, minlength=math.prod(shape))
             with lock:
                 np.add(fine, counts[0], out=fine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import threading
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -46,16 +47,15 @@ T = TypeVar("T")
 
 def once_per_scan(compute: Callable[[Scan], T]) -> Callable[[Scan], T]:
     """Remember the value for the last scan; a scan is immutable, so the value cannot be stale."""
-    latest: list[tuple[Scan, T]] = []  # replaced as a whole, so that threads see a scan with its own value
+    latest: list[tuple[Scan, T]] = []
+    computing = threading.Lock()  # metrics on other threads wait for the value
 
     @functools.wraps(compute)
     def remembered(scan: Scan) -> T:
-        for known, value in latest[:1]:
-            if known is scan:
-                return value
-        value = compute(scan)
-        latest[:] = [(scan, value)]
-        return value
+        with computing:
+            if not latest or latest[0][0] is not scan:
+                latest[:] = [(scan, compute(scan))]
+            return latest[0][1]
 
     return remembered
 

@@ -11,7 +11,7 @@ from typing import IO
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I64
+from dynaviz.arrays import F32, F64, I32
 from dynaviz.errors import DynavizError
 
 FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
@@ -79,7 +79,7 @@ class PointSpool:
         # Copy: a view would keep all points of its frame in memory.
         return np.concatenate([self._read(span)[::step, axis].copy() for span in self._table()])
 
-    def blocks(self, low: F64, high: F64, size: int) -> Iterator[tuple[F32, I64]]:
+    def blocks(self, low: F64, high: F64, size: int) -> Iterator[tuple[F32, I32]]:
         """Points in a box and their frames, about ``size`` at a time.
 
         A block is valid until the next one, because they share a buffer.
@@ -93,7 +93,7 @@ class PointSpool:
         axes = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         counts = crossing[:, COUNT].astype(np.int64)
         capacity = min(size + int(counts.max(initial=0)), int(counts.sum()))
-        points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int64), 0
+        points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int32), 0
         for span in crossing:
             if filled >= size:
                 yield points[:filled], frames[:filled]
