@@ -102,7 +102,7 @@ def _cast() -> None:
     )
     counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
     kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
-    objects, cells, _ = kernels.objects.cells_of(scan.points, chosen, 0.5, 1.0)
+    objects, cells = kernels.objects.cells_of(scan.points, chosen, 0.5, 1.0)
     order = np.argsort(cells)
     kernels.objects.connect(objects, order, cells[order])
 

@@ -15,11 +15,24 @@ UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground aro
 
 
 @njit(cache=True, nogil=True)
-def cells_of(points, position, reach, edge):
-    """(N,) int32: the cell of each point in a raster around the sensor, -1 outside; and its first cell, (2,) int64.
+def cells_of(points, position, most, edge):
+    """The cells of points (N, 3) in a square raster around the sensor that contains them all, or is as wide as allowed.
 
-    The raster has 2 reach + 1 cells along x and y, numbered by x first; cell (i, j) spans [i, i + 1) * edge.
+    Cell (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge in the world.
+
+    Args:
+        points: (N, 3) float32, position: (3,) float64, metres, world frame.
+        most: maximum number of cells to each side of the sensor; edge: of a cell, metres.
+
+    Returns:
+        (N,) int32: the cell of each point, -1 outside; wide: cells along each axis; (2,) int64: key of the first cell.
     """
+    farthest = np.float32(edge)
+    for i in range(len(points)):
+        for axis in range(2):
+            away = abs(points[i, axis] - np.float32(position[axis]))
+            farthest = max(farthest, away) if away < most * edge else farthest
+    reach = min(np.int64(math.ceil(farthest / edge)) + 1, most)
     first = np.array(
         [np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach]
     )
@@ -29,7 +42,7 @@ def cells_of(points, position, reach, edge):
             x, y = math.floor(points[i, 0] / edge) - first[0], math.floor(points[i, 1] / edge) - first[1]
             if 0 <= x < wide and 0 <= y < wide:
                 cells[i] = np.int32(x) * wide + np.int32(y)
-    return cells, first
+    return cells, wide, first
 
 
 @njit(cache=True, nogil=True)
@@ -116,7 +129,7 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     return found.reshape(wide, wide), number.reshape(wide, wide)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def pits(surface, deep):
     """(X, Y) bool: cells that are reflections, not ground.
 
@@ -126,7 +139,7 @@ def pits(surface, deep):
     """
     rows, columns = surface.shape
     found = np.zeros(surface.shape, np.bool_)
-    for x in prange(rows):
+    for x in range(rows):
         for y in range(columns):
             if surface[x, y] == np.inf:
                 continue

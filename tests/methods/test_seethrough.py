@@ -297,7 +297,7 @@ def test_objects_are_connected_components(seed: int, size: float) -> None:
     random = np.random.default_rng(seed)
     points = random.uniform(-2, 2, (random.integers(0, 200), 3)).astype(np.float32)
     chosen = random.random(len(points)) < 0.8
-    mine, keys, _ = kernels.objects.cells_of(points, chosen, size, 3 * size)
+    mine, keys = kernels.objects.cells_of(points, chosen, size, 3 * size)
     order = np.argsort(keys)
     n = kernels.objects.connect(mine, order, keys[order])
     cells = np.floor(points.astype(np.float64) / [size, size, 3 * size]).astype(int)

@@ -51,12 +51,11 @@ class ScanGround:
     def of(cls, scan: Scan) -> ScanGround:
         """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach."""
         points, position = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
-        k, z, reach = kernels.scan_ground, float(scan.position[2]), _reach(scan)
-        cells, first = k.cells_of(points, position, reach, EDGE)
+        k, z = kernels.scan_ground, float(scan.position[2])
+        cells, wide, first = k.cells_of(points, position, REACH, EDGE)
         with np.errstate(invalid="ignore"):
             heights = points[:, 2] - np.float32(z)
-        size = 2 * reach + 1, EDGE, LAYER
-        lowest, number = k.lowest_layers(heights, cells, *size, STEEP, PIT, math.ceil(NEAR / EDGE))
+        lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
         for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
             lowest[k.pits(lowest, PIT)] = np.inf
         surface = lowest.copy()
@@ -71,14 +70,6 @@ class ScanGround:
         where = self.z, self.first, self.height, EDGE
         found: F32 = kernels.scan_ground.above(kernels.as_readonly(points, np.float32), *where)
         return found
-
-
-def _reach(scan: Scan) -> int:
-    """Cells to each side of the sensor that contain all points, at most ``REACH``."""
-    with np.errstate(invalid="ignore"):
-        away = np.abs(scan.points[:, :2] - scan.position[:2].astype(np.float32))
-    inside = away[away < REACH * EDGE]
-    return min(math.ceil(float(inside.max(initial=EDGE)) / EDGE) + 1, REACH)
 
 
 class Level:

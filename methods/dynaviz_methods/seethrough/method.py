@@ -209,7 +209,7 @@ class SeeThrough:
             bits = kernels.clearance.countable(marks.blocks, bits, *self._counts[:2])
         kernels.clearance.count(marks.blocks, bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.height > p.ground_height) & ~_high(measured.height)
-        objects, cells, _ = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
+        objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
         kernels.objects.connect(objects, order, cells[order])  # which turns numbers of cells into numbers of objects
         self._history.add(now, measured.voxels, objects)
