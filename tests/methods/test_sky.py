@@ -14,7 +14,7 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
-from dynaviz_methods.seethrough.clear_grid import ClearGrid, _by_sensor
+from dynaviz_methods.seethrough.clear_grid import ClearGrid, _by_sensor, _distinct
 from dynaviz_methods.sky import sensor_image
 
 SENSOR = Sensor(rings=65, elevation=(-32.0, 32.0))
@@ -79,12 +79,12 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
     parts = [ground(-3.0), ground(3.0)]
     origins = np.repeat([[-3.0, 0.0, 2.0], [3.0, 0.0, 2.0]], [len(part) for part in parts], 0)
     merged = Scan(0, np.concatenate(parts).astype(np.float32), pose(0.0, 0.0, 2.0), origins=origins)
-    found = _by_sensor(merged)
+    found = _by_sensor(merged, *_distinct(merged.origins))
     assert [each.position.tolist() for each in found] == [[-3.0, 0.0, 2.0], [3.0, 0.0, 2.0]]
     for each, part in zip(found, parts, strict=True):
         np.testing.assert_array_equal(each.points, part.astype(np.float32))
     moving = Scan(0, merged.points, merged.T_world_sensor, origins=np.linspace([0, 0, 2], [1, 0, 2], len(merged)))
-    assert _by_sensor(moving) == [moving]
+    assert _by_sensor(moving, *_distinct(moving.origins)) == [moving]
 
 
 def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I64, U64, Intp
+from dynaviz.arrays import F32, F64, I64, U64
 from dynaviz.blocks.blocks import BlockGrid, Marks
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
@@ -16,7 +16,6 @@ from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import in_key_range, pack, unpack
 from dynaviz_methods.sky import sensor_image
 
-RUNS = 64  # up to so many runs of equal origins are taken one by one
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
 
 
@@ -44,12 +43,13 @@ class ClearGrid(BlockGrid):
             scan: gives the origins of the rays.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
-        goals, origins = self._rays(scan.origins, voxels)
+        places, which = _distinct(scan.origins)
+        goals, origins = self._rays(voxels, places, which)
         rays = [(kernels.blocks.centres_of(goals, self._blocks, self.resolution), origins)]
         if self._rectangle is not None:
-            rays.append(self._beyond(scan, voxels))
+            rays.append(self._beyond(scan, voxels, places, which))
         hitting = sum(len(ends) for ends, _ in rays)
-        rays.extend(self._skies(scan))
+        rays.extend(self._skies(_by_sensor(scan, places, which)))
         centres = np.concatenate([ends for ends, _ in rays])
         if len(scan.origins) > 1:
             origins = np.concatenate([np.broadcast_to(starts, ends.shape) for ends, starts in rays])
@@ -57,45 +57,42 @@ class ClearGrid(BlockGrid):
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
         return self._cast(*way, every, kernels.as_readonly(np.arange(len(centres)) < hitting, np.bool_))
 
-    def _skies(self, scan: Scan) -> Iterator[tuple[F32, F64]]:
-        """Ends (K, 3) and origin (1, 3) of the rays into the sky, for each sensor of a scan: where it has no return."""
+    def _skies(self, scans: list[Scan]) -> Iterator[tuple[F32, F64]]:
+        """Ends (K, 3) and origin (1, 3) of the rays into the sky, where a scan has no return, for each scan."""
         if self._image is None:
             return
-        for each in _by_sensor(scan):
+        for each in scans:
             ends = self._image.targets(each, *self._image.sky(*self._image.of(each))).astype(np.float32)
             ends = ends[self.reaching(ends, each.position[None]) & in_key_range(ends, self.resolution)]
             yield ends, each.position[None]
 
-    def _rays(self, origins: F64, voxels: I64) -> tuple[I64, F64]:
-        """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,) from origins (N or 1, 3), without duplicates.
+    def _rays(self, voxels: I64, places: F64, which: I64) -> tuple[I64, F64]:
+        """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,), without duplicates.
 
-        Few runs of equal origins, as of merged scans, are taken one by one: a ray that is in two of them marks the same
-        voxels twice.
+        ``places`` (P, 3) are the origins, and ``which`` (N or 1,) that of each point.
         """
-        starts = _runs(origins)
-        if not 0 < len(starts) <= RUNS:
-            places, which = _distinct(origins)
+        if not 0 < len(places) <= SENSORS:
             rays = np.unique((voxels * len(places) + which)[voxels >= 0])
             return rays // len(places), places[rays % len(places)]
-        goals = [kernels.voids.distinct(run, run >= 0, self._once) for run in np.split(voxels, starts[1:])]
-        if len(goals) == 1:
-            return goals[0], origins[:1]
-        return np.concatenate(goals), np.repeat(origins[starts], [len(run) for run in goals], 0)
+        inside = voxels >= 0
+        goals = [kernels.voids.distinct(voxels, inside & (which == k), self._once) for k in range(len(places))]
+        if len(places) == 1:
+            return goals[0], places
+        return np.concatenate(goals), np.repeat(places, [len(rays) for rays in goals], 0)
 
-    def _beyond(self, scan: Scan, voxels: I64) -> tuple[F32, F64]:
+    def _beyond(self, scan: Scan, voxels: I64, places: F64, which: I64) -> tuple[F32, F64]:
         """Ends and origins, (K, 3) each, of rays that may cross blocks and end in voxels without one, one for each.
 
-        In a tile of a map, points around the tile have no voxel.
+        In a tile of a map, points around the tile have no voxel. The arguments are those of ``_rays``.
         """
         rows = np.flatnonzero((voxels < 0) & self.reaching(scan.points, scan.origins))
         rows = rows[in_key_range(scan.points[rows], self.resolution)]
-        places, which = _distinct(scan.origins)
-        which = which[rows] if len(which) > 1 else np.zeros(len(rows), np.int64)
+        of = np.broadcast_to(which, len(voxels))[rows]
         keys = pack(scan.points[rows], self.resolution)
-        order = np.lexsort((which, keys))
-        keys, which = keys[order], which[order]
-        first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(which) != 0))[: len(keys)]
-        return ((unpack(keys[first]) + 0.5) * self.resolution).astype(np.float32), places[which[first]]
+        order = np.lexsort((of, keys))
+        keys, of = keys[order], of[order]
+        first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(of) != 0))[: len(keys)]
+        return ((unpack(keys[first]) + 0.5) * self.resolution).astype(np.float32), places[of[first]]
 
     def near(self, marks: Marks, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.
@@ -109,11 +106,8 @@ class ClearGrid(BlockGrid):
         return grown
 
 
-def _by_sensor(scan: Scan) -> list[Scan]:
+def _by_sensor(scan: Scan, places: F64, which: I64) -> list[Scan]:
     """What each of the sensors of a merged scan saw from where it was; the whole scan if its sensor moved meanwhile."""
-    if len(_runs(scan.origins)) > RUNS:
-        return [scan]
-    places, which = _distinct(scan.origins)
     if len(places) > SENSORS:
         return [scan]
     parts = [scan] if len(places) == 1 else [scan.chosen(np.flatnonzero(which == k)) for k in range(len(places))]
@@ -124,13 +118,7 @@ def _by_sensor(scan: Scan) -> list[Scan]:
 
 def _distinct(origins: F64) -> tuple[F64, I64]:
     """Distinct rows (P, 3) of origins (N, 3), sorted, and the row of each (N,); fast for runs of equal rows."""
-    starts = _runs(origins)
+    differ = [origins[1:, axis] != origins[:-1, axis] for axis in range(3)]
+    starts = np.flatnonzero(np.concatenate([np.ones(min(len(origins), 1), np.bool_), np.any(differ, 0)]))
     places, which = np.unique(origins[starts], axis=0, return_inverse=True)
     return places, np.repeat(which.ravel(), np.diff(starts, append=len(origins)))
-
-
-def _runs(origins: F64) -> Intp:
-    """The first row of each run of equal origins (N, 3)."""
-    differ = [origins[1:, axis] != origins[:-1, axis] for axis in range(3)]
-    starts: Intp = np.flatnonzero(np.concatenate([np.ones(min(len(origins), 1), np.bool_), np.any(differ, 0)]))
-    return starts
