@@ -174,13 +174,6 @@ def test_methods_that_decide_in_different_places_explain_a_run(name: str, online
     json.dumps(answer.to_dict(), allow_nan=False)
 
 
-def test_labels_of_another_version_are_an_error() -> None:
-    scans = room(frames=2, rays=300)
-    result = replace(api.run("octomap", scans), labels_sha256="0" * 64)
-    with pytest.raises(DataError, match=r"whose labels this version does not reproduce\. Run the method again"):
-        why(result, 0, 0, sequence=scans)
-
-
 def test_a_different_sequence_is_an_error() -> None:
     result = api.run("octomap", room(frames=2, rays=300))
     with pytest.raises(DataError, match="is from a different sequence than the 3 frames of room"):

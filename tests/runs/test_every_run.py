@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from helpers.bags import START, BagWriter
@@ -17,7 +19,7 @@ from helpers.worlds import room
 import dynaviz as dv
 from dynaviz.contracts import registry
 from dynaviz.contracts.plugin_code import plugin
-from dynaviz.errors import UsageError
+from dynaviz.errors import DataError, UsageError
 from dynaviz.io.maps import open_map
 from dynaviz.io.pcd import write_pcd
 from dynaviz.runs.explanation import explain
@@ -245,3 +247,14 @@ def test_a_bench_runs_again_after_the_code_changed(tmp_path: Path, monkeypatch: 
     sys.modules.pop("mine", None)
     assert kept == [False, True, False]
     assert outdated == ["", "", "the code of octomap changed"]
+
+
+def test_labels_of_other_code_or_of_another_version_are_not_replayed() -> None:
+    scans = room(frames=2, rays=300)
+    result = dataclasses.replace(dv.run("octomap", scans), labels_sha256="0" * 64)
+    with pytest.raises(DataError, match=r"was written by dynaviz .* whose labels this version does not reproduce"):
+        dv.why(result, 0, 0, sequence=scans)
+    assert result.plugin is not None
+    other = dataclasses.replace(result, plugin=msgspec.structs.replace(result.plugin, sha256="1" * 64))
+    with pytest.raises(DataError, match="was made by other code of octomap"):
+        dv.why(other, 0, 0, sequence=scans)
