@@ -75,13 +75,14 @@ def play_live(
         recording = None
         if view or serve or out is not None:
             from dynaviz.views import viewer
-            from dynaviz.views.live import LiveRecording, serving
+            from dynaviz.views.live import LiveRecording
+            from dynaviz.views.read.view import serving
 
             if view and not viewer.has_screen():
                 raise UsageError("--view: there is no screen to open a viewer on. Use --serve for a browser")
             inlet = viewer.open_window() if view else None
             if serve:
-                inlet, lines = stack.enter_context(serving(port))
+                inlet, lines, _ = stack.enter_context(serving(port))
                 for line in lines:
                     announce(line)
             folder = None if out is None else Path(out)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import subprocess
-import tempfile
 import time
 import uuid
-import webbrowser
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,7 +24,6 @@ from dynaviz.errors import DataError
 from dynaviz.online.player import Played
 from dynaviz.views import keys, paths, viewer
 from dynaviz.views.layout import CIRCLES, KEY_SHARE, blueprint, follow, solid
-from dynaviz.views.read.view import ports, tunnel
 from dynaviz.views.record import states as drawing
 from dynaviz.views.record.budget import Budget
 
@@ -263,36 +259,3 @@ def _tab(info: MethodInfo, state: State) -> Any:
 
 def _curve(name: str, path: str) -> Any:
     return rrb.TimeSeriesView(name=name, contents=[f"/{path}"], plot_legend=rrb.PlotLegend(visible=False))
-
-
-@contextlib.contextmanager
-def serving(port: int | None) -> Iterator[tuple[int, tuple[str, str]]]:
-    """A viewer in a browser on this machine; yields the port for recordings, and what to announce.
-
-    Args:
-        port: of the page; that for recordings is the next one. None for any free ones.
-
-    Raises:
-        UsageError: if another program uses one of the ports.
-        DynavizError: if the viewer ends before it is ready.
-    """
-    page, inlet = ports(port)
-    address = viewer.page_url(page, inlet)
-    command = [
-        viewer.program(), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}", f"--web-viewer-port={page}",
-        "--server-memory-limit=1GB",
-    ]  # fmt: skip
-    with contextlib.ExitStack() as stack:
-        output = stack.enter_context(tempfile.TemporaryFile())
-        # In a session of its own: Ctrl-C ends the recording first, and then the viewer.
-        server = stack.enter_context(subprocess.Popen(command, stdout=output, stderr=output, start_new_session=True))
-        try:
-            viewer.wait_until_ready(server, inlet, output)
-            if viewer.has_screen():
-                webbrowser.open(address)
-            yield inlet, (
-                f"Watch it in a browser on this machine at {address}",
-                f"From another machine, run '{tunnel(page, inlet)}' there and open the same address.",
-            )  # fmt: skip
-        finally:
-            server.terminate()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import subprocess
 import tempfile
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from dynaviz.errors import UsageError
@@ -34,7 +35,9 @@ def view(recordings: Iterable[str | os.PathLike[str]], web: bool = False, port: 
     for file in files:
         viewable(file)
     if web:
-        _serve(files, *ports(port))
+        with serving(port, *files) as (_, lines, server):
+            print(*lines, "Press Ctrl-C to end it.", sep="\n", flush=True)
+            server.wait()
     else:
         viewer.open_window(*files)
 
@@ -64,19 +67,37 @@ def ports(page: int | None) -> tuple[int, int]:
     return page, page + 1
 
 
-def _serve(files: list[Path], page: int, port: int) -> None:
-    address = viewer.page_url(page, port)
+@contextlib.contextmanager
+def serving(port: int | None, *recordings: Path) -> Iterator[tuple[int, tuple[str, str], subprocess.Popen[bytes]]]:
+    """A viewer in a browser on this machine; yields the port for recordings, what to announce, and the process.
+
+    Args:
+        port: of the page; that for recordings is the next one. None for any free ones.
+        recordings: what it shows; without any, it drops what is older than 1 GB.
+
+    Raises:
+        UsageError: if another program uses one of the ports.
+        DynavizError: if the viewer ends before it is ready.
+    """
+    page, inlet = ports(port)
+    address = viewer.page_url(page, inlet)
     command = [
-        viewer.program(), *map(str, files), "--serve-web", f"--bind={viewer.HOME}", f"--port={port}",
-        f"--web-viewer-port={page}",
+        viewer.program(), *map(str, recordings), "--serve-web", f"--bind={viewer.HOME}", f"--port={inlet}",
+        f"--web-viewer-port={page}", *([] if recordings else ["--server-memory-limit=1GB"]),
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as output, subprocess.Popen(command, stdout=output, stderr=output) as server:
+    with contextlib.ExitStack() as stack:
+        output = stack.enter_context(tempfile.TemporaryFile())
+        server = stack.enter_context(
+            # Without recordings in a session of its own: Ctrl-C ends the live recording first, and then the viewer.
+            subprocess.Popen(command, stdout=output, stderr=output, start_new_session=not recordings)
+        )
         try:
-            viewer.wait_until_ready(server, page, output)
-            print(f"Serving to browsers on this machine at {address} until interrupted (Ctrl-C).")
-            print(f"From another machine, run '{tunnel(page, port)}' there and open the same address.", flush=True)
+            viewer.wait_until_ready(server, inlet, output)
             if viewer.has_screen():
                 webbrowser.open(address)
-            server.wait()
+            yield inlet, (
+                f"Watch it in a browser on this machine at {address}",
+                f"From another machine, run '{tunnel(page, inlet)}' there and open the same address.",
+            ), server  # fmt: skip
         finally:
             server.terminate()
