@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -17,7 +20,7 @@ from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import MethodInfo
 from dynaviz.contracts.metric import Metric
 from dynaviz.contracts.probe import SILENT, Probe
-from dynaviz.contracts.scan import Sequence
+from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice
 from dynaviz.engine.external import External
 from dynaviz.engine.loop import Listener, RunSpec, execute
 from dynaviz.engine.needs import suited
@@ -46,9 +49,23 @@ class Surveyed:
 
     @classmethod
     def of(cls, sequence: Sequence, progress: Progress = silent) -> Surveyed:
-        """Read a sequence; its findings are warned of."""
-        findings, total = _pose_findings(sequence), len(sequence)
-        return cls(summarize(sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(total)), findings)
+        """Read a sequence, and check its poses on another thread; its findings are warned of."""
+        total, shared = len(sequence), _OneReader(sequence, range(len(sequence)), sequence.sensor, sequence.name)
+        with ThreadPoolExecutor(1, "poses") as pool:
+            findings = pool.submit(_pose_findings, shared)
+            summary = summarize(shared, lambda done: progress("survey", done, total), PoseNoiseMeter(total))
+        return cls(summary, _warned(sequence, findings.result(), 6))
+
+
+@dataclass(frozen=True)
+class _OneReader(SequenceSlice):
+    """Frames of a sequence for several threads: one of them reads at a time."""
+
+    reading: threading.Lock = field(default_factory=threading.Lock)
+
+    def __getitem__(self, position: int) -> Scan:
+        with self.reading:
+            return super().__getitem__(position)
 
 
 def run_method(
@@ -76,7 +93,9 @@ def run_method(
     """
     kind, resolved = options.resolved(method)
     given, sequence = sequence, suited(kind, resolved.params, sequence)  # before frames are read to check poses
-    findings = survey.findings if survey else _pose_findings(given)
+    known: tuple[PoseFinding, ...] = survey.findings if survey else ()
+    if survey is None and (refine_poses or options.tile_size is not None):  # the frames of the run are surveyed later
+        known = _warned(given, _pose_findings(given), 4)
     if refine_poses:
         sequence = refined(sequence, out, progress)
     recording, mode = recording_of(options.record, out)
@@ -94,7 +113,7 @@ def run_method(
         parameter_origins=resolved.source,
         threads=options.threads,
         command=command,
-        pose_findings=findings,
+        pose_findings=known,
         record=mode,
         folder=out,
         recording=recording,
@@ -107,7 +126,8 @@ def run_method(
     elif options.workers != 1 or options.scheduler:
         raise UsageError("workers and scheduler run tiles: give tiles=METRES, too")
     else:
-        result = run_spec(spec, progress, view=options.view, maps=options.maps, budget=budget)
+        late = None if survey or refine_poses else partial(Surveyed.of, given, progress)
+        result = run_spec(spec, progress, view=options.view, maps=options.maps, budget=budget, survey=late)
     _warn_of_size(recording, result, budget)
     return result
 
@@ -173,6 +193,7 @@ def run_spec(
     maps: bool = True,
     budget: int | None = None,
     check: SourceCheck | None = None,
+    survey: Callable[[], Surveyed] | None = None,
 ) -> Result:
     """Run and write all files; each appears only when it is complete, ``result.json`` last.
 
@@ -183,8 +204,12 @@ def run_spec(
         maps: whether to write maps.
         budget: bytes of the recording; None for any size.
         check: of another program's output.
+        survey: surveys the sequence, which the run would do itself otherwise.
     """
     with _locked(spec):
+        if survey is not None:
+            found = survey()
+            spec = replace(spec, summary=found.summary, pose_findings=found.findings)
         others, more = ((), dict) if check is None else ([check], check.sections)
         return _run(spec, progress, view, maps, budget, others, more)
 
@@ -266,15 +291,19 @@ def _overwritten(path: Path) -> list[Path]:
 
 
 def _pose_findings(sequence: Sequence) -> tuple[PoseFinding, ...]:
-    """What is likely wrong with poses or points, with a warning.
+    """What is likely wrong with poses or points.
 
     The frames and units of data sets with ground truth are taken to be right; their poses may drift.
     """
     from dynaviz.diagnosis import DRIFT, quick_check
 
-    findings = tuple(each for each in quick_check(sequence) if each.name == DRIFT or not sequence.has_labels)
+    return tuple(each for each in quick_check(sequence) if each.name == DRIFT or not sequence.has_labels)
+
+
+def _warned(sequence: Sequence, findings: tuple[PoseFinding, ...], level: int) -> tuple[PoseFinding, ...]:
+    """The findings, with a warning each at a level of the stack."""
     for each in findings:
-        warnings.warn(f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=4)
+        warnings.warn(f"{sequence.name}: {each}. 'dynaviz doctor' examines all frames", stacklevel=level)
     return findings
 
 

@@ -59,15 +59,17 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
 
 def _begins_near(cubes: I64) -> Bool:
     """(C,) bool: cubes within ``REACH`` that join others, also at a corner, up to one near the sensor's axis."""
-    from scipy.ndimage import label
-
-    half = int(REACH / CUBE) + 1
-    at = tuple((cubes + half).T)
-    grid = np.zeros((2 * half,) * 3, np.bool_)
-    grid[at] = True
-    part = label(grid, np.ones((3, 3, 3)))[0][at]
-    near = CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
-    return np.isin(part, part[near])
+    half = int(REACH / CUBE) + 2  # one more: the border stays empty
+    at, grid = tuple((cubes + half).T), np.zeros((2, *(2 * half,) * 3), np.bool_)
+    found, joined = grid
+    found[at], joined[at] = True, CUBE * np.hypot(*(cubes[:, :2] + 0.5).T) < NEAR
+    before = -1
+    while before < (before := int(joined.sum())):
+        for axis in range(3):
+            joined |= np.roll(joined, 1, axis) | np.roll(joined, -1, axis)
+        joined &= found
+    near: Bool = joined[at]
+    return near
 
 
 def _means(points: F64, of: Intp, groups: int) -> F64:
