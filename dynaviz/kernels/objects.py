@@ -15,7 +15,7 @@ RUNS = np.stack([COLUMNS + np.array([1, -1, -1, -1, -1]), COLUMNS + 1], 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def slot(slots, cells, key):
+def _slot(slots, cells, key):
     """The slot of a key in a hash table of numbers of cells, or the free slot for it; its size is a power of two."""
     mask = len(slots) - 1
     # The highest bits of the product depend on all of the key, x included.
@@ -30,7 +30,7 @@ def _larger(slots, cells, count):
     """A table of twice the size for the first ``count`` cells."""
     larger = np.full(2 * len(slots), np.int32(-1))
     for c in range(count):
-        larger[slot(larger, cells, cells[c])] = c
+        larger[_slot(larger, cells, cells[c])] = c
     return larger
 
 
@@ -58,11 +58,11 @@ def cells_of(points, chosen, size, tall):
         y = np.int64(math.floor(points[i, 1] / size)) + REACH
         z = np.int64(math.floor(points[i, 2] / tall)) + REACH
         key = x << X_SHIFT | y << Y_SHIFT | z
-        s = slot(slots, cells, key)
+        s = _slot(slots, cells, key)
         if slots[s] < 0:
             if 2 * count >= len(slots):
                 slots = _larger(slots, cells, count)
-                s = slot(slots, cells, key)
+                s = _slot(slots, cells, key)
             slots[s], cells[count] = count, key
             count += 1
         mine[i] = slots[s]

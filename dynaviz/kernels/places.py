@@ -9,8 +9,6 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from dynaviz.kernels.objects import slot
-
 ONE = np.uint64(1)
 
 
@@ -23,6 +21,16 @@ def of_voxels(voxels):
         if v >= 0:
             found[i] = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
     return found
+
+
+@njit(cache=True, nogil=True)
+def _slot(slots, keys, key):
+    """The slot of a key in a hash table of numbers, or the free slot for it; its size is a power of two."""
+    mask = len(slots) - 1
+    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(30)) & mask
+    while slots[s] >= 0 and keys[slots[s]] != key:
+        s = (s + 1) & mask
+    return s
 
 
 @njit(cache=True, nogil=True)
@@ -60,7 +68,7 @@ def visit(voxels, objects, blocks, wide, now, up, stamps):
     for k in range(n):
         x, y = blocks[places[k] >> 2, 0] // wide + (1 << 17), blocks[places[k] >> 2, 1] // wide + (1 << 17)
         key = np.int64(owners[k]) << 40 | x << 20 | y
-        s = slot(slots, keys, key)
+        s = _slot(slots, keys, key)
         if slots[s] < 0:
             slots[s], keys[m] = m, key
             m += 1
@@ -69,7 +77,7 @@ def visit(voxels, objects, blocks, wide, now, up, stamps):
     for part in range(m):
         for side in range(9):
             key = keys[part] + ((np.int64(side // 3) - 1) << 20) + (side % 3 - 1)
-            around[part, side] = slots[slot(slots, keys, key)]
+            around[part, side] = slots[_slot(slots, keys, key)]
     return places[:n].copy(), parts, around
 
 
