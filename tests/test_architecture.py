@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -125,6 +126,16 @@ def test_only_viz_imports_rerun() -> None:
     guilty = {p for package in PACKAGES for p in files(package) if any(within(n, "rerun") for n in imports(p))}
     assert guilty
     assert all(path.is_relative_to(ROOT / "dynaviz/views") for path in guilty)
+
+
+def test_kernels_call_no_function_of_another_file() -> None:
+    """Numba's cache on disk does not notice that the other file changed."""
+    kernels = "dynaviz.kernels."
+    for path in (PACKAGES["dynaviz"] / "kernels").glob("*.py"):
+        for name in imports(path):
+            if name.startswith(kernels) and "." in name.removeprefix(kernels):
+                module, _, member = name.rpartition(".")
+                assert not callable(getattr(importlib.import_module(module), member)), (path, name)
 
 
 METHODS_MAY = ("arrays", "contracts", "spatial", "blocks", "kernels", "errors")
