@@ -5,10 +5,9 @@ point inside it, and the result equals the minimum over all pairs, bit by bit.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 LEAF = 16  # points per leaf of the tree
-_BLOCK = 1024  # queries that a thread processes at once
 _DIGIT = 11  # bits by which points are sorted at once
 
 
@@ -84,8 +83,8 @@ def _to_box(tree, node, x, y, z):
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def search(points, tree, queries, reach, enough):
+@njit(cache=True, nogil=True)
+def search(points, tree, reach, enough, queries):
     """(N,) float32: squared distance of each query to the nearest point, square metres; at most ``reach`` (squared).
 
     A query stops at the first point within a squared distance of ``enough``; 0 searches the nearest. Sort queries so
@@ -93,40 +92,37 @@ def search(points, tree, queries, reach, enough):
     """
     out = np.empty(len(queries), np.float32)
     leaves = len(tree) // 2
-    for block in prange((len(queries) + _BLOCK - 1) // _BLOCK):
-        nodes = np.empty(64, np.int64)
-        bounds = np.empty(64, np.float32)
-        nearest = -1
-        for q in range(block * _BLOCK, min((block + 1) * _BLOCK, len(queries))):
-            x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-            best = reach
-            if nearest >= 0:
-                dx, dy, dz = points[nearest, 0] - x, points[nearest, 1] - y, points[nearest, 2] - z
-                best = min(best, dx * dx + dy * dy + dz * dz)
-            nodes[0], bounds[0] = 1, np.float32(0)
-            depth = 1
-            while depth > 0 and best > enough:
-                depth -= 1
-                node = nodes[depth]
-                if bounds[depth] >= best:
-                    continue
-                while node < leaves:  # descend into the closer child; push the other if it may matter
-                    left, right = _to_box(tree, 2 * node, x, y, z), _to_box(tree, 2 * node + 1, x, y, z)
-                    node = 2 * node
-                    if right < left:
-                        node += 1
-                        left, right = right, left
-                    if right < best:
-                        nodes[depth], bounds[depth] = node ^ 1, right
-                        depth += 1
-                    if left >= best:
-                        break
-                else:
-                    first = (node - leaves) * LEAF
-                    for i in range(first, min(first + LEAF, len(points))):
-                        dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-                        d = dx * dx + dy * dy + dz * dz
-                        if d < best:
-                            best, nearest = d, i
-            out[q] = best
+    nodes, bounds, nearest = np.empty(64, np.int64), np.empty(64, np.float32), -1
+    for q in range(len(queries)):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        best = reach
+        if nearest >= 0:
+            dx, dy, dz = points[nearest, 0] - x, points[nearest, 1] - y, points[nearest, 2] - z
+            best = min(best, dx * dx + dy * dy + dz * dz)
+        nodes[0], bounds[0] = 1, np.float32(0)
+        depth = 1
+        while depth > 0 and best > enough:
+            depth -= 1
+            node = nodes[depth]
+            if bounds[depth] >= best:
+                continue
+            while node < leaves:  # descend into the closer child; push the other if it may matter
+                left, right = _to_box(tree, 2 * node, x, y, z), _to_box(tree, 2 * node + 1, x, y, z)
+                node = 2 * node
+                if right < left:
+                    node += 1
+                    left, right = right, left
+                if right < best:
+                    nodes[depth], bounds[depth] = node ^ 1, right
+                    depth += 1
+                if left >= best:
+                    break
+            else:
+                first = (node - leaves) * LEAF
+                for i in range(first, min(first + LEAF, len(points))):
+                    dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
+                    d = dx * dx + dy * dy + dz * dz
+                    if d < best:
+                        best, nearest = d, i
+        out[q] = best
     return out

@@ -9,6 +9,9 @@ dx² + dy² + dz² is compared with the limit as a float32. A point exactly at t
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
 import numpy as np
 
 from dynaviz import kernels
@@ -61,7 +64,9 @@ class Nearest:
             ordered, order = _in_morton_order(query, self._low, self._high)
             with np.errstate(over="ignore"):
                 reach = np.nextafter(last, np.float32(np.inf))
-            squared[order] = kernels.nearest.search(self._points, self._tree, ordered, reach, enough)
+            search = partial(kernels.nearest.search, self._points, self._tree, reach, enough)
+            with ThreadPoolExecutor(threads := kernels.threads_in_use()) as pool:
+                squared[order] = np.concatenate(list(pool.map(search, np.array_split(ordered, threads))))
         return squared
 
 
