@@ -24,7 +24,7 @@ LIMIT = 2.0  # metres: larger distances are only counted
 BIN = 0.05  # metres
 _STEP = 1e-4  # metres: percentiles are rounded up to it
 _HALO = LIMIT + 0.1  # metres: a margin above rounding errors far from the origin
-_BLOCK = 250_000  # points in a slab, and at most wrong ones in memory at once, for each thread
+_BLOCK = 300_000  # points in a slab, and at most wrong ones in memory at once, for each thread
 
 EDGES = np.append(np.arange(round(LIMIT / BIN) + 1) * BIN, np.inf)
 _FINE = round(LIMIT / _STEP)
