@@ -11,6 +11,7 @@ call. Processor time is that of all threads: work in the background counts in th
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import os
@@ -28,7 +29,7 @@ LAUNCHED = "WHOLE_LAUNCHED"  # environment variable: when the process was launch
 
 
 class Steps:
-    """Elapsed and processor seconds by step; time belongs to the innermost step."""
+    """Elapsed and processor seconds by step of the main thread; time belongs to the innermost step."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
@@ -82,11 +83,12 @@ def child(command: str, method: str, source: str, out: str, frames: str | None =
     import dynaviz.cli  # noqa: F401
     from dynaviz.contracts import registry
     from dynaviz.engine import cleaned_map, loop, outputs
+    from dynaviz.runs.execution import Surveyed
     from dynaviz.sources import pose_noise, summary
 
     steps = Steps()
     steps.wrap(loop, "_warm_up", "loading kernels, first scan")
-    steps.wrap(loop, "summarize", "survey: extent, digest")
+    steps.wrap(Surveyed, "of", "survey: extent, digest; checks of poses")
     for each in ("add", "result"):
         steps.wrap(pose_noise.PoseNoiseMeter, each, "survey: noise of poses")
     summary.stream = _stream(steps, summary.stream, "waiting for scans: survey")  # type: ignore[assignment]
@@ -97,9 +99,17 @@ def child(command: str, method: str, source: str, out: str, frames: str | None =
         return steps.timed(f"method: {call.__name__}", clock, self, frame, call, scan)
 
     loop.Clock.timed = timed  # type: ignore[method-assign]
+    updating = loop.updating
+
+    @contextlib.contextmanager
+    def timed_updates(*args: Any) -> Iterator[Callable[..., Any]]:
+        with updating(*args) as update:
+            yield functools.partial(steps.timed, "metrics: each scan", update)
+
+    loop.updating = timed_updates  # type: ignore[assignment]
     for name, metric in registry.loadable("metrics").items():
-        for each in ("update", "finish", "figures"):
-            steps.wrap(metric, each, f"metrics: {name}")
+        for each in ("finish", "figures"):
+            steps.wrap(metric, each, f"metrics: {name}, at the end")
     for each in ("labelled", "__exit__"):
         steps.wrap(outputs.MapFiles, each, "maps")
         steps.wrap(outputs.LabelsFile, each, "labels")
@@ -174,7 +184,7 @@ def main(source: str | None = None, *methods: str) -> None:
         methods = methods or ("octomap", "seethrough")
         for method in methods:
             columns = {}
-            for command in ("none", "errors", "clean"):
+            for command in ("none", "errors", "full", "clean"):
                 profile(command, method, source, "0:2")
                 columns[command] = profile(command, method, source)
             print(f"\n{method}, elapsed / processor seconds\n\n| step | " + " | ".join(columns) + " |")

@@ -108,16 +108,26 @@ def _cast() -> None:
 
 
 def _score() -> None:
-    """Score and record a map that lacks half of the points."""
+    """Record, then score and record a map that lacks half of the points.
+
+    Runs score first. In the other order, two processes would reach the same kernel, and compile all later ones twice.
+    """
     import numpy as np
 
     from dynaviz import api
+    from dynaviz.engine.external import ExternalMap
+    from dynaviz.engine.loop import RunSpec, execute
     from dynaviz.testing import InMemory, crossing
+    from dynaviz.views.record.recorder import Recorder
 
     scans = crossing(9)
     with contextlib.redirect_stderr(io.StringIO()), tempfile.TemporaryDirectory() as folder:
-        np.save(Path(folder) / "map.npy", np.concatenate([scan.points for scan in scans])[::2])
-        api.score(Path(folder) / "map.npy", InMemory(scans), out=folder)
+        path = Path(folder) / "map.npy"
+        np.save(path, np.concatenate([scan.points for scan in scans])[::2])
+        labels = ExternalMap(path, "map")
+        with Recorder(Path(folder) / "run.rrd") as recorder:
+            execute(RunSpec(labels, InMemory(scans), labels.params), [recorder], recorder)
+        api.score(path, InMemory(scans), out=folder)
 
 
 if __name__ == "__main__":
