@@ -12,7 +12,9 @@ from hypothesis import given, settings
 
 from dynaviz.scores.comparison.counts import AGREEMENT, TRUTHS
 from dynaviz.scores.comparison.frame_answers import BAND_NAMES
-from dynaviz.scores.comparison.pair import AgreementByTruth, RangeAgreement, ReasonPair, WrongPointCounts
+from dynaviz.scores.comparison.pair import AgreementByTruth, ComparedRun, RangeAgreement, ReasonPair, WrongPointCounts
+from dynaviz.scores.comparison.tables import LISTED, sections
+from dynaviz.scores.sections import Runtime
 
 
 def by_truth(points: AgreementByTruth | RangeAgreement) -> dict[tuple[str, str], int]:
@@ -104,3 +106,21 @@ def test_against_a_count_point_by_point(seed: int) -> None:
             by_frame.append(sum(100 * n / totals[t] for n, t in zip(change, a.truth[here], strict=True)))
         most = max(np.sign(place.gain) * np.array(by_frame))
         assert by_frame[place.frame] * np.sign(place.gain) == pytest.approx(most)
+
+
+def test_the_tables_show_what_was_counted() -> None:
+    pair = compared(*two_runs(3, 6, 80))
+    runs = [
+        ComparedRun(letter, name, "", "", name, name, "errors", "mask", False, 0, {}, pair.scores, Runtime(), False, "")
+        for letter, name in (("A", "octomap"), ("B", "dufomap"))
+    ]
+    tables = {section.title: section.rows for section in sections(runs, [pair])}
+    rows = {row[0]: row[1:] for row in tables["Correctly labelled points, by range from the sensor"]}
+    kinds = ("only_first", "only_second", "neither", "both")
+    expected = {("all", truth): getattr(pair.right, truth) for truth in TRUTHS}
+    expected |= {(band.band, truth): getattr(band, truth) for band in pair.by_range for truth in TRUTHS}
+    assert rows == {f"{truth}, {of}": tuple(str(getattr(n, k)) for k in kinds) for (of, truth), n in expected.items()}
+    assert [(int(row[0]), row[1]) for row in tables["Frames that change most"]] == [
+        (row.frame, "B" if row.gain > 0 else "A") for row in pair.frames
+    ]
+    assert [row[-1] for row in tables["Errors by reason"]] == [str(row.points) for row in pair.by_reason[:LISTED]]
