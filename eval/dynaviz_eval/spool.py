@@ -63,7 +63,8 @@ class PointSpool:
         if len(points) == 0:
             return
         low, high = ([float(f(points[:, axis])) for axis in range(3)] for f in (np.min, np.max))
-        rest = memoryview(np.ascontiguousarray(points, np.float32).view(np.uint8).ravel())  # type: ignore[arg-type]
+        columns = np.ascontiguousarray(points.T, np.float32)  # a box selects points by columns, which is much faster
+        rest = memoryview(columns.view(np.uint8).ravel())  # type: ignore[arg-type]
         self._spans.extend([frame, self._end, len(points), *low, *high])
         self._end += len(rest)
         self.points += len(points)
@@ -77,7 +78,7 @@ class PointSpool:
     def sample(self, axis: int, step: int) -> F32:
         """One coordinate of every ``step``-th point of each frame, at least one per frame."""
         # Copy: a view would keep all points of its frame in memory.
-        return np.concatenate([self._read(span)[::step, axis].copy() for span in self._table()])
+        return np.concatenate([self._read(span)[axis, ::step].copy() for span in self._table()])
 
     def blocks(self, low: F64, high: F64, size: int) -> Iterator[tuple[F32, I32]]:
         """Points in a box and their frames, about ``size`` at a time.
@@ -90,7 +91,6 @@ class PointSpool:
         """
         spans = self._table()
         crossing = spans[(spans[:, HIGH] >= low).all(1) & (spans[:, LOW] < high).all(1)]
-        axes = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
         counts = crossing[:, COUNT].astype(np.int64)
         capacity = min(size + int(counts.max(initial=0)), int(counts.sum()))
         points, frames, filled = np.empty((capacity, 3), np.float32), np.empty(capacity, np.int32), 0
@@ -98,14 +98,16 @@ class PointSpool:
             if filled >= size:
                 yield points[:filled], frames[:filled]
                 filled = 0
-            chosen = self._read(span)
-            inside = np.ones(len(chosen), np.bool_)
-            for axis in axes:
-                inside &= (chosen[:, axis] >= float(low[axis])) & (chosen[:, axis] < float(high[axis]))
-            chosen = np.compress(inside, chosen, 0)
-            points[filled : filled + len(chosen)] = chosen
-            frames[filled : filled + len(chosen)] = int(span[FRAME])
-            filled += len(chosen)
+            columns = self._read(span)
+            inside = np.ones(columns.shape[1], np.bool_)
+            for column, begin, end, first, last in zip(columns, low, high, span[LOW], span[HIGH], strict=True):
+                if first < begin or last >= end:
+                    inside &= (column >= float(begin)) & (column < float(end))
+            rows = np.flatnonzero(inside)
+            for axis, column in enumerate(columns):
+                points[filled : filled + len(rows), axis] = column[rows]
+            frames[filled : filled + len(rows)] = int(span[FRAME])
+            filled += len(rows)
         if filled:
             yield points[:filled], frames[:filled]
 
@@ -114,6 +116,7 @@ class PointSpool:
         return np.array(self._spans).reshape(-1, 9)
 
     def _read(self, span: F64) -> F32:
+        """(3, N) coordinates of a frame."""
         with self._reading:
             self._file.seek(int(span[START]))
-            return np.fromfile(self._file, np.float32, 3 * int(span[COUNT])).reshape(-1, 3)
+            return np.fromfile(self._file, np.float32, 3 * int(span[COUNT])).reshape(3, -1)
