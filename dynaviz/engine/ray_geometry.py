@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,13 +76,18 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
     order = np.lexsort(cubes.T)
     edges = np.flatnonzero((cubes[order[1:]] != cubes[order[:-1]]).any(1)) + 1
     starts = np.concatenate([[0], edges, [len(cells)]])
-    found = []
-    for first in range(0, len(starts) - 1, kernels.witnesses.MOST):
-        some = starts[first : first + kernels.witnesses.MOST + 1]
+    groups, threads = len(starts) - 1, kernels.threads_in_use()
+    size = -(-groups // (threads * -(-groups // (threads * kernels.witnesses.MOST))))  # as many for each thread
+
+    def search(first: int) -> tuple[I64, I64, Bool]:
+        some = starts[first : first + size + 1]
         mine = order[some[0] : some[-1]]
         low, high = (np.ascontiguousarray(cells[mine, side]) for side in (0, 1))
         rays, boxes, ends = kernels.witnesses.touched(scan.points, scan.origins, some - some[0], low, high)
-        found.append((rays, mine[boxes], ends))
+        return rays, mine[boxes], ends
+
+    with ThreadPoolExecutor(threads) as pool:
+        found = list(pool.map(search, range(0, groups, size)))
     rays, boxes, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     return rays, boxes, ends
 
