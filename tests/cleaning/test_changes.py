@@ -13,7 +13,7 @@ from helpers.static_hall import SENSOR, hall
 
 import dynaviz as dv
 from dynaviz.arrays import F64, Bool
-from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SEEN, SEEN_AGAIN
+from dynaviz.cleaning.changes import APPEARED, DISAPPEARED, MOVED, NAMES, NOT_SEEN, SEEN_AGAIN, Pair
 from dynaviz.contracts.scan import Scan
 from dynaviz.errors import DataError, UsageError
 from dynaviz.explorer.cards import cards
@@ -133,6 +133,13 @@ def test_changes_need_two_drives(tmp_path: Path, run_command: Callable[..., tupl
         dv.clean(three, tmp_path / "clean.pcd", changed=True)
     with pytest.raises(UsageError, match="frames of one drive only"):
         dv.clean(Drives.of([drive("monday")] * 2), tmp_path / "clean.pcd", changed=True, frames="0:8")
+
+
+def test_the_second_drive_begins_where_the_first_one_ends() -> None:
+    scans = drive("monday").scans
+    drives = Drives.of([InMemory(scans[:3], "monday", SENSOR), InMemory(scans[3:], "tuesday", SENSOR)])
+    assert [len(Pair.of(drives).alone(which, drives)) for which in (0, 1)] == [3, FRAMES - 3]
+    assert Pair.of(dv.open(drives, stride=2)).first == 2
 
 
 def test_the_explorer_shows_the_changes(cleaned: Any) -> None:

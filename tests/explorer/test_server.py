@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import socket
 import struct
@@ -223,6 +224,29 @@ def test_the_evidence_on_a_case_needs_no_sequence(mailed: Explorer, runs: dict[s
     evidence = ask(mailed, "evidence", run="a", case=1)
     assert evidence["strip"]["points"] > 1
     assert [p["name"] for p in evidence["what_if"]["parameters"]] == ["prob_miss", "prob_hit", "clamp_min", "clamp_max"]
+
+
+def test_a_point_without_stored_evidence_has_that_of_one_beside_it(runs: dict[str, Path]) -> None:
+    run, asked = ExploredRun(runs["coarse"]), 0
+    ledgers = [ledger for case in range(1, len(run.result.failures) + 1) for ledger in run.ledgers(case)]
+    for frame in {ledger.frame for ledger in ledgers}:
+        drawn = run.drawn(frame)
+        assert drawn is not None
+        for row in drawn.point.tolist():
+            point = run.point(frame, row)
+            alike = {
+                ledger.point: math.dist(ledger.position, point["position"])
+                for ledger in ledgers
+                if (ledger.frame, ledger.removed, ledger.reason.name) == (frame, point["removed"], point["reason"])
+            }
+            found = run.stored(frame, row)
+            if min(alike.values(), default=math.inf) > 0.5:
+                assert found is None
+            else:
+                assert found is not None
+                assert found[1] == alike[found[0].point] == min(alike.values())
+                asked += row not in alike
+    assert asked
 
 
 def test_the_evidence_of_chosen_points_is_that_of_their_ledgers(mailed: Explorer, runs: dict[str, Path]) -> None:
