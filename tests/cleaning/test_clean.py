@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import numpy as np
 import pytest
 from helpers.worlds import room
@@ -131,6 +133,19 @@ def test_the_summary_states_what_was_removed(tmp_path: Path) -> None:
     names = {path.name for path in (tmp_path / "map_run").iterdir()}
     assert names == {"summary.md", "labels.npz", "result.json", "config.toml", "trajectory.csv"}
     assert dv.Result.load(tmp_path / "map_run/result.json").labels[2].tolist() == cleaned.result.labels[2].tolist()
+
+
+def test_the_summary_lists_failures_with_ground_truth_and_clusters_without(tmp_path: Path) -> None:
+    cleaned = clean(room(FRAMES, 1500), tmp_path / "known.npz")
+    first, *_ = cleaned.result.failures
+    assert f"1. {first.sentence}" in str(cleaned).split("## Scores: SA ")[1]
+    clusters = clean(room(FRAMES, 1500, labelled=False), tmp_path / "unknown.npz").result.clusters
+    assert len(clusters) > 1
+    ranked = [msgspec.structs.replace(clusters[0], suspicion=s, points=n) for s, n in ((0.5, 9), (0.5, 30), (0.7, 2))]
+    removals = msgspec.structs.replace(cleaned.removals, clusters=tuple(ranked))
+    sections = msgspec.structs.replace(cleaned.result.sections, failures=None, removals=removals)
+    result = dataclasses.replace(cleaned.result, sections=sections)
+    assert [each.points for each in dataclasses.replace(cleaned, result=result).clusters] == [2, 30, 9]
 
 
 def test_far_from_zero_labels_are_the_same_and_the_map_is_far(tmp_path: Path) -> None:
