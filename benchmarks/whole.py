@@ -11,7 +11,6 @@ call. Processor time is that of all threads: work in the background counts in th
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import json
 import os
@@ -99,14 +98,7 @@ def child(command: str, method: str, source: str, out: str, frames: str | None =
         return steps.timed(f"method: {call.__name__}", clock, self, frame, call, scan)
 
     loop.Clock.timed = timed  # type: ignore[method-assign]
-    updating = loop.updating
-
-    @contextlib.contextmanager
-    def timed_updates(*args: Any) -> Iterator[Callable[..., Any]]:
-        with updating(*args) as update:
-            yield functools.partial(steps.timed, "metrics: each scan", update)
-
-    loop.updating = timed_updates  # type: ignore[assignment]
+    steps.wrap(loop.Updates, "update", "metrics: each scan")
     for name, metric in registry.loadable("metrics").items():
         for each in ("finish", "figures"):
             steps.wrap(metric, each, f"metrics: {name}, at the end")

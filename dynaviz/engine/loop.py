@@ -25,7 +25,7 @@ from dynaviz.contracts.plugin_code import plugin
 from dynaviz.contracts.probe import SILENT, MemoryProbe, Probe
 from dynaviz.contracts.scan import Scan, Sequence, base_of, stream
 from dynaviz.engine.packed_bits import PackedBits
-from dynaviz.engine.updating import updating
+from dynaviz.engine.updating import Updates
 from dynaviz.errors import PluginError, UsageError
 from dynaviz.progress import Progress, silent
 from dynaviz.scores.account import PointAccount
@@ -168,7 +168,7 @@ def execute(
     summary = run.summary or summarize(
         run.sequence, lambda done: progress("survey", done, total), PoseNoiseMeter(len(run.sequence))
     )
-    near, info = AtSensor(run.sequence.sensor), labeller.info
+    near, info, updates = AtSensor(run.sequence.sensor), labeller.info, Updates(run.metrics)
     if method:
         _warm_up(method, run, probe)
     clock.prepare(lambda: labeller.begin(context_of(run, summary, probe)))
@@ -192,16 +192,15 @@ def execute(
         finite = all_finite(scan.points)
         removed, not_finite = removed + int((labelled.dynamic & finite).sum()), not_finite + int((~finite).sum())
         at_sensor += int(np.count_nonzero(labelled.reasons == info.reasons.index(AT_SENSOR)))
-        curves = update(labelled)
+        curves = updates.update(labelled)
         for listener in listeners:
             listener.labelled(labelled, curves)
         progress("label", frame + 1, total)
 
-    with updating(run.metrics, threads) as update:
-        for steps in _passes(run, observe, label):
-            for frame, scan in enumerate(stream(run.sequence)):
-                for step in steps:
-                    step(frame, scan)
+    for steps in _passes(run, observe, label):
+        for frame, scan in enumerate(stream(run.sequence)):
+            for step in steps:
+                step(frame, scan)
 
     # Before the metrics finish: the memory they need then is not the method's.
     runtime = clock.runtime(threads) if method else getattr(labeller, "runtime", Runtime(frames=total))

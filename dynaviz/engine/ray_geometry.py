@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,8 +85,7 @@ def _touched(scan: Scan, cells: F64) -> tuple[I64, I64, Bool]:
         rays, boxes, ends = kernels.witnesses.touched(scan.points, scan.origins, some - some[0], low, high)
         return rays, mine[boxes], ends
 
-    with ThreadPoolExecutor(threads) as pool:
-        found = list(pool.map(search, range(0, groups, size)))
+    found = kernels.each(search, range(0, groups, size))
     rays, boxes, ends = (np.concatenate(each) for each in zip(*found, strict=True))
     return rays, boxes, ends
 

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 
 from dynaviz import kernels
 from dynaviz.contracts.metric import Labelled, Metric
 
 
-@contextlib.contextmanager
-def updating(metrics: Sequence[Metric], threads: int) -> Iterator[Callable[[Labelled], dict[str, float]]]:
-    """A function that gives a scan to all metrics, and returns the values to plot, in the order of the metrics.
+class Updates:
+    """Gives scans to metrics. Those that took longest so far begin first."""
 
-    It returns when all are done, so that nothing runs next to the method. Those that took longest so far begin first.
-    """
-    spent = [0.0] * len(metrics)
+    def __init__(self, metrics: Sequence[Metric]) -> None:
+        self._metrics, self._spent = metrics, [0.0] * len(metrics)
 
-    def update(number: int, labelled: Labelled) -> Mapping[str, float]:
-        begin = time.perf_counter()
-        values = metrics[number].update(labelled)
-        spent[number] += time.perf_counter() - begin
-        return values
+    def update(self, labelled: Labelled) -> dict[str, float]:
+        """Add a scan to all metrics; the values to plot, in the order of the metrics.
 
-    with ThreadPoolExecutor(threads, "metrics", initializer=kernels.set_threads, initargs=(1,)) as pool:
+        Returns when all are done, so that nothing runs next to the method.
+        """
 
-        def update_all(labelled: Labelled) -> dict[str, float]:
-            longest_first = sorted(range(len(metrics)), key=lambda number: -spent[number])
-            pending = {number: pool.submit(update, number, labelled) for number in longest_first}
-            return {name: value for number in range(len(metrics)) for name, value in pending[number].result().items()}
+        def one(number: int) -> Mapping[str, float]:
+            begin = time.perf_counter()
+            values = self._metrics[number].update(labelled)
+            self._spent[number] += time.perf_counter() - begin
+            return values
 
-        yield update_all
+        order = sorted(range(len(self._metrics)), key=lambda number: -self._spent[number])
+        found = dict(zip(order, kernels.each(one, order), strict=True))
+        return {name: value for number in sorted(found) for name, value in found[number].items()}

@@ -20,10 +20,11 @@ import importlib.util
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -38,6 +39,8 @@ LAYERS = ("omp", "workqueue", "tbb")
 - ``tbb`` is never reached, only selected with ``NUMBA_THREADING_LAYER=tbb``: numba takes whatever TBB another package
   has loaded before, and warns if it is too old.
 """
+T = TypeVar("T")
+R = TypeVar("R")
 _prepared = False
 _one_at_a_time = threading.RLock()
 _loading = threading.RLock()
@@ -88,6 +91,26 @@ def set_threads(threads: int | None) -> int:
 def threads_in_use() -> int:
     """The number of threads that kernels use, which is the number of lanes of scratch memory that they need."""
     return int(_numba().get_num_threads())
+
+
+def each(call: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """The results of a call for each item. This thread and others take the items in order; each runs kernels alone."""
+    waiting, results, threads = enumerate(list(items)), dict[int, R](), threads_in_use()
+
+    def work() -> None:
+        for number, item in waiting:  # the threads share the iterator
+            results[number] = call(item)
+
+    set_threads(1)
+    try:
+        with ThreadPoolExecutor(max(threads - 1, 1), initializer=set_threads, initargs=(1,)) as pool:
+            others = [pool.submit(work) for _ in range(threads - 1)]
+            work()
+        for other in others:
+            other.result()
+    finally:
+        set_threads(threads)
+    return [results[number] for number in sorted(results)]
 
 
 def threading_layer() -> str | None:

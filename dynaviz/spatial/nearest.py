@@ -9,7 +9,6 @@ dx² + dy² + dz² is compared with the limit as a float32. A point exactly at t
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -65,8 +64,7 @@ class Nearest:
             with np.errstate(over="ignore"):
                 reach = np.nextafter(last, np.float32(np.inf))
             search = partial(kernels.nearest.search, self._points, self._tree, reach, enough)
-            with ThreadPoolExecutor(threads := kernels.threads_in_use()) as pool:
-                squared[order] = np.concatenate(list(pool.map(search, np.array_split(ordered, threads))))
+            squared[order] = np.concatenate(kernels.each(search, np.array_split(ordered, kernels.threads_in_use())))
         return squared
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import threading
-from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -108,9 +106,8 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
                 np.add(fine, counts[0], out=fine)
                 by_frame[first:last] += counts[1].reshape(shape)
 
-    lock, threads = threading.Lock(), kernels.threads_in_use()
-    with ThreadPoolExecutor(threads, initializer=kernels.set_threads, initargs=(1,)) as pool:
-        deque(pool.map(add, _slabs(wrong, correct, axis, block)), maxlen=0)
+    lock = threading.Lock()
+    kernels.each(add, _slabs(wrong, correct, axis, block))
     return fine, by_frame
 
 
