@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 
+import msgspec
 import pytest
 from rich.console import Console
 
-from dynaviz.cli.cases import listing, top_of
+from dynaviz.cli.cases import _cases, _clusters, listing, top_of
 from dynaviz.scores.failure_case import FailureCase, RangeSpan
 from dynaviz.scores.result import Result, result_table
-from dynaviz.scores.sections import Removals, RemovedCluster, Sections, SequenceInfo
+from dynaviz.scores.sections import Failures, Removals, RemovedCluster, Sections, SequenceInfo
 
 WHERE = {
     "points": 1234,
@@ -66,3 +67,11 @@ def test_the_table_of_runs_without_ground_truth_shows_what_was_removed():
     for part in ("1,000", "25.00", "crossed_by_rays 90\N{NO-BREAK SPACE}%", "too_high 10", "no ground truth"):
         assert part in text
     assert text.count("n/a") == 5  # nothing is known about the second, and no runtime of either
+
+
+def test_runs_without_cases_say_why_there_are_none():
+    assert rendered(*_cases(Failures(), 20)) == ["No failure cases: no labelled point is wrong."]
+    assert rendered(*_clusters(Removals(4000, 0), 20))[-1] == "No point was removed."
+    removed = msgspec.structs.replace(REMOVALS, clusters=())
+    assert "contains no clusters of removed points" in rendered(*_clusters(removed, 20), width=120)[-1]
+    assert rendered(*_clusters(REMOVALS, 3))[-1] == "2 more clusters."

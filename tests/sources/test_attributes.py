@@ -114,5 +114,8 @@ def test_an_extrinsic_turns_poses_of_a_vehicle_into_those_of_its_lidar(tmp_path:
         np.testing.assert_allclose(scan.T_world_sensor[:3, 3], [2.5, 0.5, 2.0], atol=1e-12)
         x, y, z = LOCAL[2].T
         np.testing.assert_allclose(scan.points, np.column_stack([2.5 - y, 0.5 + x, 2 + z]), atol=1e-4)
-    with pytest.raises(UsageError, match=r"extrinsic=.1,2,3.: has 3 numbers"):
-        dv.open(folder, extrinsic="1,2,3")
+    (tmp_path / "two.txt").write_text("0 -1 0 1.5  1 0 0 0  0 0 1 2\n" * 2)
+    wrong = {"1,2,3": "has 3 numbers", "a,b": "neither numbers nor a file", str(tmp_path / "two.txt"): "has 2 poses"}
+    for extrinsic, problem in wrong.items():
+        with pytest.raises(UsageError, match=f"extrinsic=.*: {problem}"):
+            dv.open(folder, extrinsic=extrinsic)
