@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from helpers.worlds import room
 
-from dynaviz import api
+from dynaviz import api, kernels
 from dynaviz.contracts import plugin_code, registry
 
 METHODS = ("octomap", "dufomap")  # both have parallel kernels
@@ -135,3 +135,23 @@ def test_recordings_in_threads(tmp_path: Path) -> None:
         assert recording.result is not None
         assert recording.result.labels_sha256 == result.labels_sha256
         assert [answers.frame for answers in recording.answers()] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_share_items_and_the_results_keep_their_order(threads: int) -> None:
+    def call(item: int) -> tuple[int, int]:
+        return item * item, kernels.threads_in_use()
+
+    def fail(item: int) -> None:
+        if item == 3:
+            raise ValueError("three")
+
+    try:
+        used = kernels.set_threads(threads)
+        assert kernels.each(call, range(100)) == [(item * item, 1) for item in range(100)]
+        assert kernels.each(call, []) == []
+        with pytest.raises(ValueError, match="three"):
+            kernels.each(fail, range(100))
+        assert kernels.threads_in_use() == used
+    finally:
+        kernels.set_threads(None)
