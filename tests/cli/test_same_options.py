@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import inspect
 from pathlib import Path
 from typing import Any
@@ -158,3 +159,12 @@ def test_python_verbs_that_run_a_method_take_all_options(verb: Any, monkeypatch:
     with pytest.raises(Seen) as found:
         verb(*given, **RUN)
     assert found.value.options == RunOptions(**{**RUN, "maps": False})
+
+
+@pytest.mark.parametrize("verb", ["clean", "live", "score", "tune"])
+def test_a_command_has_the_defaults_of_its_function(verb: str) -> None:
+    command = vars(importlib.import_module(f"dynaviz.cli.{verb}"))[verb]
+    theirs, own = (inspect.signature(each).parameters for each in (command, getattr(dv, verb)))
+    shared = [name for name in own if name in theirs and isinstance(own[name].default, int | float | str)]
+    assert shared
+    assert {name: theirs[name].default or own[name].default for name in shared} == {n: own[n].default for n in shared}
