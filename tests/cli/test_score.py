@@ -107,7 +107,7 @@ def test_a_run_without_ground_truth_shows_what_it_removed(run_command: Command, 
         assert "There is no ground truth, so it is unknown which points are wrong." in out
         assert f"{removals['removed']:,} of {removals['points']:,} points were removed" in out
         assert json.loads((tmp_path / "removals.json").read_text()) == removals
-    assert "Points removed, by reason" in run_command("info", tmp_path / "result.json")[1]
+        assert "Points removed, by reason" in run_command("info", tmp_path / name)[1]
 
 
 def test_a_map_in_another_frame_gives_a_warning_of_one_line(score: Command, folder: Path, tmp_path: Path) -> None:
