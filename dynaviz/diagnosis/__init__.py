@@ -71,7 +71,9 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
         raise errors[0]
     findings += _unreadable(errors)
     if columns := list(check_columns(sequence, checker.indices[0], checker.positions[0])):
-        return Diagnosis.of(sequence.name, len(sequence), len(chosen), columns + findings)  # the rest follows
+        return Diagnosis.of(
+            sequence.name, len(sequence), len(chosen), columns + findings, of_poses=columns
+        )  # the rest follows
     groups = FrameGroups(sequence)
     alignment_findings = list(_check_alignment(groups, progress))
     misaligned = any(finding.name not in KEEPS_RANGES for finding in alignment_findings)
@@ -85,8 +87,10 @@ def doctor(sequence: Sequence | str | os.PathLike[str], *, progress: Progress = 
     if not misaligned and not jumps:
         places = looks(checker.positions, checker.poses, checker.usable, PLACES)
         ends = {(checker.positions[a], checker.positions[b]) for a, b in places} | set(_quick_places(groups))
-        findings += check_drift(_seen(groups, sorted(ends), progress))
-    diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings)
+        drift = list(check_drift(_seen(groups, sorted(ends), progress)))
+        findings += drift
+        alignment_findings += drift
+    diagnosis = Diagnosis.of(sequence.name, len(sequence), len(chosen), findings, of_poses=alignment_findings)
     if misaligned:
         return diagnosis
     positions = [pose[:3, 3] for pose in checker.poses]

@@ -83,6 +83,7 @@ class Diagnosis:
         examined: number of frames that were read.
         findings: certain ones first.
         pose_noise: None if too few planes are seen, or if the poses are wrong.
+        of_poses: the findings on poses, frames, units and columns among them.
         sampling: which methods have too few scans or rings; None if the poses are wrong.
     """
 
@@ -91,12 +92,16 @@ class Diagnosis:
     examined: int
     findings: tuple[Finding, ...]
     pose_noise: PoseNoise | None = None
+    of_poses: tuple[Finding, ...] = ()
     sampling: Sampling | None = None
 
     @classmethod
-    def of(cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding]) -> Diagnosis:
+    def of(
+        cls, sequence: str, frames: int, examined: int, findings: Iterable[Finding], of_poses: Iterable[Finding] = ()
+    ) -> Diagnosis:
         """Sort findings by confidence."""
-        return cls(sequence, frames, examined, tuple(sorted(findings, key=lambda finding: finding.confidence)))
+        ordered = tuple(sorted(findings, key=lambda finding: finding.confidence))
+        return cls(sequence, frames, examined, ordered, of_poses=tuple(of_poses))
 
     @property
     def ok(self) -> bool:
