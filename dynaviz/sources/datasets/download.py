@@ -35,23 +35,25 @@ class RemoteFile:
     Attributes:
         title: short description.
         mb: size of the archive in megabytes.
+        frames: number of frames.
         sensor: name of the sensor in dynaviz; None if dynaviz does not have it.
         labelled: whether there is ground truth.
     """
 
     title: str
     mb: int
+    frames: int
     sensor: str | None
     labelled: bool = True
 
 
 SEQUENCES: Mapping[str, RemoteFile] = {
-    "00": RemoteFile("KITTI 00, frames 4390 to 4530", 385, "hdl64e"),
-    "05": RemoteFile("KITTI 05, frames 2350 to 2670", 864, "hdl64e"),
-    "av2": RemoteFile("Argoverse 2, a log in a large city", 1300, "vlp32c_pair"),
-    "semindoor": RemoteFile("a hall that is open on one side", 621, "vlp16"),
-    "twofloor": RemoteFile("two floors, one pedestrian", 725, "mid360", labelled=False),
-    "kthcampus": RemoteFile("a campus, scanned from a tripod", 256, None, labelled=False),
+    "00": RemoteFile("KITTI 00, frames 4390 to 4530", 385, 141, "hdl64e"),
+    "05": RemoteFile("KITTI 05, frames 2350 to 2670", 864, 321, "hdl64e"),
+    "av2": RemoteFile("Argoverse 2, a log in a large city", 1300, 575, "vlp32c_pair"),
+    "semindoor": RemoteFile("a hall that is open on one side", 621, 960, "vlp16"),
+    "twofloor": RemoteFile("two floors, one pedestrian", 725, 3305, "mid360", labelled=False),
+    "kthcampus": RemoteFile("a campus, scanned from a tripod", 256, 18, None, labelled=False),
 }
 
 
