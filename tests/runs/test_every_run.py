@@ -252,7 +252,10 @@ def test_a_bench_runs_again_after_the_code_changed(tmp_path: Path, monkeypatch: 
 def test_labels_of_other_code_or_of_another_version_are_not_replayed() -> None:
     scans = room(frames=2, rays=300)
     result = dataclasses.replace(dv.run("octomap", scans), labels_sha256="0" * 64)
-    with pytest.raises(DataError, match=r"was written by dynaviz .* whose labels this version does not reproduce"):
+    with pytest.raises(
+        DataError,
+        match=r"was written by dynaviz .* whose labels this version does not reproduce\. Run the method again",
+    ):
         dv.why(result, 0, 0, sequence=scans)
     assert result.plugin is not None
     other = dataclasses.replace(result, plugin=msgspec.structs.replace(result.plugin, sha256="1" * 64))
