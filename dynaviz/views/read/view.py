@@ -92,7 +92,8 @@ def serving(port: int | None, *recordings: Path) -> Iterator[tuple[int, tuple[st
             subprocess.Popen(command, stdout=output, stderr=output, start_new_session=not recordings)
         )
         try:
-            viewer.wait_until_ready(server, inlet, output)
+            for each in (inlet, page):
+                viewer.wait_until_ready(server, each, output)
             if viewer.has_screen():
                 webbrowser.open(address)
             yield inlet, (
