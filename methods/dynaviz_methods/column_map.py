@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any, TypeVar
@@ -121,10 +120,7 @@ class ColumnMap:
         """What some work on the clouds, shared among threads, returns; the same for any number of threads if merged."""
         lanes = min(kernels.threads_in_use(), len(self._clouds))
         parts = [range(lane, len(self._clouds), lanes) for lane in range(lanes)]
-        if lanes < 2:
-            return [work(part) for part in parts]
-        with ThreadPoolExecutor(lanes) as pool:
-            return list(pool.map(work, parts))
+        return kernels.each(work, parts)
 
     def _lowest(self, part: range) -> F64:
         lowest = np.full(self._count, np.nan)
