@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import in_key_range, pack, unpack
-from dynaviz_methods.sky import sensor_image
+from dynaviz_methods.sky import DepthImage, sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
 
@@ -49,7 +48,8 @@ class ClearGrid(BlockGrid):
         if self._rectangle is not None:
             rays.append(self._beyond(scan, voxels, places, which))
         hitting = sum(len(ends) for ends, _ in rays)
-        rays.extend(self._skies(_by_sensor(scan, places, which)))
+        if self._image is not None:
+            rays.extend(self._sky(self._image, each) for each in _by_sensor(scan, places, which))
         centres = np.concatenate([ends for ends, _ in rays])
         if len(scan.origins) > 1:
             origins = np.concatenate([np.broadcast_to(starts, ends.shape) for ends, starts in rays])
@@ -57,14 +57,11 @@ class ClearGrid(BlockGrid):
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
         return self._cast(*way, every, kernels.as_readonly(np.arange(len(centres)) < hitting, np.bool_))
 
-    def _skies(self, scans: list[Scan]) -> Iterator[tuple[F32, F64]]:
-        """Ends (K, 3) and origin (1, 3) of the rays into the sky, where a scan has no return, for each scan."""
-        if self._image is None:
-            return
-        for each in scans:
-            ends = self._image.targets(each, *self._image.sky(*self._image.of(each))).astype(np.float32)
-            ends = ends[self.reaching(ends, each.position[None]) & in_key_range(ends, self.resolution)]
-            yield ends, each.position[None]
+    def _sky(self, image: DepthImage, scan: Scan) -> tuple[F32, F64]:
+        """Ends (K, 3) and origin (1, 3) of the rays into the sky: where a scan has no return."""
+        ends = image.targets(scan, *image.sky(*image.of(scan))).astype(np.float32)
+        ends = ends[self.reaching(ends, scan.position[None]) & in_key_range(ends, self.resolution)]
+        return ends, scan.position[None]
 
     def _rays(self, voxels: I64, places: F64, which: I64) -> tuple[I64, F64]:
         """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,), without duplicates.

@@ -371,9 +371,8 @@ class SeeThrough:
         """(K, 3) int32: indices of voxels, raised and tilted like the points of a scan that was levelled."""
         keys = self._grid.keys(voxels)
         if measured.tilt.any():
-            size, (x, y) = self._grid.resolution, measured.scan.position[:2]
-            c, a, b = measured.tilt
-            lift = c + a * ((keys[:, 0] + 0.5) * size - x) + b * ((keys[:, 1] + 0.5) * size - y)
+            size = self._grid.resolution
+            lift = _lift((keys + 0.5) * size, measured.scan.position, measured.tilt)
             keys = keys + np.outer(np.round(lift / size), (0, 0, 1)).astype(np.int32)
         return keys
 
