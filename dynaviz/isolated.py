@@ -14,7 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import IO
+from typing import IO, Any
 
 READING = ("info", "compare", "report", "why")
 """Commands that read recordings and end on their own."""
@@ -51,6 +51,27 @@ def run(command: Callable[[], None], words: Sequence[str]) -> None:
         print("dynaviz:", _crash(-code, words), file=sys.stderr)
         code = 2
     sys.exit(code)
+
+
+def without_pandas() -> None:
+    """Arrow imports pandas before it converts its first array, for 0.15 s and 25 MB; tell it that there is none."""
+    if "pandas" not in sys.modules:
+        import pyarrow
+
+        absent = _Absent()
+        sys.meta_path.insert(0, absent)  # type: ignore[arg-type]
+        try:
+            pyarrow.array(memoryview(b""))
+        finally:
+            sys.meta_path.remove(absent)  # type: ignore[arg-type]
+
+
+class _Absent:
+    """Finds no module pandas."""
+
+    def find_spec(self, name: str, *place: Any) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name=name)
 
 
 def _reads(words: Sequence[str]) -> bool:

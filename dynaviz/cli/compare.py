@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from dynaviz import isolated
 from dynaviz.cli.console import print_json, program, progress, show
 from dynaviz.cli.options import Json, Quiet, recording_in
 
@@ -43,6 +44,7 @@ def compare(
     dynaviz compare a.rrd b.rrd c.rrd -o compare.rrd --json compare.json
     dynaviz compare old.rrd new.rrd --fail-below -0.5
     """
+    isolated.without_pandas()
     from dynaviz.views.compare.compare import Compared
 
     with progress("compare", unit="recordings") as report:
