@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 
 LEAF = 16  # points per leaf of the tree
+PACKET = 32  # queries that descend the tree together, at most ...
+SPAN = np.float32(0.3)  # ... within a cube of this edge, metres
 _DIGIT = 11  # bits by which points are sorted at once
 
 
@@ -74,55 +76,82 @@ def boxes(points):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _to_box(tree, node, x, y, z):
-    """Squared distance from a point to a box; 0 inside."""
+def _to_box(tree, node, box):
+    """Squared distance between a node of the tree and a box, (6,) lower and upper corner; 0 if they overlap."""
     zero = np.float32(0)
-    dx = max(max(tree[node, 0] - x, x - tree[node, 3]), zero)
-    dy = max(max(tree[node, 1] - y, y - tree[node, 4]), zero)
-    dz = max(max(tree[node, 2] - z, z - tree[node, 5]), zero)
+    dx = max(max(tree[node, 0] - box[3], box[0] - tree[node, 3]), zero)
+    dy = max(max(tree[node, 1] - box[4], box[1] - tree[node, 4]), zero)
+    dz = max(max(tree[node, 2] - box[5], box[2] - tree[node, 5]), zero)
     return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, nogil=True)
+def _to_points(points, leaf, x, y, z, best):
+    """Lower the squared distances of a packet to those to the points of a leaf; return the largest."""
+    for i in range(leaf * LEAF, min(leaf * LEAF + LEAF, len(points))):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        for k in range(PACKET):  # without branches: eight at a time
+            dx, dy, dz = px - x[k], py - y[k], pz - z[k]
+            d = dx * dx + dy * dy + dz * dz
+            best[k] = d if d < best[k] else best[k]
+    worst = best[0]
+    for k in range(1, PACKET):
+        worst = max(worst, best[k])
+    return worst
 
 
 @njit(cache=True, nogil=True)
 def search(points, tree, reach, enough, queries):
     """(N,) float32: squared distance of each query to the nearest point, square metres; at most ``reach`` (squared).
 
-    A query stops at the first point within a squared distance of ``enough``; 0 searches the nearest. Sort queries so
-    that consecutive ones are close: each starts with the result of the previous one.
+    Consecutive queries that are close to each other descend the tree as one packet, which begins at the leaf where the
+    previous one ended: sort them. A packet stops when all are within a squared distance of ``enough`` of a point; 0
+    searches the nearest.
     """
-    out = np.empty(len(queries), np.float32)
-    leaves = len(tree) // 2
-    nodes, bounds, nearest = np.empty(64, np.int64), np.empty(64, np.float32), -1
-    for q in range(len(queries)):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        best = reach
-        if nearest >= 0:
-            dx, dy, dz = points[nearest, 0] - x, points[nearest, 1] - y, points[nearest, 2] - z
-            best = min(best, dx * dx + dy * dy + dz * dz)
-        nodes[0], bounds[0] = 1, np.float32(0)
-        depth = 1
-        while depth > 0 and best > enough:
+    out, leaves, near, begin = np.empty(len(queries), np.float32), len(tree) // 2, -1, 0
+    nodes, bounds, box = np.empty(64, np.int64), np.empty(64, np.float32), np.empty(6, np.float32)
+    x, y, z = np.empty(PACKET, np.float32), np.empty(PACKET, np.float32), np.empty(PACKET, np.float32)
+    best = np.empty(PACKET, np.float32)
+    while begin < len(queries):
+        for axis in range(6):
+            box[axis] = queries[begin, axis % 3]
+        end, wide = begin, False
+        while end < min(begin + PACKET, len(queries)) and not wide:
+            for axis in range(3):
+                at = queries[end, axis]
+                wide |= max(box[3 + axis], at) - min(box[axis], at) > SPAN
+            if not wide:
+                for axis in range(3):
+                    box[axis], box[3 + axis] = min(box[axis], queries[end, axis]), max(box[3 + axis], queries[end, axis])
+                end += 1
+        for k in range(PACKET):  # the last query fills up the packet
+            q = min(begin + k, end - 1)
+            x[k], y[k], z[k], best[k] = queries[q, 0], queries[q, 1], queries[q, 2], reach
+        first = near
+        worst = _to_points(points, first, x, y, z, best) if first >= 0 else reach
+        nodes[0], bounds[0], depth = 1, np.float32(0), 1
+        while depth > 0 and worst > enough:
             depth -= 1
             node = nodes[depth]
-            if bounds[depth] >= best:
+            if bounds[depth] >= worst:
                 continue
             while node < leaves:  # descend into the closer child; push the other if it may matter
-                left, right = _to_box(tree, 2 * node, x, y, z), _to_box(tree, 2 * node + 1, x, y, z)
+                left, right = _to_box(tree, 2 * node, box), _to_box(tree, 2 * node + 1, box)
                 node = 2 * node
                 if right < left:
                     node += 1
                     left, right = right, left
-                if right < best:
+                if right < worst:
                     nodes[depth], bounds[depth] = node ^ 1, right
                     depth += 1
-                if left >= best:
+                if left >= worst:
                     break
             else:
-                first = (node - leaves) * LEAF
-                for i in range(first, min(first + LEAF, len(points))):
-                    dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-                    d = dx * dx + dy * dy + dz * dz
-                    if d < best:
-                        best, nearest = d, i
-        out[q] = best
+                if node - leaves != first:
+                    closer = _to_points(points, node - leaves, x, y, z, best)
+                    if closer < worst:
+                        worst, near = closer, node - leaves
+        for k in range(end - begin):
+            out[begin + k] = best[k]
+        begin = end
     return out
