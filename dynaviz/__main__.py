@@ -8,14 +8,17 @@ import sys
 from dynaviz import isolated
 from dynaviz.errors import interrupted
 
-_ARENA_MAX = -8  # of glibc's mallopt
+_ARENA_MAX, _MMAP_THRESHOLD, _TRIM_THRESHOLD = -8, -3, -1  # of glibc's mallopt
 
 
 def main() -> None:
     """Run the command line, in a child process if it reads recordings."""
-    # All threads allocate in one place: in places of their own, each would keep what it has freed.
+    # All threads allocate in one place: in places of their own, each would keep what it has freed. Arrays of more than
+    # 2 MB are given back at once.
     if sys.platform == "linux" and (mallopt := getattr(ctypes.CDLL(None), "mallopt", None)):
         mallopt(_ARENA_MAX, 1)
+        mallopt(_MMAP_THRESHOLD, 2 << 20)
+        mallopt(_TRIM_THRESHOLD, 16 << 20)
     atexit.register(gc.freeze)  # or Python would search all modules for garbage before it exits, for half a second
     isolated.run(_main, sys.argv[1:])
 

@@ -332,12 +332,17 @@ def context_of(run: RunSpec, summary: SequenceSummary, probe: Probe) -> Context:
     return Context(summary.extent, run.sequence.sensor, probe, run.seed, raw_map)
 
 
+def of_one_scan(run: RunSpec, probe: Probe = SILENT) -> tuple[Scan, Context]:
+    """The first scan, as methods receive it, and the context of a run on this scan only."""
+    scan, _ = AtSensor(run.sequence.sensor).hidden(run.sequence[0])
+    raw_map = scan.points if run.labeller.info.needs_map else None
+    return scan, Context(Extent.of(scan), run.sequence.sensor, probe, run.seed, raw_map)
+
+
 def _warm_up(method: Method, run: RunSpec, probe: Probe) -> None:
     """Run a copy of the method on one scan, so that loading and compiling of kernels counts in no frame's time."""
-    scan, _ = AtSensor(run.sequence.sensor).hidden(run.sequence[0])
+    scan, context = of_one_scan(run, SILENT if probe is SILENT else MemoryProbe())
     copy = type(method)(run.params)
-    copy_probe = SILENT if probe is SILENT else MemoryProbe()
-    raw_map = scan.points if method.info.needs_map else None
-    copy.begin(Context(Extent.of(scan), run.sequence.sensor, copy_probe, run.seed, raw_map))
+    copy.begin(context)
     copy.observe(scan)
     copy.label(scan)

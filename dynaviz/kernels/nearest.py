@@ -122,7 +122,8 @@ def search(points, tree, reach, enough, queries):
                 wide |= max(box[3 + axis], at) - min(box[axis], at) > SPAN
             if not wide:
                 for axis in range(3):
-                    box[axis], box[3 + axis] = min(box[axis], queries[end, axis]), max(box[3 + axis], queries[end, axis])
+                    at = queries[end, axis]
+                    box[axis], box[3 + axis] = min(box[axis], at), max(box[3 + axis], at)
                 end += 1
         for k in range(PACKET):  # the last query fills up the packet
             q = min(begin + k, end - 1)

@@ -5,10 +5,11 @@ import math
 import numpy as np
 from numba import njit
 
-from dynaviz.arrays import F32, I64, Bool
+from dynaviz.arrays import F32, F64, I64, Bool
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 _SIDE = 1024  # columns along a side; the picture wraps around, so a scan may lie anywhere
+_REACHED = 512  # the same, of the columns near points
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -98,3 +99,36 @@ def columns(points: F32, chosen: Bool, others: Bool, size: float) -> Bool:
             x, y = np.int64(math.floor(points[i, 0] * inverse)), np.int64(math.floor(points[i, 1] * inverse))
             found[i] = near[x & (_SIDE - 1), y & (_SIDE - 1)]
     return found
+
+
+@njit(cache=True, nogil=True)
+def reached(points: F32, reach: int) -> Bool:
+    """(SIDE, SIDE) bool: the columns of 1 m within ``reach`` columns of points (N, 3), finite, metres; wraps around."""
+    near = np.zeros((_REACHED, _REACHED), np.bool_)
+    last_x, last_y = np.int64(0), np.int64(0)
+    for i in range(len(points)):
+        x, y = np.int64(math.floor(points[i, 0])), np.int64(math.floor(points[i, 1]))
+        if i == 0 or x != last_x or y != last_y:
+            last_x, last_y = x, y
+            for dx in range(-reach, reach + 1):
+                for dy in range(-reach, reach + 1):
+                    near[(x + dx) & (_REACHED - 1), (y + dy) & (_REACHED - 1)] = True
+    return near
+
+
+@njit(cache=True, nogil=True)
+def inside(columns: F32, low: F64, high: F64, near: Bool) -> I64:
+    """Rows of the points in a box and in columns near others, in order.
+
+    Args:
+        columns: (3, N) float32, metres, finite.
+        low, high: (3,) float64, metres: low <= p < high on each axis.
+        near: (S, S) bool, as ``reached`` returns it; one True for all columns.
+    """
+    rows, count, last = np.empty(columns.shape[1], np.int64), 0, len(near) - 1
+    for i in range(columns.shape[1]):
+        x, y, z = columns[0, i], columns[1, i], columns[2, i]
+        if low[0] <= x < high[0] and low[1] <= y < high[1] and low[2] <= z < high[2]:
+            rows[count] = i
+            count += near[np.int64(math.floor(x)) & last, np.int64(math.floor(y)) & last]
+    return rows[:count]

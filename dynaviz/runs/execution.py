@@ -18,11 +18,11 @@ import msgspec
 from dynaviz.contracts import registry
 from dynaviz.contracts.attributes import origin_of
 from dynaviz.contracts.method import MethodInfo
-from dynaviz.contracts.metric import Metric
+from dynaviz.contracts.metric import Labelled, Metric
 from dynaviz.contracts.probe import SILENT, Probe
 from dynaviz.contracts.scan import Scan, Sequence, SequenceSlice
 from dynaviz.engine.external import External
-from dynaviz.engine.loop import Listener, RunSpec, execute
+from dynaviz.engine.loop import Listener, RunSpec, execute, of_one_scan
 from dynaviz.engine.needs import suited
 from dynaviz.engine.outputs import FILES, LabelsFile, MapFiles, RemoveStaleOutputs, write_summary
 from dynaviz.engine.source_check import SourceCheck, source_check
@@ -244,12 +244,24 @@ def _run(
             recorder = files.enter_context(Recorder(spec.recording, mode, live=view, budget=budget))
             listeners.append(recorder)
             probe = SILENT if mode == "scores" else recorder  # it shows no states, so the runtime stays honest
+        listeners.append(_Forgetting())
         result = execute(spec, listeners, probe, progress, more)
     if recorder is not None:
         result = result.recorded_as(recorder.sha256())
     if folder is not None:
         write_summary(folder, spec, result)
     return result
+
+
+class _Forgetting(Listener):
+    """Lets the method forget the sequence after the last label: its memory is free for the metrics and the files."""
+
+    def begin(self, run: RunSpec, summary: SequenceSummary) -> None:
+        self._run, self._last = run, summary.frames - 1
+
+    def labelled(self, labelled: Labelled, curves: Mapping[str, float]) -> None:
+        if labelled.frame == self._last and self._run.method:
+            self._run.method.begin(of_one_scan(self._run)[1])
 
 
 def _run_tiles(spec: RunSpec, options: TileOptions, maps: bool, progress: Progress) -> Result:

@@ -95,7 +95,8 @@ def distances(wrong: PointSpool, correct: PointSpool, frames: int, block: int = 
         for queries, of_frame in wrong.blocks(low, high, block):
             distance = np.full(len(queries), np.inf, np.float32)
             around = [column.astype(np.float64) for column in (queries.min(0), queries.max(0))]
-            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, 2 * block):
+            near = kernels.touching.reached(queries, math.ceil(_HALO))
+            for reference, _ in correct.blocks(around[0] - _HALO, around[1] + _HALO, 2 * block, near):
                 np.minimum(distance, nearest_distance(queries, reference, LIMIT), out=distance)
             bins = np.minimum(distance.astype(np.float64) / _STEP, _FINE).astype(np.int64)
             first, last = int(of_frame[0]), int(of_frame[-1]) + 1  # frames are in order

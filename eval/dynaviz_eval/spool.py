@@ -11,9 +11,11 @@ from typing import IO
 
 import numpy as np
 
-from dynaviz.arrays import F32, F64, I32
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I32, Bool
 from dynaviz.errors import DynavizError
 
+EVERYWHERE = np.ones((1, 1), np.bool_)
 FRAME, START, COUNT, LOW, HIGH = 0, 1, 2, slice(3, 6), slice(6, 9)  # columns of a span
 
 
@@ -80,7 +82,7 @@ class PointSpool:
         # Copy: a view would keep all points of its frame in memory.
         return np.concatenate([self._read(span)[axis, ::step].copy() for span in self._table()])
 
-    def blocks(self, low: F64, high: F64, size: int) -> Iterator[tuple[F32, I32]]:
+    def blocks(self, low: F64, high: F64, size: int, near: Bool = EVERYWHERE) -> Iterator[tuple[F32, I32]]:
         """Points in a box and their frames, about ``size`` at a time.
 
         A block is valid until the next one, because they share a buffer.
@@ -88,6 +90,7 @@ class PointSpool:
         Args:
             low, high: (3,) float64, metres: low <= p < high on each axis.
             size: points, plus at most those of a frame.
+            near: columns of the world that count (``kernels.touching.reached``).
         """
         spans = self._table()
         crossing = spans[(spans[:, HIGH] >= low).all(1) & (spans[:, LOW] < high).all(1)]
@@ -99,11 +102,7 @@ class PointSpool:
                 yield points[:filled], frames[:filled]
                 filled = 0
             columns = self._read(span)
-            inside = np.ones(columns.shape[1], np.bool_)
-            for column, begin, end, first, last in zip(columns, low, high, span[LOW], span[HIGH], strict=True):
-                if first < begin or last >= end:
-                    inside &= (column >= float(begin)) & (column < float(end))
-            rows = np.flatnonzero(inside)
+            rows = kernels.touching.inside(columns, low, high, near)
             for axis, column in enumerate(columns):
                 points[filled : filled + len(rows), axis] = column[rows]
             frames[filled : filled + len(rows)] = int(span[FRAME])
