@@ -59,11 +59,11 @@ def without_pandas() -> None:
         import pyarrow
 
         absent = _Absent()
-        sys.meta_path.insert(0, absent)  # type: ignore[arg-type]
+        sys.meta_path.insert(0, absent)
         try:
             pyarrow.array(memoryview(b""))
         finally:
-            sys.meta_path.remove(absent)  # type: ignore[arg-type]
+            sys.meta_path.remove(absent)
 
 
 class _Absent:
