@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -297,15 +297,26 @@ def select_frames(
     return SequenceSlice(sequence, positions, sensor or sequence.sensor, sequence.name)
 
 
-def stream(sequence: Sequence, ahead: int = 2) -> Iterator[Scan]:
-    """Iterate over a sequence; a separate thread reads up to ``ahead`` frames in advance.
+F = TypeVar("F", covariant=True)
+
+
+class Frames(Protocol[F]):
+    """What can be read frame by frame."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, position: int) -> F: ...
+
+
+def stream(sequence: Frames[F], ahead: int = 2) -> Iterator[F]:
+    """Iterate over frames, such as those of a sequence; a separate thread reads up to ``ahead`` frames in advance.
 
     A read error is raised at the frame that caused it. Leaving the loop early stops the thread.
     """
-    ready: queue.Queue[Scan | BaseException | None] = queue.Queue(maxsize=ahead)
+    ready: queue.Queue[F | BaseException | None] = queue.Queue(maxsize=ahead)
     stopped = threading.Event()
 
-    def put(item: Scan | BaseException | None) -> None:
+    def put(item: F | BaseException | None) -> None:
         while not stopped.is_set():
             try:
                 return ready.put(item, timeout=0.1)

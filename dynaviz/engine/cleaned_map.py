@@ -23,7 +23,7 @@ from dynaviz.contracts.attributes import (
     origin_of,
     unposed_of,
 )
-from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.scan import Scan, stream
 from dynaviz.contracts.scan import Sequence as ScanSequence
 from dynaviz.engine.region import Region
 from dynaviz.errors import UsageError
@@ -126,13 +126,13 @@ def write_maps(
     reasons = itertools.repeat(None) if judgement.reasons is None else judgement.reasons
     with contextlib.ExitStack() as stack:
         maps = [_Map(stack, file, fields, origin, head, clock, double) for file in files]
-        for position, codes in zip(range(len(sequence)), reasons, strict=False):
-            scan = sequence[position]
+        frames = zip(stream(_Frames(sequence)), reasons, strict=False)
+        for position, ((scan, xyz, attributes), codes) in enumerate(frames):
             seen(scan)
             points = _Points(
-                xyz=exact_points(sequence, position, scan),
+                xyz=xyz,
                 finite=all_finite(scan.points),
-                attributes=conform(attributes_of(sequence, position), len(scan), position),
+                attributes=conform(attributes, len(scan), position),
                 dynamic=judgement.labels[position],
                 reasons=codes,
                 times=None if scan.stamp_ns is None else _times(scan, scan.stamp_ns),
@@ -146,6 +146,20 @@ def write_maps(
             for each in maps:
                 each.add_unposed(kept, unposed.number)
     return [each.written for each in maps], maps[0].account
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The frames of a sequence, each with its coordinates in the source and its attributes."""
+
+    sequence: ScanSequence
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+    def __getitem__(self, position: int) -> tuple[Scan, F64, Attributes]:
+        scan = self.sequence[position]
+        return scan, exact_points(self.sequence, position, scan), attributes_of(self.sequence, position)
 
 
 def region_is_empty(sequence: ScanSequence, region: Region) -> bool:
