@@ -95,7 +95,7 @@ def _card(run: ExploredRun, number: int, case: FailureCase | RemovedCluster, by_
     if not len(worst):
         return Card(number, case, outcome, rows, low, high, None)
     xyz, points = wrong.xyz[worst].astype(np.float64), wrong.point[worst]
-    explained = np.isin(points, [ledger.point for ledger in run.ledgers(number)])
+    explained = np.isin(points, run.recording.explained(number))
     asked = np.flatnonzero(explained) if explained.any() else np.arange(len(points))
     return Card(number, case, outcome, rows, xyz.min(0), xyz.max(0), int(points[asked[middle_of(xyz[asked])]]))
 

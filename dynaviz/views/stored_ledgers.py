@@ -16,7 +16,14 @@ ARCHETYPE = "dynaviz.Ledgers"
 COMPONENT = "packed"
 MOST_BYTES = 5_000_000  # of all ledgers in a recording; those of the last cases are left out
 
-_decoder = msgspec.msgpack.Decoder(tuple[PointLedger, ...])
+
+class _Row(msgspec.Struct):
+    """Of a ledger only the row of its point, which decodes ten times as fast."""
+
+    point: int
+
+
+_decoder, _rows = msgspec.msgpack.Decoder(tuple[PointLedger, ...]), msgspec.msgpack.Decoder(tuple[_Row, ...])
 
 
 def pack(ledgers: Sequence[PointLedger]) -> bytes:
@@ -27,6 +34,11 @@ def pack(ledgers: Sequence[PointLedger]) -> bytes:
 def unpack(packed: U8) -> tuple[PointLedger, ...]:
     """The inverse of ``pack``; raises ``zlib.error`` or ``msgspec.DecodeError`` for damaged content."""
     return _decoder.decode(zlib.decompress(packed.tobytes()))
+
+
+def rows(packed: U8) -> list[int]:
+    """The rows of the points of ledgers in their scans; raises as ``unpack``."""
+    return [each.point for each in _rows.decode(zlib.decompress(packed.tobytes()))]
 
 
 def component(packed: bytes) -> rr.DynamicArchetype:

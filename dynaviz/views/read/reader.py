@@ -262,6 +262,15 @@ class RunRecording(AnyRecording):
             packed = self._packed.get(case)
             return () if packed is None else stored_ledgers.unpack(packed)
 
+    def explained(self, case: int) -> list[int]:
+        """The rows of the points of ``ledgers`` in the scan of the worst frame.
+
+        Raises:
+            DataError: for damaged content.
+        """
+        with self.decoding():
+            return stored_ledgers.rows(self._packed[case]) if case in self._packed else []
+
     @functools.cached_property
     def _packed(self) -> dict[int, U8]:
         name = f"{stored_ledgers.ARCHETYPE}:{stored_ledgers.COMPONENT}"
