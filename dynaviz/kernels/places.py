@@ -1,15 +1,13 @@
 """Places: quarters of the blocks of a grid, 4 x 4 x 8 voxels; their evidence, and what they inherit from objects.
 
 Place p is in block p >> 2. A scan visits the places that contain points of its objects. The visits of an object are
-divided into parts, squares seen from above.
+divided into parts, squares seen from above; and into the columns of blocks that they are in.
 """
-
-import math
 
 import numpy as np
 from numba import njit, prange
 
-ONE = np.uint64(1)
+ONE, HALF = np.uint64(1), np.uint64(0xFFFFFFFF)
 
 
 @njit(cache=True, nogil=True)
@@ -46,7 +44,7 @@ def visit(voxels, objects, blocks, wide, now, up, stamps):
         stamps: (B, 4) int32: the last scan that visited each place. Modified.
 
     Returns:
-        places: (V,) int32; parts: (V,) int32: the part of each. A place with two objects is in that of its first point.
+        places, owners: (V,) int32: their objects, that of the first point if there are two; parts: (V,) int32.
         around: (P, 9) int32: for each part those of the same object next to it, and itself; -1 for none.
     """
     places, owners, n = np.empty(len(voxels), np.int32), np.empty(len(voxels), np.int32), 0
@@ -78,7 +76,28 @@ def visit(voxels, objects, blocks, wide, now, up, stamps):
         for side in range(9):
             key = keys[part] + ((np.int64(side // 3) - 1) << 20) + (side % 3 - 1)
             around[part, side] = slots[_slot(slots, keys, key)]
-    return places[:n].copy(), parts, around
+    return places[:n].copy(), owners[:n].copy(), parts, around
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def see(blocks, bits, near, now, first, last):
+    """Note in which scan places were seen clear for the first and for the last time.
+
+    Args:
+        blocks: (M,) int32; bits: (M, 16) int64: the marks of the scan, as from ``raycast.collect``.
+        near: (M, 8) uint64: bits of the voxels near a hit.
+        now: number of the scan.
+        first, last: (B, 4) int32: numbers of scans by place, -1 for none. Modified.
+    """
+    for r in prange(len(blocks)):
+        for quarter in range(4):
+            word, start = np.uint64(0), 4 * (quarter >> 1)
+            for w in range(start, start + 4):
+                word |= np.uint64(bits[r, w] & ~bits[r, 8 + w]) & ~near[r, w]
+            if word >> np.uint64(32 * (quarter & 1)) & HALF:
+                last[blocks[r], quarter] = now
+                if first[blocks[r], quarter] < 0:
+                    first[blocks[r], quarter] = now
 
 
 @njit(cache=True, nogil=True)
@@ -110,121 +129,129 @@ def of_points(voxels, hits, passed, grazed, weights):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def evidence(places, up, hits, passed, grazed, weights, found, clear):
+def evidence(places, up, hits, passed, grazed, weights, found):
     """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
 
     The evidence of a place is the mean over its voxels with points of objects, weighted with the scans that hit them;
-    less if these were fewer than ``votes``. ``clear``, (4 B,) int32, is how often its voxels were seen clear in total.
+    less if these were fewer than ``votes``.
 
     Args:
         up, hits, passed, grazed, weights: as in ``visit`` and ``clearness``.
     """
     for k in prange(len(places)):
         block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
-        total, summed, views = 0.0, 0.0, 0
+        total, summed = 0.0, 0.0
         for w in range(x0, x0 + 4):
             word = np.uint64(up[block, w]) >> np.uint64(8 * y0)
             for bit in range(32):
                 if word >> np.uint64(bit) & ONE:
                     v = w << 6 | 8 * y0 + bit
                     h, p = hits[block, v], passed[block, v]
-                    views += np.int64(p) - grazed[block, v]
                     if h > 1 or p > 0:
                         summed += h * clearness(h, p, grazed[block, v], weights)
                         total += h
-        found[places[k]], clear[places[k]] = summed / max(total, weights[2]), views
+        found[places[k]] = summed / max(total, weights[2])
 
 
 @njit(cache=True, nogil=True)
-def ranks(places, number):
-    """The rank of each of all visits (V,) in the life of its place, from its beginning and from its end, (2, V) int32.
-
-    ``number``, (4 B,) int32, is zero before and after.
-    """
-    found = np.empty((2, len(places)), np.int32)
-    for k in range(len(places)):
-        found[0, k] = number[places[k]]
-        number[places[k]] += 1
-    for k in range(len(places)):
-        found[1, k] = number[places[k]] - 1 - found[0, k]
-    for k in range(len(places)):
-        number[places[k]] = 0
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _mean(sides, total, weight):
-    """Weighted mean over some parts, -1 for none; not a number if their weight is 0."""
-    summed, weights = 0.0, 0.0
-    for side in sides:
-        if side >= 0:
-            summed += total[side]
-            weights += weight[side]
-    return summed / weights if weights > 0 else np.nan
-
-
-@njit(cache=True, nogil=True)
-def inherit(places, parts, around, rank, most, own, first, second, weights, source, now, older):
-    """Let the places of one scan inherit what its objects are: the mean over ``most`` visits, (4 B,), in ``first``.
+def inherit(places, parts, around, count, own, first, second, weights, source, now):
+    """Let the places of one scan inherit what their objects are: the mean certainty in and around their part.
 
     Args:
         places, parts, around: as from ``visit``.
-        rank: (V,) int32: how many visits of the place came before.
+        count: (4 B,) int32: over how many scans the mean goes, this one included; places with 0 do not inherit.
         own: (4 B,) float32: evidence of places.
         first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
             modified.
         weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
             without any certainty.
-        source: (4 B,) int32: the first scan from which a place inherits; modified to ``now``.
-        older: bool: places inherit from those that were visited before, if there are any in the parts around.
+        source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
     """
     link, prior, certain, least = weights
-    total, weight = np.zeros((2, len(around))), np.zeros((2, len(around)))  # of all places, and of older ones
+    total, weight = np.zeros(len(around)), np.zeros(len(around))
     for k in range(len(places)):
         p = places[k]
         f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
-        for group in range(2 if older and rank[k] > 0 else 1):
-            total[group, parts[k]] += f * (least + abs(f))
-            weight[group, parts[k]] += least + abs(f)
+        total[parts[k]] += f * (least + abs(f))
+        weight[parts[k]] += least + abs(f)
     for k in range(len(places)):
-        p, r = places[k], rank[k]
-        if r >= most[p]:
-            continue
-        mean = _mean(around[parts[k]], total[1], weight[1])
-        if math.isnan(mean):
-            mean = _mean(around[parts[k]], total[0], weight[0])
-        if r == 0:
+        p = places[k]
+        if count[p] > 0:
+            summed, weighed = 0.0, 0.0
+            for side in around[parts[k]]:
+                if side >= 0:
+                    summed += total[side]
+                    weighed += weight[side]
+            first[p] += (summed / weighed - first[p]) / count[p]
             source[p] = now
-        first[p] = mean if r == 0 else (first[p] * r + mean) / (r + 1)
 
 
 @njit(cache=True, nogil=True)
-def sweep(starts, part_starts, places, parts, around, rank, most, own, first, second, weights, source, back):
+def sweep(starts, part_starts, places, parts, around, count, own, first, second, weights, source, back):
     """``inherit`` for all scans, whose visits and parts are ``starts``, (F + 1,) each, in order; or backwards."""
     scans = len(starts) - 1
     for step in range(scans):
         t = scans - 1 - step if back else step
         of, part = slice(starts[t], starts[t + 1]), slice(part_starts[t], part_starts[t + 1])
-        scan = places[of], parts[of], around[part], rank[of]
-        inherit(*scan, most, own, first, second, weights, source, t, not back)
+        inherit(places[of], parts[of], around[part], count, own, first, second, weights, source, t)
+
+
+@njit(cache=True, nogil=True)
+def follow(starts, objects, columns, dynamic, last, back):
+    """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
+
+    It continues the last dynamic object of its columns if each shares more than half of its columns with the other. One
+    that is larger than that absorbs the dynamic object, which stays the last one of their columns.
+
+    Args:
+        starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
+        dynamic: bool, by object. Modified.
+        last: int64, by column: -1 before. Modified: its last dynamic object.
+        back: backwards in time.
+    """
+    scans, size, shared = len(starts) - 1, np.zeros(len(dynamic), np.int64), np.zeros(len(dynamic), np.int64)
+    for of in objects:
+        size[of] += 1
+    absorbs = np.zeros(len(objects), np.bool_)
+    for step in range(scans):
+        t = scans - 1 - step if back else step
+        start = starts[t]
+        while start < starts[t + 1]:
+            of = objects[start]
+            rows = range(start, start + size[of])
+            for k in rows:
+                if last[columns[k]] >= 0:
+                    shared[last[columns[k]]] += 1
+            for k in rows:
+                other = last[columns[k]]
+                if other >= 0 and 2 * shared[other] > size[other]:
+                    absorbs[k] = 2 * shared[other] <= size[of]
+                    dynamic[of] |= not absorbs[k]
+            for k in rows:
+                if last[columns[k]] >= 0:
+                    shared[last[columns[k]]] = 0
+            start += size[of]
+        for k in range(starts[t], starts[t + 1]):
+            if dynamic[objects[k]] and not absorbs[k]:
+                last[columns[k]] = objects[k]
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, places, height, low, own, born, left, shares, empty, highest, codes):
+def outcomes(voxels, places, height, low, own, born, left, along, shares, empty, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
         voxels, places: (N,) int64, -1 for none.
         height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
             points above the other are too high for a mover, unless infinite, unknown.
-        own, born, left: (4 B,) float32: evidence of places, and what they inherit at both ends.
+        own, born, left, along: (4 B,) float32: evidence of places; what they inherit from both ends, and from tracks.
         shares: the weight of what they inherit, and what the sum must exceed.
         empty: (N,) float32: evidence of the point's own voxel.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
-            removed by the evidence of their place, by what it was born with, by what it was left with.
+            removed by the evidence of their place, by what it was born with, was left with, or has from tracks.
     """
     link, prior = shares
-    out, near_ground, above, little, never, seen, came, gone = codes
+    out, near_ground, above, little, never, seen, came, gone, tracked = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
         p = places[i]
@@ -234,8 +261,9 @@ def outcomes(voxels, places, height, low, own, born, left, shares, empty, highes
             found[i] = near_ground
         elif height[i] > highest and height[i] < np.inf:
             found[i] = above
-        elif own[p] + link * max(born[p], left[p], 0.0) > prior:
-            found[i] = seen if own[p] > prior else came if born[p] >= left[p] else gone
+        elif own[p] + link * max(born[p], left[p], along[p], 0.0) > prior:
+            by = came if born[p] >= max(left[p], along[p]) else gone if left[p] >= along[p] else tracked
+            found[i] = seen if own[p] > prior else by
         else:
             found[i] = little if empty[i] > 0 else never
     return found

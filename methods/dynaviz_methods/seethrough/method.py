@@ -11,19 +11,19 @@
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
                 m = their mean certainty, (f - prior) / 0.35 from -1 to 1, in which the certain ones count most
-    birth:      B = mean of m over the first ``votes`` scans with its points, if its voxels were seen clear before; in
-                this sweep, m is that of the places that were there before, if there are any
-    death:      D = mean of m over the last ones, if its voxels were seen clear afterwards
-    unseen:     B and D are means over all scans if neither end was seen; B also if only the death was, and other
-                places of the object were there before
-                f = u + inherit max(B, D, 0). Sweep forward in time, then backward
-    point:      dynamic if f > prior in its place
+    birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
+    death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
+    track:      an object is dynamic if 0.7 of its places are, weighted with 0.2 + |u|, or if it and the last dynamic
+                object, forward or backward, share more than half of their columns of 0.8 m
+                T = 2 (share of dynamic objects among those that were in the place) - 1
+    point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds ``prior``
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D, places must
-exceed 0.02, ``near`` is at most 0.3, all places of a part count at birth, and those without certainty count more.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D and no T, B is the
+mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3, and places without
+certainty count more.
 """
 
 from __future__ import annotations
@@ -64,12 +64,11 @@ class SeeThroughParams:
     Attributes:
         resolution: edge of a voxel, metres.
         guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
-        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place; of scans that are
-            the beginning or the end of a place's life.
+        votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
         prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1.
-        inherit: weight of what a place inherits where it begins or ends.
+        inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
         gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
     """
@@ -103,7 +102,7 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, HIGH = range(9)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, HIGH, TRACKED = range(10)
 REASONS = (
     Reason("never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its place was seen clear", Cause.STANDING),
@@ -114,9 +113,10 @@ REASONS = (
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
     Reason("waited", "removed: its place ended as part of a dynamic object", Cause.SHARED_CELL),
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
+    Reason("tracked", "removed: the objects in its place are dynamic as a whole", Cause.SHARED_CELL),
 )
-BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED)
-REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED))  # (R,) bool, by code
+BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED, TRACKED)
+REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, TRACKED))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
     State("passed", Voxels, "Voxels with points that this scan's rays crossed near its hits: no evidence"),
@@ -128,7 +128,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 3, 0], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 3, 0, 3], np.uint8)  # reason code to class of the legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class SeeThrough:
         objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
         kernels.objects.connect(objects, order, cells[order])  # which turns numbers of cells into numbers of objects
-        self._history.add(now, measured.voxels, objects)
+        self._history.add(now, measured.voxels, objects, marks, near)
         self._show(measured, marks, near)
 
     def label(self, scan: Scan) -> Labels:
@@ -283,7 +283,7 @@ class SeeThrough:
         """Reason code of each point of an observed scan, (N,) uint8."""
         empty = kernels.places.of_points(measured.voxels, *self._counts, self._weights)
         of_points = measured.voxels, measured.places, measured.height, np.float32(self.params.ground_height)
-        of_places = decision.own, decision.born, decision.left, (decision.inherit, decision.prior)
+        of_places = decision.own, decision.born, decision.left, decision.along, (decision.inherit, decision.prior)
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
@@ -322,13 +322,15 @@ class SeeThrough:
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
             decision, places = judged.decision, judged.measured.places[asked.rows]
-            own, born, left = (known(of[places], places) for of in (decision.own, decision.born, decision.left))
+            of_all = decision.own, decision.born, decision.left, decision.along
+            own, born, left, along = (known(of[places], places) for of in of_all)
             came, went = (
                 known(np.where(of[places] < 0, np.nan, of[places]), places) for of in (decision.came, decision.went)
             )
-            of_places = ("place", own), ("born", born), ("left", left), ("born in", came), ("left in", went)
-            quantities += [Quantity(name, of) for name, of in of_places]
-            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(np.maximum(born, left), 0.0))
+            of_places = ("born", born), ("left", left), ("tracks", along), ("born in", came), ("left in", went)
+            quantities += [Quantity(name, of) for name, of in (("place", own), *of_places)]
+            most = np.maximum(np.maximum(born, left), np.maximum(along, 0.0))
+            rules = self._rules(judged, asked.rows, own + decision.inherit * most)
         return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
 
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
