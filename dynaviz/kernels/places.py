@@ -163,8 +163,8 @@ def inherit(places, parts, around, count, own, first, second, weights, source, n
         own: (4 B,) float32: evidence of places.
         first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
             modified.
-        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
-            without any certainty.
+        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; and the weight of
+            a place, besides its certainty.
         source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
     """
     link, prior, certain, least = weights
@@ -182,7 +182,8 @@ def inherit(places, parts, around, count, own, first, second, weights, source, n
                 if side >= 0:
                     summed += total[side]
                     weighed += weight[side]
-            first[p] += (summed / weighed - first[p]) / count[p]
+            mean = summed / weighed if weighed > 0 else 0.0
+            first[p] += (mean - first[p]) / count[p]
             source[p] = now
 
 

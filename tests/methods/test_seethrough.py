@@ -212,7 +212,7 @@ def test_a_place_inherits_the_certainty_of_the_object_around_it() -> None:
     places, parts, around = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32), np.full((2, 9), np.int32(-1))
     around[:, 4] = [0, 1]
     count, came = np.array([0, 1, 4], np.int32), np.full(3, -1, np.int32)
-    doubt, shares = 0.1 / history.CERTAIN, (0.5, 0.1, history.CERTAIN, history.LEAST)
+    doubt, shares = 0.1 / history.CERTAIN, (0.5, 0.1, history.CERTAIN, 0.1)
     kernels.places.inherit(places, parts, around, count, own, born, np.zeros(3, np.float32), shares, came, 7)
     mean, certain = (1.0 * 1.1 - doubt * (0.1 + doubt)) / (1.1 + 0.1 + doubt), (0.5 * 0.5 - 0.1) / history.CERTAIN
     np.testing.assert_allclose(born, [0.0, mean, 0.5 + (certain - 0.5) / 4], atol=1e-6)

@@ -15,8 +15,7 @@ from dynaviz.spatial.grid import pack_indices
 
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.35  # evidence for full certainty
-LEAST = 0.1  # weight of a place without evidence, against 1 more for one that is certain
-WHOLLY, ANY = 0.7, 0.2  # share of the dynamic places of a dynamic object; weight of a place, besides its evidence
+WHOLLY = 0.45  # share of the places of an object that must be dynamic, so that it all is
 LIVE_NEAR, LIVE_PRIOR, LIVE_LEAST = 0.3, 0.02, 0.5  # online, where there is less evidence, and little of it is certain
 
 
@@ -74,15 +73,13 @@ class History:
         rows, own = len(grid) + 1, grid.per_block
         self._weights, self._live_weights = weights, (min(weights[0], LIVE_NEAR), *weights[1:])
         self._counts = counts
-        self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
+        self._whole, self._live = (inherit, prior, CERTAIN, 0.0), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
         self._up = own(np.zeros((rows, 8), np.uint64))
         self._own, self._born = (own(np.zeros((rows, 4), np.float32)) for _ in range(2))
         self._clear, self._cleared = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))  # first, last scan
-        self._number, self._begun = (
-            own(np.zeros((rows, 4), np.int32)) for _ in range(2)
-        )  # visits; 1 at a birth
+        self._number, self._begun = (own(np.zeros((rows, 4), np.int32)) for _ in range(2))  # visits; 1 at a birth
         self._never, self._unknown = np.full((rows, 4), np.int32(-1)), np.zeros((rows, 4), np.float32)
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1
@@ -154,8 +151,7 @@ class History:
         _, columns = np.unique(pack_indices(blocks * (1, 1, 0)), return_inverse=True)
         scans = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         _, objects = np.unique(scans << 32 | objects, return_inverse=True)
-        weight = ANY + np.abs(own[places])
-        share = np.bincount(objects, weight * (own[places] > self._whole[1])) / np.bincount(objects, weight)
+        share = np.bincount(objects, own[places] > self._whole[1]) / np.bincount(objects)
         width = columns.max(initial=0) + 1
         pairs, first = np.unique(objects * width + columns, return_index=True)
         starts = np.searchsorted(scans[first], np.arange(len(starts)))

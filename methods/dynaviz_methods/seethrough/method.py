@@ -10,11 +10,11 @@
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or 0.1 (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
-                m = their mean certainty, (f - prior) / 0.35 from -1 to 1, in which the certain ones count most
+                m = their mean certainty, (f - prior) / 0.35 from -1 to 1, weighted with its amount
     birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
     death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if 0.7 of its places are, weighted with 0.2 + |u|, or if it and the last dynamic
-                object, forward or backward, share more than half of their columns of 0.8 m
+    track:      an object is dynamic if u > prior in 0.45 of its places, or if it continues the last dynamic one,
+                forward or back in time: each shares more than half of its columns of 0.8 m with the other
                 T = 2 (share of dynamic objects among those that were in the place) - 1
     point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
@@ -22,8 +22,8 @@
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D and no T, B is the
-mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3, and places without
-certainty count more.
+mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3, and the weight of each
+place is 0.5 more.
 """
 
 from __future__ import annotations
