@@ -15,7 +15,7 @@ from dynaviz.spatial.grid import pack_indices
 
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.35  # evidence for full certainty
-WHOLLY = 0.45  # share of the places of an object that must be dynamic, so that it all is
+WHOLLY = 0.45  # mean certainty of the places of an object that is dynamic as a whole
 LIVE_NEAR, LIVE_PRIOR, LIVE_LEAST = 0.3, 0.02, 0.5  # online, where there is less evidence, and little of it is certain
 
 
@@ -151,13 +151,15 @@ class History:
         _, columns = np.unique(pack_indices(blocks * (1, 1, 0)), return_inverse=True)
         scans = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         _, objects = np.unique(scans << 32 | objects, return_inverse=True)
-        share = np.bincount(objects, own[places] > self._whole[1]) / np.bincount(objects)
+        certainty = np.clip((own[places] - self._whole[1]) / CERTAIN, -1, 1)
+        amount = np.maximum(np.bincount(objects, np.abs(certainty)), np.finfo(np.float32).tiny)
+        mean = np.bincount(objects, certainty * np.abs(certainty)) / amount
         width = columns.max(initial=0) + 1
         pairs, first = np.unique(objects * width + columns, return_index=True)
         starts = np.searchsorted(scans[first], np.arange(len(starts)))
-        dynamic = np.zeros(len(share), np.bool_)
+        dynamic = np.zeros(len(mean), np.bool_)
         for back in (False, True):
-            found = share > WHOLLY
+            found = mean > WHOLLY
             kernels.places.follow(starts, pairs // width, pairs % width, found, np.full(width, -1), back)
             dynamic |= found
         visited = np.bincount(places, minlength=len(own))

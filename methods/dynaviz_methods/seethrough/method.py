@@ -13,7 +13,7 @@
                 m = their mean certainty, (f - prior) / 0.35 from -1 to 1, weighted with its amount
     birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
     death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if u > prior in 0.45 of its places, or if it continues the last dynamic one,
+    track:      an object is dynamic if m of all its places, with f = u, exceeds 0.45, or if it continues the last one,
                 forward or back in time: each shares more than half of its columns of 0.8 m with the other
                 T = 2 (share of dynamic objects among those that were in the place) - 1
     point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
