@@ -106,13 +106,14 @@ def clearness(hits, passed, grazed, weights):
 
     Args:
         hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit of their own.
-        weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence.
+        weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence;
+            most evidence of hits alone, against the place.
     """
-    near, hit, votes = weights
+    near, hit, votes, most = weights
     clear, against = np.float64(passed) - grazed, near * grazed + hit * hits
     if clear > against:
         return min(clear / votes, 1.0) * (clear - against) / (clear + against)
-    return 0.1 * (clear - against) / (clear + against + 1.0)
+    return most * (clear - against) / (clear + against + 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -163,8 +164,8 @@ def inherit(places, parts, around, count, own, first, second, weights, source, n
         own: (4 B,) float32: evidence of places.
         first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
             modified.
-        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; and the weight of
-            a place, besides its certainty.
+        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
+            without any certainty.
         source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
     """
     link, prior, certain, least = weights
@@ -182,8 +183,7 @@ def inherit(places, parts, around, count, own, first, second, weights, source, n
                 if side >= 0:
                     summed += total[side]
                     weighed += weight[side]
-            mean = summed / weighed if weighed > 0 else 0.0
-            first[p] += (mean - first[p]) / count[p]
+            first[p] += (summed / weighed - first[p]) / count[p]
             source[p] = now
 
 

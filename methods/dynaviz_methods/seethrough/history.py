@@ -15,8 +15,9 @@ from dynaviz.spatial.grid import pack_indices
 
 WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.35  # evidence for full certainty
-WHOLLY = 0.45  # mean certainty of the places of an object that is dynamic as a whole
-LIVE_NEAR, LIVE_PRIOR, LIVE_LEAST = 0.3, 0.02, 0.5  # online, where there is less evidence, and little of it is certain
+LEAST = 0.5  # weight of a place without evidence, against 1 more for one that is certain
+WHOLLY = 1 / 3  # mean certainty of the places of an object that is dynamic as a whole
+LIVE_NEAR, LIVE_PRIOR = 0.3, 0.02  # online, where there is less evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class History:
         grid: the grid of the places' blocks.
         inherit: weight of what a place inherits.
         prior: what the evidence of a place must exceed, with what it inherits.
-        weights: of a crossing near a hit, of a hit; clear crossings for full evidence, as many as visits of a birth.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence; most evidence of hits alone.
         counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
     """
 
@@ -73,7 +74,7 @@ class History:
         rows, own = len(grid) + 1, grid.per_block
         self._weights, self._live_weights = weights, (min(weights[0], LIVE_NEAR), *weights[1:])
         self._counts = counts
-        self._whole, self._live = (inherit, prior, CERTAIN, 0.0), (inherit, LIVE_PRIOR, CERTAIN, LIVE_LEAST)
+        self._whole, self._live = (inherit, prior, CERTAIN, LEAST), (inherit, LIVE_PRIOR, CERTAIN, LEAST)
         self._visits: dict[int, Visits] = {}
         self._stamps, self._came = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
         self._up = own(np.zeros((rows, 8), np.uint64))
@@ -152,8 +153,8 @@ class History:
         scans = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         _, objects = np.unique(scans << 32 | objects, return_inverse=True)
         certainty = np.clip((own[places] - self._whole[1]) / CERTAIN, -1, 1)
-        amount = np.maximum(np.bincount(objects, np.abs(certainty)), np.finfo(np.float32).tiny)
-        mean = np.bincount(objects, certainty * np.abs(certainty)) / amount
+        weight = LEAST + np.abs(certainty)
+        mean = np.bincount(objects, weight * certainty) / np.bincount(objects, weight)
         width = columns.max(initial=0) + 1
         pairs, first = np.unique(objects * width + columns, return_index=True)
         starts = np.searchsorted(scans[first], np.arange(len(starts)))

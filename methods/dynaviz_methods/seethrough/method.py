@@ -7,13 +7,13 @@
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
-                evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or 0.1 (c - a) / (c + a + 1)
+                evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or prior (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
     part:       the places of one object, seen in one scan, around a square of 2.4 m:
-                m = their mean certainty, (f - prior) / 0.35 from -1 to 1, weighted with its amount
+                m = mean of their certainty k = (f - prior) / 0.35, from -1 to 1, weighted with 0.5 + |k|
     birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
     death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if m of all its places, with f = u, exceeds 0.45, or if it continues the last one,
+    track:      an object is dynamic if m of all its places, with f = u, exceeds 1/3, or if it continues the last one,
                 forward or back in time: each shares more than half of its columns of 0.8 m with the other
                 T = 2 (share of dynamic objects among those that were in the place) - 1
     point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
@@ -22,8 +22,7 @@
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D and no T, B is the
-mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3, and the weight of each
-place is 0.5 more.
+mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3.
 """
 
 from __future__ import annotations
@@ -67,7 +66,8 @@ class SeeThroughParams:
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
-        prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1.
+        prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1; hits alone are at most
+            so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
         gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
@@ -179,7 +179,7 @@ class SeeThrough:
         self._grid = ClearGrid(context.extent, p.resolution, context.sensor)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
-        self._weights = float(p.near), float(p.hit), float(p.votes)
+        self._weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
         self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
         self._room = 0.0  # metres above and below all points
         self._level = Level(LIFTED[self._grid.rolls] - 0.1)
