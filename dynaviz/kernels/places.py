@@ -201,8 +201,8 @@ def sweep(starts, part_starts, places, parts, around, count, own, first, second,
 def follow(starts, objects, columns, dynamic, last, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
-    It continues the last dynamic object of its columns if each shares more than half of its columns with the other. One
-    that is larger than that absorbs the dynamic object, which stays the last one of their columns.
+    It continues the last dynamic objects of its columns if it covers more than half of each, and they more than half of
+    it, together. One that is larger than that absorbs them, and they stay the last ones of their columns.
 
     Args:
         starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
@@ -223,11 +223,13 @@ def follow(starts, objects, columns, dynamic, last, back):
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] += 1
+            covered = 0
             for k in rows:
                 other = last[columns[k]]
-                if other >= 0 and 2 * shared[other] > size[other]:
-                    absorbs[k] = 2 * shared[other] <= size[of]
-                    dynamic[of] |= not absorbs[k]
+                absorbs[k] = other >= 0 and 2 * shared[other] > size[other]
+                covered += absorbs[k]
+            if 2 * covered > size[of]:
+                dynamic[of], absorbs[start : start + size[of]] = True, False
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] = 0

@@ -266,6 +266,18 @@ def test_objects_continue_those_with_which_they_share_most(
     assert not found[1::2].any()
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize(("more", "dynamic"), [([], True), ([4, 5, 6, 7], False)])
+def test_two_halves_of_an_object_continue_as_one(more: list[int], dynamic: bool) -> None:
+    """What hid the middle of a car has gone; it may be joined with something static for a while."""
+    scans = [[[0, 1], [2, 3]], [[0, 1, 2, 3, *more]], [[0, 1, 2, 3]]]
+    columns = np.array([column for scan in scans for each in scan for column in each])
+    objects = np.array([0, 0, 1, 1, *[2] * (4 + len(more)), *[3] * 4])
+    found = np.array([True, True, False, False])
+    kernels.places.follow(np.array([0, 4, 8 + len(more), len(columns)]), objects, columns, found, np.full(8, -1), False)
+    assert found.tolist() == [True, True, dynamic, True]
+
+
 def test_points_too_high_for_movers_are_kept() -> None:
     places = np.linspace(-4, 4, 12)
     scans = [seen(k, GROUND, wall(), block(7.0, y), block(7.0, y, low=4.8, high=5.6)) for k, y in enumerate(places)]
