@@ -1,7 +1,7 @@
 """Places: quarters of the blocks of a grid, 4 x 4 x 8 voxels; their evidence, and what they inherit from objects.
 
-Place p is in block p >> 2. A scan visits the places that contain points of its objects. The visits of an object are
-divided into parts, squares seen from above; and into the columns of blocks that they are in.
+Place p is in block p >> 2. A scan visits the places that contain points of its objects. Seen from above, objects are in
+columns of blocks.
 """
 
 import numpy as np
@@ -22,30 +22,14 @@ def of_voxels(voxels):
 
 
 @njit(cache=True, nogil=True)
-def _slot(slots, keys, key):
-    """The slot of a key in a hash table of numbers, or the free slot for it; its size is a power of two."""
-    mask = len(slots) - 1
-    s = np.int64(np.uint64(key) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(30)) & mask
-    while slots[s] >= 0 and keys[slots[s]] != key:
-        s = (s + 1) & mask
-    return s
-
-
-@njit(cache=True, nogil=True)
-def visit(voxels, objects, blocks, wide, now, up, stamps):
-    """The places that a scan visits, and the parts of objects in which they are.
+def visit(voxels, objects, now, up, stamps):
+    """The places that a scan visits, and the object of each, that of the first point if there are two: (V,) int32 each.
 
     Args:
         voxels: (N,) int64; objects: (N,) int32: the voxel and the object of each point, -1 for none.
-        blocks: (B, 3) int64, keys of the blocks.
-        wide: edge of a part, blocks.
         now: number of this scan.
         up: (B, 8) uint64: bits of the voxels that ever contained a point of an object. Modified.
         stamps: (B, 4) int32: the last scan that visited each place. Modified.
-
-    Returns:
-        places, owners: (V,) int32: their objects, that of the first point if there are two; parts: (V,) int32.
-        around: (P, 9) int32: for each part those of the same object next to it, and itself; -1 for none.
     """
     places, owners, n = np.empty(len(voxels), np.int32), np.empty(len(voxels), np.int32), 0
     for i in range(len(voxels)):
@@ -59,24 +43,7 @@ def visit(voxels, objects, blocks, wide, now, up, stamps):
             stamps[block, quarter] = now
             places[n], owners[n] = block << 2 | quarter, objects[i]
             n += 1
-    size = 64
-    while size < 2 * n:
-        size *= 2
-    slots, keys, parts, m = np.full(size, np.int32(-1)), np.empty(n, np.int64), np.empty(n, np.int32), 0
-    for k in range(n):
-        x, y = blocks[places[k] >> 2, 0] // wide + (1 << 17), blocks[places[k] >> 2, 1] // wide + (1 << 17)
-        key = np.int64(owners[k]) << 40 | x << 20 | y
-        s = _slot(slots, keys, key)
-        if slots[s] < 0:
-            slots[s], keys[m] = m, key
-            m += 1
-        parts[k] = slots[s]
-    around = np.empty((m, 9), np.int32)
-    for part in range(m):
-        for side in range(9):
-            key = keys[part] + ((np.int64(side // 3) - 1) << 20) + (side % 3 - 1)
-            around[part, side] = slots[_slot(slots, keys, key)]
-    return places[:n].copy(), owners[:n].copy(), parts, around
+    return places[:n].copy(), owners[:n].copy()
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -155,11 +122,11 @@ def evidence(places, up, hits, passed, grazed, weights, found):
 
 
 @njit(cache=True, nogil=True)
-def inherit(places, parts, around, count, own, first, second, weights, source, now):
-    """Let the places of one scan inherit what their objects are: the mean certainty in and around their part.
+def inherit(places, objects, count, own, first, second, weights, source, now):
+    """Let the places of one scan inherit what their objects are: the mean certainty of all places of each.
 
     Args:
-        places, parts, around: as from ``visit``.
+        places, objects: as from ``visit``.
         count: (4 B,) int32: over how many scans the mean goes, this one included; places with 0 do not inherit.
         own: (4 B,) float32: evidence of places.
         first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
@@ -169,32 +136,30 @@ def inherit(places, parts, around, count, own, first, second, weights, source, n
         source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
     """
     link, prior, certain, least = weights
-    total, weight = np.zeros(len(around)), np.zeros(len(around))
+    size = 0
+    for of in objects:
+        size = max(size, of + 1)
+    total, weight = np.zeros(size), np.zeros(size)
     for k in range(len(places)):
         p = places[k]
         f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
-        total[parts[k]] += f * (least + abs(f))
-        weight[parts[k]] += least + abs(f)
+        total[objects[k]] += f * (least + abs(f))
+        weight[objects[k]] += least + abs(f)
     for k in range(len(places)):
         p = places[k]
         if count[p] > 0:
-            summed, weighed = 0.0, 0.0
-            for side in around[parts[k]]:
-                if side >= 0:
-                    summed += total[side]
-                    weighed += weight[side]
-            first[p] += (summed / weighed - first[p]) / count[p]
+            first[p] += (total[objects[k]] / weight[objects[k]] - first[p]) / count[p]
             source[p] = now
 
 
 @njit(cache=True, nogil=True)
-def sweep(starts, part_starts, places, parts, around, count, own, first, second, weights, source, back):
-    """``inherit`` for all scans, whose visits and parts are ``starts``, (F + 1,) each, in order; or backwards."""
+def sweep(starts, places, objects, count, own, first, second, weights, source, back):
+    """``inherit`` for all scans, whose visits are ``starts``, (F + 1,), in order; or backwards."""
     scans = len(starts) - 1
     for step in range(scans):
         t = scans - 1 - step if back else step
-        of, part = slice(starts[t], starts[t + 1]), slice(part_starts[t], part_starts[t + 1])
-        inherit(places[of], parts[of], around[part], count, own, first, second, weights, source, t)
+        of = slice(starts[t], starts[t + 1])
+        inherit(places[of], objects[of], count, own, first, second, weights, source, t)
 
 
 @njit(cache=True, nogil=True)

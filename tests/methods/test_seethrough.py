@@ -207,13 +207,12 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
 
 
 def test_a_place_inherits_the_certainty_of_the_object_around_it() -> None:
-    """A certain place, which does not inherit, and one without evidence in one part; a third in a part of its own."""
+    """A certain place, which does not inherit, and one without evidence in one object; a third in one of its own."""
     own, born = np.array([0.7, 0.0, 0.0], np.float32), np.array([0.0, 0.0, 0.5], np.float32)
-    places, parts, around = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32), np.full((2, 9), np.int32(-1))
-    around[:, 4] = [0, 1]
+    places, objects = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32)
     count, came = np.array([0, 1, 4], np.int32), np.full(3, -1, np.int32)
     doubt, shares = 0.1 / history.CERTAIN, (0.5, 0.1, history.CERTAIN, history.LEAST)
-    kernels.places.inherit(places, parts, around, count, own, born, np.zeros(3, np.float32), shares, came, 7)
+    kernels.places.inherit(places, objects, count, own, born, np.zeros(3, np.float32), shares, came, 7)
     mean, certain = (1.5 - doubt * (0.5 + doubt)) / (1.5 + 0.5 + doubt), (0.5 * 0.5 - 0.1) / history.CERTAIN
     np.testing.assert_allclose(born, [0.0, mean, 0.5 + (certain - 0.5) / 4], atol=1e-6)
     assert came.tolist() == [-1, 7, 7]

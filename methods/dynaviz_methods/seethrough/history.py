@@ -13,7 +13,6 @@ from dynaviz.arrays import F32, I32, I64, U16, U64
 from dynaviz.blocks.blocks import BlockGrid, Marks
 from dynaviz.spatial.grid import pack_indices
 
-WIDE = 3  # blocks: edge of a part of an object, 2.4 m; a part and the eight around it are judged together
 CERTAIN = 0.35  # evidence for full certainty
 LEAST = 0.5  # weight of a place without evidence, against 1 more for one that is certain
 WHOLLY = 1 / 3  # mean certainty of the places of an object that is dynamic as a whole
@@ -26,14 +25,12 @@ class Visits:
 
     Attributes:
         number: position of the scan.
-        places: (V,) int32; objects, parts: (V,) int32, those of each; around: (P, 9) int32: parts next to each part.
+        places: (V,) int32; objects: (V,) int32, that of each.
     """
 
     number: int
     places: I32
     objects: I32
-    parts: I32
-    around: I32
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +95,7 @@ class History:
             marks: of the scan; near: (B, 8) uint64: voxels of its blocks near its hits.
         """
         k, self._now = kernels.places, number
-        visits = Visits(number, *k.visit(voxels, objects, self._grid.blocks, WIDE, number, self._up, self._stamps))
+        visits = Visits(number, *k.visit(voxels, objects, number, self._up, self._stamps))
         self._visits[number], places = visits, visits.places
         k.see(marks.blocks, marks.bits, near, number, self._clear, self._cleared)
         self._weigh(places, self._live_weights, self._own)
@@ -106,7 +103,7 @@ class History:
         self._begun.ravel()[places[(visited[places] == 0) & (clear >= 0) & (clear < number)]] = 1
         visited[places] += 1
         state = (of.ravel() for of in (self._own, self._born, self._unknown))
-        k.inherit(places, visits.parts, visits.around, visited, *state, self._live, self._came.ravel(), number)
+        k.inherit(places, visits.objects, visited, *state, self._live, self._came.ravel(), number)
 
     def _weigh(self, places: I32, weights: tuple[float, ...], found: F32) -> None:
         kernels.places.evidence(places, self._up, *self._counts, weights, found.reshape(-1))
@@ -120,21 +117,14 @@ class History:
         """What decides the labels of all scans that were not forgotten."""
         k, size = kernels.places, self._own.size
         visits = [self._remaining(each) for each in self._visits.values()]
-        starts, part_starts = (
-            np.cumsum([0, *map(len, of)]) for of in ([v.places for v in visits], [v.around for v in visits])
-        )
-        places, objects, parts, around = (
-            np.concatenate([empty, *(getattr(v, name) for v in visits)])
-            for name, empty in (
-                *((name, np.empty(0, np.int32)) for name in ("places", "objects", "parts")),
-                ("around", np.empty((0, 9), np.int32)),
-            )
-        )
+        starts = np.cumsum([0, *(len(each.places) for each in visits)])
+        empty = np.empty(0, np.int32)
+        places, objects = (np.concatenate([empty, *(getattr(v, of) for v in visits)]) for of in ("places", "objects"))
         own, born, left = (np.zeros(size, np.float32) for _ in range(3))
         came, went = np.full(size, -1, np.int32), np.full(size, -1, np.int32)
         self._weigh(np.unique(places), self._weights, own)
         ended = (self._cleared > self._stamps).ravel().astype(np.int32)
-        of = starts, part_starts, places, parts, around
+        of = starts, places, objects
         k.sweep(*of, self._begun.ravel(), own, born, left, self._whole, came, False)
         k.sweep(*of, ended, own, left, born, self._whole, went, True)
         along = self._tracks(starts, places, objects, own)
@@ -173,7 +163,7 @@ class History:
         here = self._since[visits.places >> 2] <= visits.number
         if here.all():
             return visits
-        return replace(visits, **{name: getattr(visits, name)[here] for name in ("places", "objects", "parts")})
+        return replace(visits, **{name: getattr(visits, name)[here] for name in ("places", "objects")})
 
     def forget(self, number: int) -> None:
         """Drop the visits of a scan."""

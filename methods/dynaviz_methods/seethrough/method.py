@@ -9,11 +9,11 @@
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or prior (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
-    part:       the places of one object, seen in one scan, around a square of 2.4 m:
-                m = mean of their certainty k = (f - prior) / 0.35, from -1 to 1, weighted with 0.5 + |k|
+    certainty:  k = (f - prior) / 0.35 from -1 to 1; m = its mean over the places of an object in one scan, which weigh
+                0.5 + |k|
     birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
     death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if m of all its places, with f = u, exceeds 1/3, or if it continues the last ones,
+    track:      an object is dynamic if its m, with f = u, exceeds 1/3, or if it continues the last ones,
                 forward or back in time: of each it covers more than half of the columns of 0.8 m, and they of it
                 T = 2 (share of dynamic objects among those that were in the place) - 1
     point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
