@@ -153,9 +153,9 @@ class History:
             found = mean > WHOLLY
             kernels.places.follow(starts, pairs // width, pairs % width, found, np.full(width, -1), back)
             dynamic |= found
-        visited = np.bincount(places, minlength=len(own))
-        of_dynamic = np.bincount(places, dynamic[objects], minlength=len(own))
-        along: F32 = np.where(visited > 0, 2 * of_dynamic / np.maximum(visited, 1) - 1, 0).astype(np.float32)
+        existing, rows = np.unique(places, return_inverse=True)
+        along = np.zeros(len(own), np.float32)
+        along[existing] = 2 * np.bincount(rows, dynamic[objects]) / np.bincount(rows) - 1
         return along
 
     def _remaining(self, visits: Visits) -> Visits:
