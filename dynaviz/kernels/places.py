@@ -122,6 +122,22 @@ def evidence(places, up, hits, passed, grazed, weights, found):
 
 
 @njit(cache=True, nogil=True)
+def means(places, objects, own, first, second, weights):
+    """The mean certainty of the places of each object, (O,) float64; the arguments are those of ``inherit``."""
+    link, prior, certain, least = weights
+    size = 0
+    for of in objects:
+        size = max(size, of + 1)
+    total, weight = np.zeros(size), np.zeros(size)
+    for k in range(len(places)):
+        p = places[k]
+        f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
+        total[objects[k]] += f * (least + abs(f))
+        weight[objects[k]] += least + abs(f)
+    return total / weight
+
+
+@njit(cache=True, nogil=True)
 def inherit(places, objects, count, own, first, second, weights, source, now):
     """Let the places of one scan inherit what their objects are: the mean certainty of all places of each.
 
@@ -135,20 +151,11 @@ def inherit(places, objects, count, own, first, second, weights, source, now):
             without any certainty.
         source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
     """
-    link, prior, certain, least = weights
-    size = 0
-    for of in objects:
-        size = max(size, of + 1)
-    total, weight = np.zeros(size), np.zeros(size)
-    for k in range(len(places)):
-        p = places[k]
-        f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
-        total[objects[k]] += f * (least + abs(f))
-        weight[objects[k]] += least + abs(f)
+    mean = means(places, objects, own, first, second, weights)
     for k in range(len(places)):
         p = places[k]
         if count[p] > 0:
-            first[p] += (total[objects[k]] / weight[objects[k]] - first[p]) / count[p]
+            first[p] += (mean[objects[k]] - first[p]) / count[p]
             source[p] = now
 
 

@@ -20,7 +20,18 @@ from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams, history
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
 from dynaviz_methods.seethrough.ground import ScanGround
-from dynaviz_methods.seethrough.method import FOLLOWED_ON, FOOT, HIGH, LOW, OUT_OF_REACH, SEEN_THROUGH, TRACKED, WAITED
+from dynaviz_methods.seethrough.method import (
+    BY_PLACE,
+    FOLLOWED_ON,
+    FOOT,
+    HIGH,
+    LOW,
+    OUT_OF_REACH,
+    SEEN_THROUGH,
+    TOO_LITTLE,
+    TRACKED,
+    WAITED,
+)
 
 pytestmark = pytest.mark.boundscheck
 
@@ -216,6 +227,21 @@ def test_a_place_inherits_the_certainty_of_the_object_around_it() -> None:
     mean, certain = (1.5 - doubt * (0.5 + doubt)) / (1.5 + 0.5 + doubt), (0.5 * 0.5 - 0.1) / history.CERTAIN
     np.testing.assert_allclose(born, [0.0, mean, 0.5 + (certain - 0.5) / 4], atol=1e-6)
     assert came.tolist() == [-1, 7, 7]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("born", "left", "along", "reason"),
+    [(0.9, 0.5, 0.4, FOLLOWED_ON), (0.5, 0.9, 0.4, WAITED), (0.5, 0.4, 0.9, TRACKED), (0.1, -1.0, 0.1, TOO_LITTLE)],
+)
+def test_the_reason_is_that_from_which_a_place_inherits_most(
+    born: float, left: float, along: float, reason: int
+) -> None:
+    of_points = np.array([0]), np.array([0]), np.ones(1, np.float32), np.float32(0.15)
+    of_places = (np.full(4, value, np.float32) for value in (0.0, born, left, along))
+    empty = np.ones(1, np.float32)
+    codes = kernels.places.outcomes(*of_points, *of_places, (0.5, 0.1), empty, 4.5, BY_PLACE)
+    assert codes.tolist() == [reason]
 
 
 @pytest.mark.plain

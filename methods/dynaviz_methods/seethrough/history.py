@@ -142,9 +142,8 @@ class History:
         _, columns = np.unique(pack_indices(blocks * (1, 1, 0)), return_inverse=True)
         scans = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         _, objects = np.unique(scans << 32 | objects, return_inverse=True)
-        certainty = np.clip((own[places] - self._whole[1]) / CERTAIN, -1, 1)
-        weight = LEAST + np.abs(certainty)
-        mean = np.bincount(objects, weight * certainty) / np.bincount(objects, weight)
+        nothing = np.zeros_like(own)
+        mean = kernels.places.means(places, objects, own, nothing, nothing, self._whole)
         width = columns.max(initial=0) + 1
         pairs, first = np.unique(objects * width + columns, return_index=True)
         starts = np.searchsorted(scans[first], np.arange(len(starts)))

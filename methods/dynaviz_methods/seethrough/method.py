@@ -13,7 +13,7 @@
                 0.5 + |k|
     birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
     death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if its m, with f = u, exceeds 1/3, or if it continues the last ones,
+    track:      an object is dynamic if its m, with f = u, exceeds 1/3, or if it continues the last dynamic ones,
                 forward or back in time: of each it covers more than half of the columns of 0.8 m, and they of it
                 T = 2 (share of dynamic objects among those that were in the place) - 1
     point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
