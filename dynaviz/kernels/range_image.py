@@ -124,10 +124,10 @@ def _project(xyz, first, last, position, axes, views, clamp, pixels, ranges, pol
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
+def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes, least):
     """The nearest point of each pixel: ranges (P,) float32, metres, infinite if empty; indices (P,) int32, -1 if empty.
 
-    Of points at the same range the first counts, for any number of lanes.
+    Of points at the same range the first counts, for any number of lanes; none nearer than ``least``, metres.
     """
     m, last = len(chunks), len(views) - 1
     size = int(views[last, 6] + views[last, 0] * views[last, 1])
@@ -141,7 +141,7 @@ def nearest(xyz, chunks, reach, position, axes, views, clamp, lanes):
             for k in range(len(views)):
                 for i in range(n):
                     pixel = pixels[k, i]
-                    if pixel >= 0 and near[i] < ranges[lane, pixel] and near[i] <= reach:
+                    if pixel >= 0 and least <= near[i] < ranges[lane, pixel] and near[i] <= reach:
                         ranges[lane, pixel], indices[lane, pixel] = near[i], first + i
     for lane in range(1, lanes):
         for pixel in range(size):

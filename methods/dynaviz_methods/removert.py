@@ -268,7 +268,7 @@ class Removert:
     def _nearest(self, scan: Scan, xyz: F32, which: I64, reach: np.float32) -> tuple[F32, I32]:
         """Range and index of the nearest point in each pixel of all images."""
         xyz, lanes = kernels.as_readonly(xyz, np.float32), kernels.threads_in_use()
-        ranges, indices = kernels.range_image.nearest(xyz, which, reach, *self._camera(scan), lanes)
+        ranges, indices = kernels.range_image.nearest(xyz, which, reach, *self._camera(scan), lanes, np.float32(0))
         return ranges, indices
 
     def _camera(self, scan: Scan) -> tuple[F64, F64, F64, bool]:

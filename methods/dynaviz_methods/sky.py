@@ -11,6 +11,7 @@ from dynaviz import kernels
 from dynaviz.arrays import F64, U8, Bool
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
+from dynaviz_methods.range_images import whole
 
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
@@ -66,14 +67,11 @@ class DepthImage:
         xyz = kernels.as_readonly(scan.points.T, np.float32)
         centre = kernels.as_readonly(scan.position, np.float64)
         axes = kernels.as_readonly(scan.T_world_sensor[:3, :3].T, np.float64)
-        pixels, ranges = kernels.range_image.pixels_of(xyz, centre, axes, self._view, False)
-        inside = (pixels[0] >= 0) & (pixels[0] < self.rows * self.columns) & (ranges >= NEAREST)
-        pixel = pixels[0, inside]
-        depth = np.full(self.rows * self.columns, 255, np.uint8)
-        hole = depth.copy()
-        np.minimum.at(depth, pixel, np.minimum(255, ranges[inside] / (self.farthest / 255)).astype(np.uint8))
-        hole[pixel] = 0
-        return depth.reshape(self.rows, -1), hole.reshape(self.rows, -1)
+        camera, lanes = (centre, axes, self._view, False), kernels.threads_in_use()
+        nearest, _ = kernels.range_image.nearest(xyz, *whole(len(scan)), *camera, lanes, np.float32(NEAREST))
+        ranges = nearest[: self.rows * self.columns].reshape(self.rows, -1)
+        depth = np.minimum(255, ranges / (self.farthest / 255)).astype(np.uint8)
+        return depth, np.where(ranges < np.inf, np.uint8(0), np.uint8(255))
 
     def sky(self, depth: U8, hole: U8) -> tuple[F64, Bool]:
         """Fill the holes of a depth image, and select those that reach its upper border but not the lower one.

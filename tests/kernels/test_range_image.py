@@ -71,13 +71,14 @@ def test_the_nearest_point_of_a_pixel_wins_and_the_first_of_equals(lanes):
     once = random.normal(0, (10, 10, 2), (3000, 3)).astype(np.float32)
     xyz = kernels.as_readonly(np.concatenate([once, once]).T, np.float32)
     position, axes = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64)
-    ranges, indices = kernels.range_image.nearest(xyz, *whole(xyz.shape[1]), position, axes, views, False, lanes)
+    camera, least = (position, axes, views, False), np.float32(3)
+    ranges, indices = kernels.range_image.nearest(xyz, *whole(xyz.shape[1]), *camera, lanes, least)
     distance = np.linalg.norm(xyz.astype(np.float64), axis=0)
     expected = np.full(len(indices), -1)
     for view in views:
         pixel = pixels(xyz, position, axes, view, False)
         for i in np.argsort(-distance[:3000], kind="stable"):
-            if pixel[i] >= 0:
+            if pixel[i] >= 0 and distance[i] >= least:
                 expected[pixel[i]] = i
     np.testing.assert_array_equal(indices, expected)
     assert np.isinf(ranges[indices < 0]).all()
@@ -90,7 +91,7 @@ def test_an_empty_cloud_makes_an_empty_image():
     views = image_views((1.0,), (-20.0, 20.0), (-180.0, 180.0))
     camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64), views, False
     ranges, indices = kernels.range_image.nearest(
-        kernels.as_readonly(np.empty((3, 0)), np.float32), *whole(0), *camera, 2
+        kernels.as_readonly(np.empty((3, 0)), np.float32), *whole(0), *camera, 2, np.float32(0)
     )
     assert np.isinf(ranges).all()
     assert (indices == -1).all()

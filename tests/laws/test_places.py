@@ -308,8 +308,8 @@ AT, AXES = kernels.as_readonly((3.5, -1.25, 2.0), np.float64), kernels.as_readon
 
 
 def nearest_of(points: Any, lanes: int = 2) -> tuple[Any, Any]:
-    every = whole(len(points))
-    return kernels.range_image.nearest(kernels.as_readonly(points.T, np.float32), *every, AT, AXES, VIEWS, False, lanes)
+    xyz, camera = kernels.as_readonly(points.T, np.float32), (AT, AXES, VIEWS, False)
+    return kernels.range_image.nearest(xyz, *whole(len(points)), *camera, lanes, np.float32(0))
 
 
 def rays(view: Any, ranges: Any) -> Any:

@@ -243,9 +243,9 @@ def test_pictures_have_up_at_the_top_and_left_on_the_left():
     views = image_views((0.5, 0.1), (-30.0, 10.0), (-180.0, 180.0))
     directions = np.radians([(0.0, 6.0), (90.0, 0.0), (-90.0, -20.0)])
     points = np.array([(np.cos(a) * 5, np.sin(a) * 5, np.tan(e) * 5) for a, e in directions], np.float32)
-    camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64)
-    every = whole(len(points))
-    flat, _ = kernels.range_image.nearest(kernels.as_readonly(points.T, np.float32), *every, *camera, views, False, 1)
+    camera = kernels.as_readonly(np.zeros(3), np.float64), kernels.as_readonly(np.eye(3), np.float64), views, False
+    xyz = kernels.as_readonly(points.T, np.float32)
+    flat, _ = kernels.range_image.nearest(xyz, *whole(len(points)), *camera, 1, np.float32(0))
     image = picture(flat, views[0]).ranges
     assert image.shape == (20, 180)
     rows, columns = np.nonzero(~np.isnan(image))
