@@ -84,15 +84,18 @@ def clearness(hits, passed, grazed, weights):
 
 
 @njit(cache=True, nogil=True)
+def of_voxel(v, hits, passed, grazed, weights):
+    """The evidence of a voxel; 0 for -1, or if no other scan touched it."""
+    h, p = hits[v >> 9, v & 511], passed[v >> 9, v & 511]
+    return clearness(h, p, grazed[v >> 9, v & 511], weights) if v >= 0 and (h > 1 or p > 0) else 0.0
+
+
+@njit(cache=True, nogil=True)
 def of_points(voxels, hits, passed, grazed, weights):
-    """(N,) float32: the evidence of each point's voxel; 0 without a voxel, or if no other scan touched it."""
-    found = np.zeros(len(voxels), np.float32)
+    """(N,) float32: the evidence of each point's voxel, as from ``of_voxel``."""
+    found = np.empty(len(voxels), np.float32)
     for i in range(len(voxels)):
-        v = voxels[i]
-        if v >= 0:
-            h, p = hits[v >> 9, v & 511], passed[v >> 9, v & 511]
-            if h > 1 or p > 0:
-                found[i] = clearness(h, p, grazed[v >> 9, v & 511], weights)
+        found[i] = of_voxel(voxels[i], hits, passed, grazed, weights)
     return found
 
 
@@ -212,16 +215,16 @@ def follow(starts, objects, columns, dynamic, last, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, places, height, low, own, born, left, along, shares, empty, highest, codes):
+def outcomes(voxels, height, low, own, born, left, along, shares, hits, passed, grazed, weights, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
-        voxels, places: (N,) int64, -1 for none.
+        voxels: (N,) int64, -1 for none.
         height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
             points above the other are too high for a mover, unless infinite, unknown.
         own, born, left, along: (4 B,) float32: evidence of places; what they inherit from both ends, and from tracks.
         shares: the weight of what they inherit, and what the sum must exceed.
-        empty: (N,) float32: evidence of the point's own voxel.
+        hits, passed, grazed, weights: as in ``of_voxel``.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
             removed by the evidence of their place, by what it was born with, was left with, or has from tracks.
     """
@@ -229,8 +232,9 @@ def outcomes(voxels, places, height, low, own, born, left, along, shares, empty,
     out, near_ground, above, little, never, seen, came, gone, tracked = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
-        p = places[i]
-        if p < 0:
+        v = voxels[i]
+        p = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
+        if v < 0:
             found[i] = out
         elif height[i] <= low:
             found[i] = near_ground
@@ -240,5 +244,5 @@ def outcomes(voxels, places, height, low, own, born, left, along, shares, empty,
             by = came if born[p] >= max(left[p], along[p]) else gone if left[p] >= along[p] else tracked
             found[i] = seen if own[p] > prior else by
         else:
-            found[i] = little if empty[i] > 0 else never
+            found[i] = little if of_voxel(v, hits, passed, grazed, weights) > 0 else never
     return found

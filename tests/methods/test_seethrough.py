@@ -237,10 +237,11 @@ def test_a_place_inherits_the_certainty_of_the_object_around_it() -> None:
 def test_the_reason_is_that_from_which_a_place_inherits_most(
     born: float, left: float, along: float, reason: int
 ) -> None:
-    of_points = np.array([0]), np.array([0]), np.ones(1, np.float32), np.float32(0.15)
+    of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
     of_places = (np.full(4, value, np.float32) for value in (0.0, born, left, along))
-    empty = np.ones(1, np.float32)
-    codes = kernels.places.outcomes(*of_points, *of_places, (0.5, 0.1), empty, 4.5, BY_PLACE)
+    seen_clear = (np.full((1, 512), of, np.uint16) for of in (1, 3, 0))
+    weights = 0.5, 0.12, 3.0, 0.1
+    codes = kernels.places.outcomes(*of_points, *of_places, (0.5, 0.1), *seen_clear, weights, 4.5, BY_PLACE)
     assert codes.tolist() == [reason]
 
 

@@ -138,7 +138,7 @@ class Measured:
     Attributes:
         number: its position.
         scan: levelled; height: (N,) float32, metres above the ground, infinite if unknown.
-        voxels, places: (N,) int64, -1 for none.
+        voxels: (N,) int64, -1 for none.
         tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``; before: (3,) the position.
     """
 
@@ -146,7 +146,6 @@ class Measured:
     scan: Scan
     height: F32
     voxels: I64
-    places: I64
     tilt: F64
 
 
@@ -156,7 +155,6 @@ class Judged:
 
     measured: Measured
     decision: Decision
-    empty: F32
     reasons: U8
 
 
@@ -257,8 +255,7 @@ class SeeThrough:
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
         voxels = self._grid.locate(levelled.points)
-        places = kernels.places.of_voxels(voxels)
-        return Measured(number, levelled, surface.heights(scan.points), voxels, places, self._tilts[number])
+        return Measured(number, levelled, surface.heights(scan.points), voxels, self._tilts[number])
 
     def _make_room(self, scan: Scan, tilt: F64) -> None:
         """Go on in a grid with room for a levelled scan above and below all points, if there is too little."""
@@ -281,15 +278,16 @@ class SeeThrough:
 
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
-        empty = kernels.places.of_points(measured.voxels, *self._counts, self._weights)
-        of_points = measured.voxels, measured.places, measured.height, np.float32(self.params.ground_height)
+        of_points = measured.voxels, measured.height, np.float32(self.params.ground_height)
         of_places = decision.own, decision.born, decision.left, decision.along, (decision.inherit, decision.prior)
-        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, empty, HIGHEST, BY_PLACE)
+        of_voxels = *self._counts, self._weights
+        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, *of_voxels, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
             stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
+            empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
             reasons[under & (stands_out | (empty > np.float32(self.params.prior)))] = FOOT
-        self._judged = Judged(measured, decision, empty, reasons)
+        self._judged = Judged(measured, decision, reasons)
         return reasons
 
     def _under(self, measured: Measured, reasons: U8) -> Bool:
@@ -321,7 +319,7 @@ class SeeThrough:
         judged = self._judged
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
-            decision, places = judged.decision, judged.measured.places[asked.rows]
+            decision, places = judged.decision, kernels.places.of_voxels(judged.measured.voxels[asked.rows])
             of_all = decision.own, decision.born, decision.left, decision.along
             own, born, left, along = (known(of[places], places) for of in of_all)
             came, went = (
@@ -336,7 +334,8 @@ class SeeThrough:
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
         """The rules that remove points, for the points in some rows."""
         measured, p = judged.measured, self.params
-        empty, height = known(judged.empty[rows], measured.voxels[rows]), measured.height[rows]
+        voxels, height = measured.voxels[rows], measured.height[rows]
+        empty = known(kernels.places.of_points(voxels, *self._counts, self._weights), voxels)
         up = (
             Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
             Term("more than 4.5 m above the ground", _high(height), "<", 1),
