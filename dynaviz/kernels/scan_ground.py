@@ -81,7 +81,7 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
         (wide, wide) float64, metres above the sensor, infinite without; and (wide, wide) int32.
     """
     n = wide * wide
-    low = np.full(n, np.inf)
+    low = np.full(n, np.float32(np.inf))
     for i in range(len(cells)):
         if cells[i] >= 0:
             low[cells[i]] = min(low[cells[i]], heights[i])
@@ -89,16 +89,16 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     if level == np.inf:
         return found.reshape(wide, wide), number.reshape(wide, wide)
     least, middle = np.empty(n), wide // 2
-    for x in range(wide):
-        for y in range(wide):
-            far = math.sqrt(float((x - middle) ** 2 + (y - middle) ** 2))
-            least[x * wide + y] = level - margin - steep * edge * far
+    for c in range(n):
+        if low[c] < np.inf:
+            far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
+            least[c] = level - margin - steep * edge * far
     total, inside, summed, rows = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64), len(cells)
     open_rows = np.empty(rows, np.int32)
     for i in range(rows):
         open_rows[i] = i
+    low[:] = np.float32(np.inf)
     for attempt in range(ATTEMPTS):
-        low[:] = np.inf
         for k in range(rows):
             i = open_rows[k]
             c = cells[i]
@@ -111,20 +111,19 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
             if c >= 0 and low[c] <= heights[i] < low[c] + layer:
                 inside[c] += 1
                 summed[c] += np.int64(np.float64(heights[i]) * 1e6)  # integers: any order
+        for c in range(n):
+            if inside[c] == 0:
+                continue
+            if 10 * inside[c] >= total[c] and (inside[c] > 1 or total[c] <= 1 or attempt == ATTEMPTS - 1):
+                found[c], number[c] = summed[c] / (1e6 * inside[c]), inside[c]
+            else:
+                least[c] = low[c] + layer / 2
+            low[c], inside[c], summed[c] = np.inf, 0, 0
         left = 0
         for k in range(rows):
             c = cells[open_rows[k]]
-            if c >= 0 and inside[c] > 0:
-                if 10 * inside[c] >= total[c] and (inside[c] > 1 or total[c] <= 1 or attempt == ATTEMPTS - 1):
-                    found[c], number[c] = summed[c] / (1e6 * inside[c]), inside[c]
-                else:
-                    open_rows[left] = open_rows[k]
-                    left += 1
-        for k in range(left):
-            c = cells[open_rows[k]]
-            if inside[c] > 0:
-                least[c] = low[c] + layer / 2
-                inside[c], summed[c] = 0, 0
+            open_rows[left] = open_rows[k]
+            left += c >= 0 and number[c] == 0
         rows = left
     return found.reshape(wide, wide), number.reshape(wide, wide)
 
@@ -167,12 +166,13 @@ def inclines(surface, first, wide, steep, most):
         most: metres: maximum rise in the steepest direction.
     """
     rows, columns = surface.shape
-    west, south = first[0] // wide, first[1] // wide
-    squares = (first[0] + rows - 1) // wide - west + 3, (first[1] + columns - 1) // wide - south + 3
+    along_x = (first[0] + np.arange(rows)) // wide - first[0] // wide + 1
+    along_y = (first[1] + np.arange(columns)) // wide - first[1] // wide + 1
+    squares = along_x[-1] + 2, along_y[-1] + 2
     total, number = np.zeros((*squares, 2)), np.zeros((*squares, 2))  # with a border of one square
     for x in range(rows):
         for y in range(columns):
-            z, a, b = surface[x, y], (first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1
+            z, a, b = surface[x, y], along_x[x], along_y[y]
             if x < rows - 1 and abs(surface[x + 1, y] - z) <= steep:  # not a number if both are unknown
                 total[a, b, 0] += surface[x + 1, y] - z
                 number[a, b, 0] += 1
@@ -195,7 +195,7 @@ def inclines(surface, first, wide, steep, most):
     for x in range(rows):
         for y in range(columns):
             for axis in range(2):
-                found[x, y, axis] = mean[(first[0] + x) // wide - west + 1, (first[1] + y) // wide - south + 1, axis]
+                found[x, y, axis] = mean[along_x[x], along_y[y], axis]
     return found
 
 
@@ -204,13 +204,16 @@ def lower(surface, incline, step):
     """Lower a surface (X, Y), in place, until no cell is more than ``step`` beyond the incline above any neighbour.
 
     A diagonal neighbour allows √2 times as much. The incline between two cells is the mean of theirs, (X, Y, 2). None
-    may be steeper than ``step``: then no cell must be below its neighbour, and this ends.
+    may be steeper than ``step``: then no cell must be below its neighbour, and this ends. A sweep skips rows that did
+    not change, nor the row before them, since the last sweep in its direction.
     """
     rows, columns = surface.shape
-    slant, half, lowered = step * np.sqrt(2.0), incline / 2, True
-    while lowered:
-        lowered = False
+    slant, half = step * np.sqrt(2.0), incline / 2
+    last, sweep = np.ones(rows + 1, np.int64), 1  # the last sweep that lowered each row
+    while last.max() >= sweep - 1:
         for x in range(rows):
+            if max(last[x], last[x - 1]) < sweep - 1:
+                continue
             for y in range(columns):
                 before = z = surface[x, y]
                 u, v = half[x, y, 0], half[x, y, 1]
@@ -225,8 +228,11 @@ def lower(surface, incline, step):
                 if y > 0:
                     z = min(z, surface[x, y - 1] + step + v + half[x, y - 1, 1])
                 if z < before - NEARLY:
-                    surface[x, y], lowered = z, True
+                    surface[x, y], last[x] = z, sweep
+        sweep += 1
         for x in range(rows - 1, -1, -1):
+            if max(last[x], last[x + 1]) < sweep - 1:
+                continue
             for y in range(columns - 1, -1, -1):
                 before = z = surface[x, y]
                 u, v = half[x, y, 0], half[x, y, 1]
@@ -241,7 +247,8 @@ def lower(surface, incline, step):
                 if y < columns - 1:
                     z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
                 if z < before - NEARLY:
-                    surface[x, y], lowered = z, True
+                    surface[x, y], last[x] = z, sweep
+        sweep += 1
 
 
 @njit(cache=True, nogil=True)
@@ -279,13 +286,20 @@ def filled(surface, weight, levels):
             w[j] = min(w[j], 1.0)
     for k in range(levels - 1, -1, -1):
         own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
-        for x in range(wide):
+        for x in range(wide):  # between the centres of four cells of the level above
+            a, b, p = max(x - 1, 0) >> 1, min((x + 1) >> 1, half - 1), 0.25 if x & 1 else 0.75 * (x > 0)
             for y in range(wide):
+                c, d, q = max(y - 1, 0) >> 1, min((y + 1) >> 1, half - 1), 0.25 if y & 1 else 0.75 * (y > 0)
                 i = own + x * wide + y
                 if w[i] < 1:
-                    mean, total = _between(z, w, above, half, (x - 0.5) / 2, (y - 0.5) / 2)
+                    four = above + a * half + c, above + a * half + d, above + b * half + c, above + b * half + d
+                    shares = (1 - p) * (1 - q), (1 - p) * q, p * (1 - q), p * q
+                    mean, total = 0.0, 0.0
+                    for n in range(4):
+                        mean += shares[n] * w[four[n]] * z[four[n]]
+                        total += shares[n] * w[four[n]]
                     if total > 0:
-                        z[i] = w[i] * z[i] + (1 - w[i]) * mean
+                        z[i] = w[i] * z[i] + (1 - w[i]) * (mean / total)
                         w[i] = max(w[i], min(total, 1.0))
     found = np.empty(surface.shape)
     for x in range(sizes[0]):
@@ -293,20 +307,6 @@ def filled(surface, weight, levels):
             i = x * sizes[0] + y
             found[x, y] = z[i] if w[i] > 0 else np.inf
     return found
-
-
-@njit(cache=True, nogil=True)
-def _between(z, w, first, wide, u, v):
-    """Weighted mean of the four cells around (u, v) of a square picture that begins at ``first``; and their weight."""
-    x, y = np.int64(math.floor(max(u, 0.0))), np.int64(math.floor(max(v, 0.0)))
-    mean, total = 0.0, 0.0
-    for i in range(2):
-        for j in range(2):
-            at = first + min(x + i, wide - 1) * wide + min(y + j, wide - 1)
-            share = abs(1 - i - min(max(u - x, 0.0), 1.0)) * abs(1 - j - min(max(v - y, 0.0), 1.0)) * w[at]
-            mean += share * z[at]
-            total += share
-    return (mean / total if total > 0 else 0.0), total
 
 
 @njit(cache=True, nogil=True, parallel=True)
