@@ -51,7 +51,7 @@ class ClearGrid(BlockGrid):
         if self._image is not None:
             rays.extend(self._sky(self._image, each) for each in _by_sensor(scan, places, which))
         centres = np.concatenate([ends for ends, _ in rays])
-        if len(scan.origins) > 1:
+        if len(places) > 1:
             origins = np.concatenate([np.broadcast_to(starts, ends.shape) for ends, starts in rays])
         way = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
         every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
@@ -115,6 +115,8 @@ def _by_sensor(scan: Scan, places: F64, which: I64) -> list[Scan]:
 
 def _distinct(origins: F64) -> tuple[F64, I64]:
     """Distinct rows (P, 3) of origins (N, 3), sorted, and the row of each (N,); fast for runs of equal rows."""
+    if len(origins) == 1:
+        return origins, np.zeros(1, np.int64)
     differ = [origins[1:, axis] != origins[:-1, axis] for axis in range(3)]
     starts = np.flatnonzero(np.concatenate([np.ones(min(len(origins), 1), np.bool_), np.any(differ, 0)]))
     places, which = np.unique(origins[starts], axis=0, return_inverse=True)
