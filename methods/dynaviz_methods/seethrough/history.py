@@ -122,28 +122,29 @@ class History:
         places, objects = (np.concatenate([empty, *(getattr(v, of) for v in visits)]) for of in ("places", "objects"))
         own, born, left = (np.zeros(size, np.float32) for _ in range(3))
         came, went = np.full(size, -1, np.int32), np.full(size, -1, np.int32)
-        self._weigh(np.unique(places), self._weights, own)
+        existing, rows = np.unique(places, return_inverse=True)
+        self._weigh(existing, self._weights, own)
         ended = (self._cleared > self._stamps).ravel().astype(np.int32)
         of = starts, places, objects
         k.sweep(*of, self._begun.ravel(), own, born, left, self._whole, came, False)
         k.sweep(*of, ended, own, left, born, self._whole, went, True)
-        along = self._tracks(starts, places, objects, own)
+        along = self._tracks(starts, existing, rows, objects, own)
         return Decision(own, born, left, along, came, went, *self._whole[:2])
 
-    def _tracks(self, starts: I64, places: I32, objects: I32, own: F32) -> F32:
+    def _tracks(self, starts: I64, existing: I32, rows: I64, objects: I32, own: F32) -> F32:
         """(4 B,) float32: how dynamic the objects are, as a whole, that visited each place: from -1, none, to 1, all.
 
         Args:
             starts: (F + 1,) int64: the visits of each scan.
-            places, objects: (V,) int32: of each visit.
+            existing: (E,) int32: all places that were visited; rows: (V,) int64, objects: (V,) int32: of each visit.
             own: (4 B,) float32: evidence of places.
         """
-        blocks = self._grid.blocks[places >> 2]
-        _, columns = np.unique(pack_indices(blocks * (1, 1, 0)), return_inverse=True)
+        _, columns = np.unique(pack_indices(self._grid.blocks[existing >> 2] * (1, 1, 0)), return_inverse=True)
+        columns = columns[rows]
         scans = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
         _, objects = np.unique(scans << 32 | objects, return_inverse=True)
         nothing = np.zeros_like(own)
-        mean = kernels.places.means(places, objects, own, nothing, nothing, self._whole)
+        mean = kernels.places.means(existing[rows], objects, own, nothing, nothing, self._whole)
         width = columns.max(initial=0) + 1
         pairs, first = np.unique(objects * width + columns, return_index=True)
         starts = np.searchsorted(scans[first], np.arange(len(starts)))
@@ -152,7 +153,6 @@ class History:
             found = mean > WHOLLY
             kernels.places.follow(starts, pairs // width, pairs % width, found, np.full(width, -1), back)
             dynamic |= found
-        existing, rows = np.unique(places, return_inverse=True)
         along = np.zeros(len(own), np.float32)
         along[existing] = 2 * np.bincount(rows, dynamic[objects]) / np.bincount(rows) - 1
         return along
