@@ -29,6 +29,7 @@ OFF = 0.1  # metres: poses whose ground agrees within this, up to 30 m away, sta
 OTHER = 0.5  # metres: ground that differs by more, after levelling, is that of another floor
 WRAP = 1024  # cells along x and y after which the ground of earlier scans is forgotten
 ROUNDS = 5  # iterations of a fit
+Cells = tuple[tuple[I64, I64], F64, F64, F64, U8]  # as from ``_cells``
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,18 +91,19 @@ class Level:
 
     def error(self, surface: ScanGround, position: F64) -> F64:
         """(3,) float64: the error of the pose of the next scan, whose sensor is at ``position``."""
-        found = self._fitted(surface, position)
+        cells = _cells(surface, position, FIT_REACH)
+        found = self._fitted(cells, position)
         if abs(found[0]) > self._limit:
             self._weight[:], found = 0.0, np.zeros(3)
-        self._add(surface, position, found)
+        self._add(cells, found)
         self._last = position[:2].copy(), found
         return found
 
-    def _fitted(self, surface: ScanGround, position: F64) -> F64:
+    def _fitted(self, cells: Cells, position: F64) -> F64:
         place, error = self._last
         dx, dy = position[:2] - place
         start = np.array([error[0] + error[1] * dx + error[2] * dy, error[1], error[2]])
-        at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
+        at, dx, dy, z, number = cells
         known, before = self._known(at)
         known &= np.abs(z - start[0] - start[1] * dx - start[2] * dy - before) < OTHER
         if known.sum() < LEAST:
@@ -117,9 +119,9 @@ class Level:
         known = (self._weight[x, y] > 0) & (self._keys[x, y, 0] == at[0]) & (self._keys[x, y, 1] == at[1])
         return known, self._height[x, y]
 
-    def _add(self, surface: ScanGround, position: F64, error: F64) -> None:
+    def _add(self, cells: Cells, error: F64) -> None:
         """Add the levelled ground of a scan: means in which near ground counts most."""
-        at, dx, dy, z, number = _cells(surface, position, FIT_REACH)
+        at, dx, dy, z, number = cells
         z = z - error[0] - error[1] * dx - error[2] * dy
         known, before = self._known(at)
         x, y = at[0] % WRAP, at[1] % WRAP
@@ -131,7 +133,7 @@ class Level:
         self._keys[x, y, 0], self._keys[x, y, 1] = at
 
 
-def _cells(surface: ScanGround, position: F64, reach: float) -> tuple[tuple[I64, I64], F64, F64, F64, U8]:
+def _cells(surface: ScanGround, position: F64, reach: float) -> Cells:
     """The seen cells (K,) up to some metres away: their keys, dx and dy from the sensor, height, number of points."""
     rows = np.nonzero(surface.number)
     at = rows[0] + surface.first[0], rows[1] + surface.first[1]
