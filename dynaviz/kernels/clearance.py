@@ -11,7 +11,7 @@ LOW, HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
 ONE, SEVEN, EIGHT, TOP = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def adjacent(blocks, rows, keys, base, shape, top, children):
     """(B, 6) int32: rows of the six adjacent blocks of each block, -x, +x, -y, ... +z; B if absent.
 
@@ -25,7 +25,7 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
     for r in range(n):
         rows[blocks[r]] = r + 1
     found = np.full((n, 6), np.int32(n))
-    for r in range(n):
+    for r in prange(n):
         for axis in range(3):
             x = np.int64(keys[blocks[r], 0]) - (base[0] << 4) + (axis == 0)
             y = np.int64(keys[blocks[r], 1]) - (base[1] << 4) + (axis == 1)
