@@ -7,6 +7,8 @@ columns of blocks.
 import numpy as np
 from numba import njit, prange
 
+from dynaviz.kernels.blocks import BIT_OF, SEQUENCE
+
 ONE, HALF = np.uint64(1), np.uint64(0xFFFFFFFF)
 
 
@@ -113,14 +115,14 @@ def evidence(places, up, hits, passed, grazed, weights, found):
         block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
         total, summed = 0.0, 0.0
         for w in range(x0, x0 + 4):
-            word = np.uint64(up[block, w]) >> np.uint64(8 * y0)
-            for bit in range(32):
-                if word >> np.uint64(bit) & ONE:
-                    v = w << 6 | 8 * y0 + bit
-                    h, p = hits[block, v], passed[block, v]
-                    if h > 1 or p > 0:
-                        summed += h * clearness(h, p, grazed[block, v], weights)
-                        total += h
+            word = up[block, w] & HALF << np.uint64(8 * y0)
+            while word:
+                rest = word & (word - ONE)
+                v = w << 6 | BIT_OF[(word ^ rest) * SEQUENCE >> np.uint64(58)]
+                h, p, word = hits[block, v], passed[block, v], rest
+                if h > 1 or p > 0:
+                    summed += h * clearness(h, p, grazed[block, v], weights)
+                    total += h
         found[places[k]] = summed / max(total, weights[2])
 
 
