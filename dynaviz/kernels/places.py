@@ -9,7 +9,7 @@ from numba import njit, prange
 
 from dynaviz.kernels.blocks import BIT_OF, SEQUENCE
 
-ONE, HALF = np.uint64(1), np.uint64(0xFFFFFFFF)
+ONE = np.uint64(1)
 
 
 @njit(cache=True, nogil=True)
@@ -46,27 +46,6 @@ def visit(voxels, objects, now, up, stamps):
             places[n], owners[n] = block << 2 | quarter, objects[i]
             n += 1
     return places[:n].copy(), owners[:n].copy()
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def see(blocks, bits, near, now, first, last):
-    """Note in which scan places were seen clear for the first and for the last time.
-
-    Args:
-        blocks: (M,) int32; bits: (M, 16) int64: the marks of the scan, as from ``raycast.collect``.
-        near: (M, 8) uint64: bits of the voxels near a hit.
-        now: number of the scan.
-        first, last: (B, 4) int32: numbers of scans by place, -1 for none. Modified.
-    """
-    for r in prange(len(blocks)):
-        for quarter in range(4):
-            word, start = np.uint64(0), 4 * (quarter >> 1)
-            for w in range(start, start + 4):
-                word |= np.uint64(bits[r, w] & ~bits[r, 8 + w]) & ~near[r, w]
-            if word >> np.uint64(32 * (quarter & 1)) & HALF:
-                last[blocks[r], quarter] = now
-                if first[blocks[r], quarter] < 0:
-                    first[blocks[r], quarter] = now
 
 
 @njit(cache=True, nogil=True)
@@ -127,51 +106,44 @@ def evidence(places, up, hits, passed, grazed, weights, found):
 
 
 @njit(cache=True, nogil=True)
-def means(places, objects, own, first, second, weights):
-    """The mean certainty of the places of each object, (O,) float64; the arguments are those of ``inherit``."""
-    link, prior, certain, least = weights
+def certainties(places, objects, own, shared, weights):
+    """How certain it is that each object is dynamic as a whole, (O,) float64 from -1 to 1: twice the mean of its places.
+
+    Args:
+        places, objects: as from ``visit``.
+        own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
+        weights: of what a place inherits from these; what evidence must exceed; by how much for full certainty. Places
+            weigh 1, certain ones 2.
+    """
+    link, prior, certain = weights
     size = 0
     for of in objects:
         size = max(size, of + 1)
     total, weight = np.zeros(size), np.zeros(size)
     for k in range(len(places)):
-        p = places[k]
-        f = min(max((own[p] - prior + link * max(first[p], second[p], 0.0)) / certain, -1.0), 1.0)
-        total[objects[k]] += f * (least + abs(f))
-        weight[objects[k]] += least + abs(f)
-    return total / weight
+        f = own[places[k]] + link * max(shared[places[k]], 0.0)
+        f = min(max((f - prior) / certain, -1.0), 1.0)
+        total[objects[k]] += f * (1.0 + abs(f))
+        weight[objects[k]] += 1.0 + abs(f)
+    return np.minimum(np.maximum(2.0 * total / weight, -1.0), 1.0)
 
 
 @njit(cache=True, nogil=True)
-def inherit(places, objects, count, own, first, second, weights, source, now):
-    """Let the places of one scan inherit what their objects are: the mean certainty of all places of each.
+def share(places, objects, certain, scans, number, shared, source):
+    """Add visits to the mean certainty of the objects that were in each place.
 
     Args:
         places, objects: as from ``visit``.
-        count: (4 B,) int32: over how many scans the mean goes, this one included; places with 0 do not inherit.
-        own: (4 B,) float32: evidence of places.
-        first, second: (4 B,) float32: what places inherit in this direction of time, and in the other. ``first`` is
-            modified.
-        weights: of what a place inherits; what evidence must exceed; by how much for full certainty; weight of a place
-            without any certainty.
-        source: (4 B,) int32: the last scan from which a place inherits; modified to ``now``.
+        certain: (O,) float64, of objects; scans: (V,) int32, that of each visit.
+        number: (4 B,) int32: visits so far; shared: (4 B,) float32: the mean; source: (4 B,) int32: the last scan with
+            a certainty above 0. Modified.
     """
-    mean = means(places, objects, own, first, second, weights)
     for k in range(len(places)):
-        p = places[k]
-        if count[p] > 0:
-            first[p] += (mean[objects[k]] - first[p]) / count[p]
-            source[p] = now
-
-
-@njit(cache=True, nogil=True)
-def sweep(starts, places, objects, count, own, first, second, weights, source, back):
-    """``inherit`` for all scans, whose visits are ``starts``, (F + 1,), in order; or backwards."""
-    scans = len(starts) - 1
-    for step in range(scans):
-        t = scans - 1 - step if back else step
-        of = slice(starts[t], starts[t + 1])
-        inherit(places[of], objects[of], count, own, first, second, weights, source, t)
+        p, of = places[k], certain[objects[k]]
+        number[p] += 1
+        shared[p] += (of - shared[p]) / number[p]
+        if of > 0:
+            source[p] = scans[k]
 
 
 @njit(cache=True, nogil=True)
@@ -217,21 +189,21 @@ def follow(starts, objects, columns, dynamic, last, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, height, low, own, born, left, along, shares, hits, passed, grazed, weights, highest, codes):
+def outcomes(voxels, height, low, own, shared, shares, hits, passed, grazed, weights, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
         voxels: (N,) int64, -1 for none.
         height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
             points above the other are too high for a mover, unless infinite, unknown.
-        own, born, left, along: (4 B,) float32: evidence of places; what they inherit from both ends, and from tracks.
+        own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
         shares: the weight of what they inherit, and what the sum must exceed.
         hits, passed, grazed, weights: as in ``of_voxel``.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
-            removed by the evidence of their place, by what it was born with, was left with, or has from tracks.
+            removed by the evidence of their place alone, or with what it inherits.
     """
     link, prior = shares
-    out, near_ground, above, little, never, seen, came, gone, tracked = codes
+    out, near_ground, above, little, never, seen, followed = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
         v = voxels[i]
@@ -242,9 +214,8 @@ def outcomes(voxels, height, low, own, born, left, along, shares, hits, passed, 
             found[i] = near_ground
         elif height[i] > highest and height[i] < np.inf:
             found[i] = above
-        elif own[p] + link * max(born[p], left[p], along[p], 0.0) > prior:
-            by = came if born[p] >= max(left[p], along[p]) else gone if left[p] >= along[p] else tracked
-            found[i] = seen if own[p] > prior else by
+        elif own[p] + link * max(shared[p], 0.0) > prior:
+            found[i] = seen if own[p] > prior else followed
         else:
             found[i] = little if of_voxel(v, hits, passed, grazed, weights) > 0 else never
     return found

@@ -102,21 +102,19 @@ class SeeThroughParams:
             raise ValueError(f"ground_height = {self.ground_height}: give metres")
 
 
-NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, HIGH, TRACKED = range(10)
+NEVER_CLEAR, TOO_LITTLE, LOW, OUT_OF_REACH, SEEN_THROUGH, FOLLOWED, FOOT, HIGH = range(8)
 REASONS = (
     Reason("never_clear", "kept: its voxel was not seen clear more than occupied", Cause.NOTHING_BEHIND),
     Reason("too_little_clear", "kept: too little of its place was seen clear", Cause.STANDING),
     Reason("low", "kept: near the ground, and not under a dynamic object", Cause.TAKEN_FOR_GROUND),
     Reason("out_of_reach", "kept unjudged: not finite, or more than 32768 voxels from the origin", Cause.OUT_OF_RANGE),
     Reason("seen_through", "removed: its place was seen clear", Cause.SHARED_CELL),
-    Reason("followed", "removed: its place began as part of a dynamic object", Cause.SHARED_CELL),
+    Reason("followed", "removed: the objects in its place are dynamic as a whole", Cause.SHARED_CELL),
     Reason("foot", "removed: low, but under a dynamic object", Cause.SHARED_CELL),
-    Reason("waited", "removed: its place ended as part of a dynamic object", Cause.SHARED_CELL),
     Reason("high", "kept: more than 4.5 m above the ground, where no mover is expected", Cause.HEIGHT_LIMIT),
-    Reason("tracked", "removed: the objects in its place are dynamic as a whole", Cause.SHARED_CELL),
 )
-BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED_ON, WAITED, TRACKED)
-REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED, TRACKED))  # (R,) bool, by code
+BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLLOWED)
+REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED, FOOT))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
     State("passed", Voxels, "Voxels with points that this scan's rays crossed near its hits: no evidence"),
@@ -128,7 +126,7 @@ STATES = (
     ),
     State("low", Mask, "Points near the ground: removed only under a dynamic object"),
 )
-CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 3, 0, 3], np.uint8)  # reason code to class of the legend
+CLASS = np.array([0, 0, 1, 0, 2, 3, 4, 0], np.uint8)  # reason code to class of the legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +208,7 @@ class SeeThrough:
         objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
         kernels.objects.connect(objects, order, cells[order])  # which turns numbers of cells into numbers of objects
-        self._history.add(now, measured.voxels, objects, marks, near)
+        self._history.add(now, measured.voxels, objects)
         self._show(measured, marks, near)
 
     def label(self, scan: Scan) -> Labels:
@@ -279,7 +277,7 @@ class SeeThrough:
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
         of_points = measured.voxels, measured.height, np.float32(self.params.ground_height)
-        of_places = decision.own, decision.born, decision.left, decision.along, (decision.inherit, decision.prior)
+        of_places = decision.own, decision.shared, (decision.inherit, decision.prior)
         of_voxels = *self._counts, self._weights
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, *of_voxels, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
@@ -320,15 +318,11 @@ class SeeThrough:
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
             decision, places = judged.decision, kernels.places.of_voxels(judged.measured.voxels[asked.rows])
-            of_all = decision.own, decision.born, decision.left, decision.along
-            own, born, left, along = (known(of[places], places) for of in of_all)
-            came, went = (
-                known(np.where(of[places] < 0, np.nan, of[places]), places) for of in (decision.came, decision.went)
-            )
-            of_places = ("born", born), ("left", left), ("tracks", along), ("born in", came), ("left in", went)
-            quantities += [Quantity(name, of) for name, of in (("place", own), *of_places)]
-            most = np.maximum(np.maximum(born, left), np.maximum(along, 0.0))
-            rules = self._rules(judged, asked.rows, own + decision.inherit * most)
+            own, shared = known(decision.own[places], places), known(decision.shared[places], places)
+            source = known(np.where(decision.source[places] < 0, np.nan, decision.source[places]), places)
+            of_places = ("place", own), ("objects", shared), ("dynamic in", source)
+            quantities += [Quantity(name, of) for name, of in of_places]
+            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(shared, 0.0))
         return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
 
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
