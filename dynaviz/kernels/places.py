@@ -9,7 +9,7 @@ from numba import njit, prange
 
 from dynaviz.kernels.blocks import BIT_OF, SEQUENCE
 
-ONE = np.uint64(1)
+ONE, HALF = np.uint64(1), np.uint64(0xFFFFFFFF)
 
 
 @njit(cache=True, nogil=True)
@@ -107,7 +107,7 @@ def evidence(places, up, hits, passed, grazed, weights, found):
 
 @njit(cache=True, nogil=True)
 def certainties(places, objects, own, shared, weights):
-    """How certain it is that each object is dynamic as a whole, (O,) float64 from -1 to 1: twice the mean of its places.
+    """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: twice the mean of its places.
 
     Args:
         places, objects: as from ``visit``.

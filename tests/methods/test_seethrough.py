@@ -17,20 +17,18 @@ from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import MemoryProbe
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.testing import crossing
-from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams, history
+from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
 from dynaviz_methods.seethrough.ground import ScanGround
 from dynaviz_methods.seethrough.method import (
     BY_PLACE,
-    FOLLOWED_ON,
+    FOLLOWED,
     FOOT,
     HIGH,
     LOW,
     OUT_OF_REACH,
     SEEN_THROUGH,
     TOO_LITTLE,
-    TRACKED,
-    WAITED,
 )
 
 pytestmark = pytest.mark.boundscheck
@@ -95,9 +93,7 @@ def test_a_car_that_arrives_and_parks_is_followed() -> None:
     reasons = [method.label(scan).reasons[n:] for scan in scans]
     high = [scan.points[n:, 2] > 0.25 for scan in scans]
     assert all(REMOVED[codes[up]].all() for codes, up in zip(reasons, high, strict=True))
-    assert np.isin(reasons[-1], (FOLLOWED_ON, TRACKED)).sum() > 100, (
-        "it hit some places more often than they were clear"
-    )
+    assert (reasons[-1] == FOLLOWED).sum() > 100, "it hit some places more often than they were clear"
     always = running(scans[24:])
     assert not any(always.label(scan).dynamic.any() for scan in scans[24:]), "an object that never moves is kept"
 
@@ -112,15 +108,15 @@ def test_a_car_that_parks_where_no_ray_passed_is_followed() -> None:
     parked = running(scans[15:])
     for scan in scans[15::15]:
         codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.25
-        assert np.isin(codes[n : n + b][high], (FOLLOWED_ON, TRACKED)).all()
+        assert (codes[n : n + b][high] == FOLLOWED).all()
         assert not REMOVED[codes[n + b :]].any()
         assert not parked.label(scan).dynamic.any(), "these scans do not show it arrive"
 
 
-def test_a_parked_car_that_drives_off_has_waited() -> None:
+def test_a_parked_car_that_drives_off_is_followed_back() -> None:
     places = [*[-2.0] * 60, *np.linspace(-1.6, 1.6, 9)]
     scans = [seen(k, GROUND, wall(), block(7.0, y, wide=4.0), block(4.0, 6.0)) for k, y in enumerate(places)]
-    method, alone, waited = running(scans), running(scans[:60]), 0
+    method, alone, followed = running(scans), running(scans[:60]), 0
     n, b = len(GROUND) + len(wall()), len(block(7.0, 0, wide=4.0))
     for scan in scans[:60:6]:
         codes, high = method.label(scan).reasons, scan.points[n : n + b, 2] > 0.4
@@ -128,8 +124,8 @@ def test_a_parked_car_that_drives_off_has_waited() -> None:
         assert REMOVED[codes[n : n + b][high & away]].mean() > 0.85
         assert not REMOVED[codes[n + b :]].any()
         assert not alone.label(scan).dynamic.any(), "it has not moved in these scans"
-        waited += np.isin(codes[n : n + b], (WAITED, TRACKED)).sum()
-    assert waited > 0, "the voxels of some places were seen clear too rarely"
+        followed += (codes[n : n + b] == FOLLOWED).sum()
+    assert followed > 0, "the voxels of some places were seen clear too rarely"
 
 
 def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
@@ -217,53 +213,37 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
         assert found[place] == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_place_inherits_the_certainty_of_the_object_around_it() -> None:
-    """A certain place, which does not inherit, and one without evidence in one object; a third in one of its own."""
-    own, born = np.array([0.7, 0.0, 0.0], np.float32), np.array([0.0, 0.0, 0.5], np.float32)
-    places, objects = np.arange(3, dtype=np.int32), np.array([0, 0, 1], np.int32)
-    count, came = np.array([0, 1, 4], np.int32), np.full(3, -1, np.int32)
-    doubt, shares = 0.1 / history.CERTAIN, (0.5, 0.1, history.CERTAIN, history.LEAST)
-    kernels.places.inherit(places, objects, count, own, born, np.zeros(3, np.float32), shares, came, 7)
-    mean, certain = (1.5 - doubt * (0.5 + doubt)) / (1.5 + 0.5 + doubt), (0.5 * 0.5 - 0.1) / history.CERTAIN
-    np.testing.assert_allclose(born, [0.0, mean, 0.5 + (certain - 0.5) / 4], atol=1e-6)
-    assert came.tolist() == [-1, 7, 7]
+def test_the_certainty_of_an_object_is_twice_the_mean_of_its_places() -> None:
+    """A certain place and one without evidence in one object; one that inherits half of the prior in another."""
+    own, shared = np.array([0.7, 0.0, 0.05, -0.1], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
+    places, objects = np.arange(4, dtype=np.int32), np.array([0, 0, 1, 2], np.int32)
+    certain = kernels.places.certainties(places, objects, own, shared, (0.5, 0.1, 1 / 3))
+    mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
+    np.testing.assert_allclose(certain, [2 * mean, 0.0, -1.0], atol=1e-6)
+
+
+def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
+    visits = [(2, 0, 1.0), (5, 0, -0.5), (2, 1, -1.0), (5, 1, 0.25), (2, 2, 1.0)]  # place, scan, certainty
+    places, scans = (np.array([each[of] for each in visits], np.int32) for of in (0, 1))
+    number, shared, source = np.zeros(8, np.int32), np.zeros(8, np.float32), np.full(8, -1, np.int32)
+    certain = np.array([each[2] for each in visits])
+    kernels.places.share(places, np.arange(5), certain, scans, number, shared, source)
+    np.testing.assert_allclose(shared[[2, 5]], [1 / 3, -0.125], atol=1e-6)
+    assert source.tolist() == [-1, -1, 2, -1, -1, 1, -1, -1]
+    assert number.sum() == 5
 
 
 @pytest.mark.plain
 @pytest.mark.parametrize(
-    ("born", "left", "along", "reason"),
-    [(0.9, 0.5, 0.4, FOLLOWED_ON), (0.5, 0.9, 0.4, WAITED), (0.5, 0.4, 0.9, TRACKED), (0.1, -1.0, 0.1, TOO_LITTLE)],
+    ("own", "shared", "reason"),
+    [(0.2, 0.0, SEEN_THROUGH), (0.2, -1.0, SEEN_THROUGH), (0.0, 0.3, FOLLOWED), (0.0, 0.1, TOO_LITTLE)],
 )
-def test_the_reason_is_that_from_which_a_place_inherits_most(
-    born: float, left: float, along: float, reason: int
-) -> None:
+def test_a_place_is_dynamic_by_its_own_evidence_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
+    clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
-    of_places = (np.full(4, value, np.float32) for value in (0.0, born, left, along))
-    seen_clear = (np.full((1, 512), of, np.uint16) for of in (1, 3, 0))
-    weights = 0.5, 0.12, 3.0, 0.1
-    codes = kernels.places.outcomes(*of_points, *of_places, (0.5, 0.1), *seen_clear, weights, 4.5, BY_PLACE)
+    of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), (0.5, 0.1)
+    codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), 4.5, BY_PLACE)
     assert codes.tolist() == [reason]
-
-
-@pytest.mark.plain
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=10, deadline=None)
-def test_places_are_seen_clear_by_any_of_their_voxels(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    bits = random.integers(-(2**63), 2**63, (3, 16)) & np.int64(1) << random.integers(0, 64, (3, 16))
-    near = random.integers(0, 2**63, (3, 8)).astype(np.uint64)
-    first, last = np.full((4, 4), -1, np.int32), np.full((4, 4), -1, np.int32)
-    first[2] = 3
-    kernels.places.see(np.array([2, 0, 1], np.int32), bits, near, 5, first, last)
-    clear = np.zeros((4, 4), bool)
-    for row, block in enumerate((2, 0, 1)):
-        for voxel in range(512):
-            w, bit = voxel >> 6, 1 << (voxel & 63)
-            through = int(bits[row, w]) & bit and not int(bits[row, 8 + w]) & bit and not int(near[row, w]) & bit
-            clear[block, 2 * (w >> 2) + (voxel >> 5 & 1)] |= bool(through)
-    assert clear.any()
-    np.testing.assert_array_equal(last, np.where(clear, 5, -1))
-    np.testing.assert_array_equal(first, np.where(np.arange(4)[:, None] == 2, 3, np.where(clear, 5, -1)))
 
 
 @pytest.mark.plain
@@ -469,5 +449,5 @@ def test_invalid_parameters_are_rejected(values: dict[str, float], word: str) ->
 
 def test_every_reason_belongs_to_one_label() -> None:
     assert all(reason.meaning.startswith(("kept", "removed")) for reason in REASONS)
-    assert REMOVED[[SEEN_THROUGH, FOLLOWED_ON, FOOT, WAITED]].all()
+    assert REMOVED[[SEEN_THROUGH, FOLLOWED, FOOT]].all()
     assert not REMOVED[[LOW, OUT_OF_REACH]].any()

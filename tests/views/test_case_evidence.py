@@ -175,7 +175,6 @@ CLAIMS: dict[str, dict[str, Callable[[PointLedger], bool]]] = {  # what a reason
         "too_little_clear": lambda ledger: _value(ledger, "evidence of its voxel") > 0 and not _rule(ledger, "place"),
         "seen_through": lambda ledger: _rule(ledger, "place"),
         "followed": lambda ledger: _rule(ledger, "place"),
-        "waited": lambda ledger: _rule(ledger, "place"),
         "foot": lambda ledger: _rule(ledger, "foot") or _rule(ledger, "empty foot"),
         "high": lambda ledger: not _holds(ledger, "more than 4.5 m above the ground"),
     },

@@ -102,7 +102,7 @@ class History:
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""
         visits = [self._remaining(each) for each in self._visits.values()]
-        empty, sizes = np.empty(0, np.int32), [len(each.places) for each in visits]
+        empty, sizes = np.empty(0, np.int32), np.array([len(each.places) for each in visits], np.int64)
         places = np.concatenate([empty, *(each.places for each in visits)])
         numbers = np.repeat(np.array([each.number for each in visits], np.int32), sizes)
         firsts = np.cumsum([0, *(each.objects.max(initial=-1) + 1 for each in visits)])

@@ -1,4 +1,4 @@
-"""SeeThrough: what rays pass through is dynamic, and so is what came or left together with it.
+"""SeeThrough: what rays pass through is dynamic, and so is the object around it, wherever it stands.
 
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
@@ -9,20 +9,18 @@
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or prior (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
-    certainty:  k = (f - prior) / 0.35 from -1 to 1; m = its mean over the places of an object in one scan, which weigh
-                0.5 + |k|
-    birth:      B = m in the last scan with its points, if one of its voxels was seen clear before the first
-    death:      D = m in the first, if one was seen clear after the last. Sweep forward for B, then backward for D
-    track:      an object is dynamic if its m, with f = u, exceeds 1/3, or if it continues the last dynamic ones,
-                forward or back in time: of each it covers more than half of the columns of 0.8 m, and they of it
-                T = 2 (share of dynamic objects among those that were in the place) - 1
-    point:      dynamic if f = u + inherit max(B, D, T, 0) > prior in its place
+    certainty:  k = votes (f - prior) from -1 to 1; c = twice its mean over the places of an object in one scan, which
+                weigh 1 + |k|, from -1 to 1
+    track:      c = 1 for an object, too, that continues the last ones with c = 1, forward or back in time: of each it
+                covers more than half of the columns of 0.8 m, and they of it
+    share:      T = mean c of the objects that were in a place. It starts as 0, and is computed twice, with tracks last
+    point:      dynamic if f = u + inherit max(T, 0) > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds ``prior``
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online there is no D and no T, B is the
-mean of m over all scans so far, for all places, which must exceed 0.02; ``near`` is at most 0.3.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so
+far, without tracks, and ``prior`` is at most 0.02.
 """
 
 from __future__ import annotations
