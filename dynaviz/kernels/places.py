@@ -107,7 +107,7 @@ def evidence(places, up, hits, passed, grazed, weights, found):
 
 @njit(cache=True, nogil=True)
 def certainties(places, objects, own, shared, weights):
-    """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: twice the mean of its places.
+    """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
 
     Args:
         places, objects: as from ``visit``.
@@ -125,7 +125,7 @@ def certainties(places, objects, own, shared, weights):
         f = min(max((f - prior) / certain, -1.0), 1.0)
         total[objects[k]] += f * (1.0 + abs(f))
         weight[objects[k]] += 1.0 + abs(f)
-    return np.minimum(np.maximum(2.0 * total / weight, -1.0), 1.0)
+    return total / weight
 
 
 @njit(cache=True, nogil=True)

@@ -213,13 +213,13 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
         assert found[place] == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_certainty_of_an_object_is_twice_the_mean_of_its_places() -> None:
+def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
     """A certain place and one without evidence in one object; one that inherits half of the prior in another."""
     own, shared = np.array([0.7, 0.0, 0.05, -0.1], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
     places, objects = np.arange(4, dtype=np.int32), np.array([0, 0, 1, 2], np.int32)
     certain = kernels.places.certainties(places, objects, own, shared, (0.5, 0.1, 1 / 3))
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
-    np.testing.assert_allclose(certain, [2 * mean, 0.0, -1.0], atol=1e-6)
+    np.testing.assert_allclose(certain, [mean, 0.0, -0.6], atol=1e-6)
 
 
 def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
@@ -238,7 +238,9 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
     ("own", "shared", "reason"),
     [(0.2, 0.0, SEEN_THROUGH), (0.2, -1.0, SEEN_THROUGH), (0.0, 0.3, FOLLOWED), (0.0, 0.1, TOO_LITTLE)],
 )
-def test_a_place_is_dynamic_by_its_own_evidence_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
+def test_a_place_is_dynamic_by_its_own_evidence_or_with_what_it_inherits(
+    own: float, shared: float, reason: int
+) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
     of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), (0.5, 0.1)

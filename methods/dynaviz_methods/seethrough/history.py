@@ -13,7 +13,8 @@ from dynaviz.arrays import F32, I32, I64, U16, Bool
 from dynaviz.blocks.blocks import BlockGrid
 from dynaviz.spatial.grid import pack_indices
 
-LIVE_PRIOR = 0.02  # what evidence must exceed online, where there is less of it
+DYNAMIC = 0.5  # certainty of an object that is dynamic as a whole
+LIVE_PRIOR = 0.005  # what evidence must exceed online, where there is less of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +114,7 @@ class History:
         for last in (False, True):
             certain = kernels.places.certainties(places, objects, own, shared, self._whole)
             if last:
-                certain[self._followed(firsts, existing, rows, objects, certain == 1.0)] = 1.0
+                certain[self._followed(firsts, existing, rows, objects, certain > DYNAMIC)] = 1.0
             shared, source = self._nothing()
             number = np.zeros(len(own), np.int32)
             kernels.places.share(places, objects, certain, numbers, number, shared, source)

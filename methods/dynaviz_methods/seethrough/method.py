@@ -9,18 +9,18 @@
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
                 evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or prior (c - a) / (c + a + 1)
     place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
-    certainty:  k = votes (f - prior) from -1 to 1; c = twice its mean over the places of an object in one scan, which
-                weigh 1 + |k|, from -1 to 1
-    track:      c = 1 for an object, too, that continues the last ones with c = 1, forward or back in time: of each it
-                covers more than half of the columns of 0.8 m, and they of it
-    share:      T = mean c of the objects that were in a place. It starts as 0, and is computed twice, with tracks last
+    certainty:  k = votes (f - prior) from -1 to 1; m = its mean over the places of an object in one scan, which weigh
+                1 + |k|
+    track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: of
+                each it covers more than half of the columns of 0.8 m, and they of it
+    share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
                 around, or if the evidence of its voxel exceeds ``prior``
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so
-far, without tracks, and ``prior`` is at most 0.02.
+far, without tracks, and ``prior`` is at most 0.005.
 """
 
 from __future__ import annotations
