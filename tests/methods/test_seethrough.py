@@ -238,9 +238,7 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
     ("own", "shared", "reason"),
     [(0.2, 0.0, SEEN_THROUGH), (0.2, -1.0, SEEN_THROUGH), (0.0, 0.3, FOLLOWED), (0.0, 0.1, TOO_LITTLE)],
 )
-def test_a_place_is_dynamic_by_its_own_evidence_or_with_what_it_inherits(
-    own: float, shared: float, reason: int
-) -> None:
+def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
     of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), (0.5, 0.1)

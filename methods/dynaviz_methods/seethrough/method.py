@@ -19,8 +19,8 @@
                 around, or if the evidence of its voxel exceeds ``prior``
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so
-far, without tracks, and ``prior`` is at most 0.005.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, without
+tracks, and ``prior`` is at most 0.005.
 """
 
 from __future__ import annotations
