@@ -251,64 +251,6 @@ def lower(surface, incline, step):
         sweep += 1
 
 
-@njit(cache=True, nogil=True)
-def filled(surface, weight, levels):
-    """Fill the unknown cells of a surface with the mean of ever larger squares around them: pull and push.
-
-    Args:
-        surface: (X, X) float64, metres; what is in cells without weight does not matter.
-        weight: (X, X) float64, from 0, unknown, to 1.
-        levels: number of times that squares are doubled.
-
-    Returns:
-        (X, X) float64, metres; infinite where even the largest squares have no weight.
-    """
-    size, offsets, sizes = surface.shape[0], np.zeros(levels + 2, np.int64), np.zeros(levels + 1, np.int64)
-    for k in range(levels + 1):
-        sizes[k], offsets[k + 1] = size, offsets[k] + size * size
-        size = (size + 1) // 2
-    z, w = np.zeros(offsets[-1]), np.zeros(offsets[-1])
-    for x in range(sizes[0]):
-        for y in range(sizes[0]):
-            i = x * sizes[0] + y
-            w[i] = weight[x, y]
-            z[i] = surface[x, y] if w[i] > 0 else 0.0
-    for k in range(levels):
-        own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
-        for x in range(wide):
-            for y in range(wide):
-                i, j = own + x * wide + y, above + (x // 2) * half + y // 2
-                z[j] += w[i] * z[i]
-                w[j] += w[i]
-        for j in range(above, offsets[k + 2]):
-            if w[j] > 0:
-                z[j] /= w[j]
-            w[j] = min(w[j], 1.0)
-    for k in range(levels - 1, -1, -1):
-        own, wide, above, half = offsets[k], sizes[k], offsets[k + 1], sizes[k + 1]
-        for x in range(wide):  # between the centres of four cells of the level above
-            a, b, p = max(x - 1, 0) >> 1, min((x + 1) >> 1, half - 1), 0.25 if x & 1 else 0.75 * (x > 0)
-            for y in range(wide):
-                c, d, q = max(y - 1, 0) >> 1, min((y + 1) >> 1, half - 1), 0.25 if y & 1 else 0.75 * (y > 0)
-                i = own + x * wide + y
-                if w[i] < 1:
-                    four = above + a * half + c, above + a * half + d, above + b * half + c, above + b * half + d
-                    shares = (1 - p) * (1 - q), (1 - p) * q, p * (1 - q), p * q
-                    mean, total = 0.0, 0.0
-                    for n in range(4):
-                        mean += shares[n] * w[four[n]] * z[four[n]]
-                        total += shares[n] * w[four[n]]
-                    if total > 0:
-                        z[i] = w[i] * z[i] + (1 - w[i]) * (mean / total)
-                        w[i] = max(w[i], min(total, 1.0))
-    found = np.empty(surface.shape)
-    for x in range(sizes[0]):
-        for y in range(sizes[0]):
-            i = x * sizes[0] + y
-            found[x, y] = z[i] if w[i] > 0 else np.inf
-    return found
-
-
 @njit(cache=True, nogil=True, parallel=True)
 def above(points, lift, first, surface, edge):
     """(N,) float32, metres: height of points (N, 3) above a surface, interpolated between the centres of its cells.

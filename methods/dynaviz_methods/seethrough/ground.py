@@ -21,7 +21,6 @@ SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its m
 AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
-LEVELS = 8  # the ground of unknown cells is that of squares of up to 2^LEVELS cells
 
 FIT_REACH = 40.0  # metres: ground up to here decides how a scan is levelled
 LEAST = 100  # cells: minimum overlap with the ground of earlier scans
@@ -63,7 +62,7 @@ class ScanGround:
         k.lower(surface, k.inclines(lowest, first, AROUND, STEEP * EDGE, SLOPE * EDGE), SLOPE * EDGE)
         number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
-        height = np.clip(np.rint(1000 * k.filled(surface, weight, LEVELS)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
+        height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
         return cls(height, number, first, z)
 
     def heights(self, points: F32) -> F32:
@@ -131,6 +130,22 @@ class Level:
         self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
         self._weight[x, y] = old + own
         self._keys[x, y, 0], self._keys[x, y, 1] = at
+
+
+def _filled(z: F64, weight: F64) -> F64:
+    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push."""
+    import cv2
+
+    size, half = len(z), (len(z) + 1) // 2
+    if size == 1 or not weight.any():
+        return z
+    weights = np.pad(weight, (0, 2 * half - size))
+    total = 4 * cv2.resize(weights, (half, half), interpolation=cv2.INTER_AREA)
+    summed = 4 * cv2.resize(weights * np.pad(z, (0, 2 * half - size)), (half, half), interpolation=cv2.INTER_AREA)
+    coarse = _filled(summed / np.where(total > 0, total, 1.0), np.minimum(total, 1.0))
+    around = cv2.resize(coarse, (2 * half, 2 * half), interpolation=cv2.INTER_LINEAR)[:size, :size]
+    found: F64 = weight * z + (1 - weight) * around
+    return found
 
 
 def _cells(surface: ScanGround, position: F64, reach: float) -> Cells:
