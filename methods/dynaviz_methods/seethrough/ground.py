@@ -13,7 +13,7 @@ from dynaviz.contracts.scan import Scan
 
 EDGE = 0.8  # metres: edge of a cell
 REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
-NEAR = 20.0  # metres around the sensor among which the ground under it is sought
+NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it, and how a scan is levelled
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
 PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
 SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
@@ -22,9 +22,8 @@ AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 
-FIT_REACH = 40.0  # metres: ground up to here decides how a scan is levelled
 LEAST = 100  # cells: minimum overlap with the ground of earlier scans
-OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to 30 m away, stay as they are
+OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
 OTHER = 0.5  # metres: ground that differs by more, after levelling, is that of another floor
 WRAP = 1024  # cells along x and y after which the ground of earlier scans is forgotten
 ROUNDS = 5  # iterations of a fit
@@ -90,7 +89,7 @@ class Level:
 
     def error(self, surface: ScanGround, position: F64) -> F64:
         """(3,) float64: the error of the pose of the next scan, whose sensor is at ``position``."""
-        cells = _cells(surface, position, FIT_REACH)
+        cells = _cells(surface, position)
         found = self._fitted(cells, position)
         if abs(found[0]) > self._limit:
             self._weight[:], found = 0.0, np.zeros(3)
@@ -110,7 +109,7 @@ class Level:
         weight = np.minimum(number[known], 2 * FULL).astype(np.float64)
         fit = dx[known], dy[known], (z - before)[known], weight, start, EXACT, ROUNDS
         found: F64 = kernels.scan_ground.plane(*fit)
-        return found if abs(found[0]) + 30.0 * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
+        return found if abs(found[0]) + NEAR * math.hypot(found[1], found[2]) > OFF else np.zeros(3)
 
     def _known(self, at: tuple[I64, I64]) -> tuple[Bool, F64]:
         """Whether earlier scans saw the ground of cells, (K,) each along x and y; and its height, metres."""
@@ -148,11 +147,11 @@ def _filled(z: F64, weight: F64) -> F64:
     return found
 
 
-def _cells(surface: ScanGround, position: F64, reach: float) -> Cells:
-    """The seen cells (K,) up to some metres away: their keys, dx and dy from the sensor, height, number of points."""
+def _cells(surface: ScanGround, position: F64) -> Cells:
+    """The seen cells (K,) up to ``NEAR`` away: their keys, dx and dy from the sensor, height, number of points."""
     rows = np.nonzero(surface.number)
     at = rows[0] + surface.first[0], rows[1] + surface.first[1]
     dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
-    near = dx * dx + dy * dy < reach * reach
+    near = dx * dx + dy * dy < NEAR * NEAR
     z, number = surface.height[rows] / 1000 + surface.z, surface.number[rows]
     return (at[0][near], at[1][near]), dx[near], dy[near], z[near], number[near]
