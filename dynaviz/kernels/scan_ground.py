@@ -1,4 +1,4 @@
-"""The ground of one scan: the lowest layers of its points, as steep as the ground around them, or a bit more."""
+"""The ground of one scan: the lowest layers of its points, and how steep they may be."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit, prange
 
 FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
-NEARLY = 1e-9  # metres: a surface that is lowered by less is not lowered
 BIN = 0.1  # metres: height of a layer among which the level under the sensor is the densest
 DEEPEST = 20.0  # metres below the sensor at which ground is expected
 BENEATH = 0.2  # metres below the sensor above which no ground is expected
@@ -153,102 +152,28 @@ def pits(surface, deep):
 
 
 @njit(cache=True, nogil=True)
-def inclines(surface, first, wide, steep, most):
-    """(X, Y, 2) float64, metres: the mean rise of a surface (X, Y) from cell to cell around each cell, along x and y.
+def lower(surface, step):
+    """Lower a surface (X, Y), in place, until no cell is more than ``step`` above a neighbour, √2 as much diagonally.
 
-    The mean is over the adjacent known cells in 3 x 3 squares, the cell being in the middle one. 0 without such cells.
-
-    Args:
-        surface: (X, Y) float64, metres; infinite where unknown.
-        first: (2,) int64, key of the first cell, from which squares are counted.
-        wide: edge of a square, cells.
-        steep: metres: adjacent cells whose heights differ by more are not both ground.
-        most: metres: maximum rise in the steepest direction.
+    The shortest way between two cells has steps of two adjacent directions at most: a sweep from either end is enough.
     """
     rows, columns = surface.shape
-    along_x = (first[0] + np.arange(rows)) // wide - first[0] // wide + 1
-    along_y = (first[1] + np.arange(columns)) // wide - first[1] // wide + 1
-    squares = along_x[-1] + 2, along_y[-1] + 2
-    total, number = np.zeros((*squares, 2)), np.zeros((*squares, 2))  # with a border of one square
-    for x in range(rows):
-        for y in range(columns):
-            z, a, b = surface[x, y], along_x[x], along_y[y]
-            if x < rows - 1 and abs(surface[x + 1, y] - z) <= steep:  # not a number if both are unknown
-                total[a, b, 0] += surface[x + 1, y] - z
-                number[a, b, 0] += 1
-            if y < columns - 1 and abs(surface[x, y + 1] - z) <= steep:
-                total[a, b, 1] += surface[x, y + 1] - z
-                number[a, b, 1] += 1
-    mean, found = np.zeros(total.shape), np.empty((rows, columns, 2))
-    for a in range(1, squares[0] - 1):
-        for b in range(1, squares[1] - 1):
-            for axis in range(2):
-                rise, around = 0.0, 0.0
-                for i in range(a - 1, a + 2):
-                    for j in range(b - 1, b + 2):
-                        rise += total[i, j, axis]
-                        around += number[i, j, axis]
-                mean[a, b, axis] = rise / max(around, 1.0)
-            limit = most / max(most, math.sqrt(mean[a, b, 0] ** 2 + mean[a, b, 1] ** 2))
-            for axis in range(2):
-                mean[a, b, axis] *= limit
-    for x in range(rows):
-        for y in range(columns):
-            for axis in range(2):
-                found[x, y, axis] = mean[along_x[x], along_y[y], axis]
-    return found
-
-
-@njit(cache=True, nogil=True)
-def lower(surface, incline, step):
-    """Lower a surface (X, Y), in place, until no cell is more than ``step`` beyond the incline above any neighbour.
-
-    A diagonal neighbour allows √2 times as much. The incline between two cells is the mean of theirs, (X, Y, 2). None
-    may be steeper than ``step``: then no cell must be below its neighbour, and this ends. A sweep skips rows that did
-    not change, nor the row before them, since the last sweep in its direction.
-    """
-    rows, columns = surface.shape
-    slant, half = step * np.sqrt(2.0), incline / 2
-    last, sweep = np.ones(rows + 1, np.int64), 1  # the last sweep that lowered each row
-    while last.max() >= sweep - 1:
-        for x in range(rows):
-            if max(last[x], last[x - 1]) < sweep - 1:
-                continue
-            for y in range(columns):
-                before = z = surface[x, y]
-                u, v = half[x, y, 0], half[x, y, 1]
-                if x > 0:
-                    z = min(z, surface[x - 1, y] + step + u + half[x - 1, y, 0])
+    slant = step * np.sqrt(2.0)
+    for back in (-1, 1):
+        for i in range(rows):
+            x = i if back < 0 else rows - 1 - i
+            for j in range(columns):
+                y = j if back < 0 else columns - 1 - j
+                z = surface[x, y]
+                if 0 <= x + back < rows:
+                    z = min(z, surface[x + back, y] + step)
                     if y > 0:
-                        there = half[x - 1, y - 1, 0], half[x - 1, y - 1, 1]
-                        z = min(z, surface[x - 1, y - 1] + slant + u + v + (there[0] + there[1]))
+                        z = min(z, surface[x + back, y - 1] + slant)
                     if y < columns - 1:
-                        there = half[x - 1, y + 1, 0], half[x - 1, y + 1, 1]
-                        z = min(z, surface[x - 1, y + 1] + slant + u - v + there[0] - there[1])
-                if y > 0:
-                    z = min(z, surface[x, y - 1] + step + v + half[x, y - 1, 1])
-                if z < before - NEARLY:
-                    surface[x, y], last[x] = z, sweep
-        sweep += 1
-        for x in range(rows - 1, -1, -1):
-            if max(last[x], last[x + 1]) < sweep - 1:
-                continue
-            for y in range(columns - 1, -1, -1):
-                before = z = surface[x, y]
-                u, v = half[x, y, 0], half[x, y, 1]
-                if x < rows - 1:
-                    z = min(z, surface[x + 1, y] + step - u - half[x + 1, y, 0])
-                    if y > 0:
-                        there = half[x + 1, y - 1, 0], half[x + 1, y - 1, 1]
-                        z = min(z, surface[x + 1, y - 1] + slant - u + v - there[0] + there[1])
-                    if y < columns - 1:
-                        there = half[x + 1, y + 1, 0], half[x + 1, y + 1, 1]
-                        z = min(z, surface[x + 1, y + 1] + slant - u - v - (there[0] + there[1]))
-                if y < columns - 1:
-                    z = min(z, surface[x, y + 1] + step - v - half[x, y + 1, 1])
-                if z < before - NEARLY:
-                    surface[x, y], last[x] = z, sweep
-        sweep += 1
+                        z = min(z, surface[x + back, y + 1] + slant)
+                if 0 <= y + back < columns:
+                    z = min(z, surface[x, y + back] + step)
+                surface[x, y] = z
 
 
 @njit(cache=True, nogil=True, parallel=True)

@@ -16,9 +16,8 @@ REACH = 128  # cells to each side of the sensor; points beyond are measured from
 NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it, and how a scan is levelled
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
 PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
-SLOPE = 0.1  # metres per metre: maximum incline of the ground around, and its maximum slope beyond that incline
+SLOPE = 0.1  # metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that incline
 STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
-AROUND = 16  # cells: edge of the squares, 3 x 3 of which have a common incline
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 
@@ -57,8 +56,10 @@ class ScanGround:
         lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
         for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
             lowest[k.pits(lowest, PIT)] = np.inf
-        surface = lowest.copy()
-        k.lower(surface, k.inclines(lowest, first, AROUND, STEEP * EDGE, SLOPE * EDGE), SLOPE * EDGE)
+        incline = _incline(lowest)
+        surface = lowest - incline
+        k.lower(surface, SLOPE * EDGE)
+        surface += incline
         number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
         height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
@@ -129,6 +130,17 @@ class Level:
         self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
         self._weight[x, y] = old + own
         self._keys[x, y, 0], self._keys[x, y, 1] = at
+
+
+def _incline(z: F64) -> F64:
+    """(X, X) float64, metres: a plane with the mean rise from cell to cell, where adjacent ones can both be ground."""
+    with np.errstate(invalid="ignore"):
+        rises = np.diff(z, axis=0), np.diff(z, axis=1)
+    known = [np.abs(rise) <= STEEP * EDGE for rise in rises]  # not if both are infinite
+    means = [rise.sum(where=both) / max(both.sum(), 1) for rise, both in zip(rises, known, strict=True)]
+    u, v = np.clip(means, -SLOPE * EDGE, SLOPE * EDGE)
+    plane: F64 = np.add.outer(u * np.arange(len(z)), v * np.arange(len(z)))
+    return plane
 
 
 def _filled(z: F64, weight: F64) -> F64:
