@@ -6,9 +6,6 @@ import numpy as np
 from numba import njit, prange
 
 FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
-BIN = 0.1  # metres: height of a layer among which the level under the sensor is the densest
-DEEPEST = 20.0  # metres below the sensor at which ground is expected
-BENEATH = 0.2  # metres below the sensor above which no ground is expected
 ATTEMPTS = 4  # at finding a layer with enough points
 UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
 
@@ -45,20 +42,13 @@ def cells_of(points, position, most, edge):
 
 
 @njit(cache=True, nogil=True)
-def _beneath(lowest, wide, near):
-    """Height of the ground under the sensor, metres from it: where most of the near cells have their lowest point."""
-    number, middle = np.zeros(round(DEEPEST / BIN), np.int64), wide // 2
-    for x in range(max(middle - near, 0), min(middle + near + 1, wide)):
-        for y in range(max(middle - near, 0), min(middle + near + 1, wide)):
-            z = lowest[x * wide + y]
-            if -DEEPEST <= z < -BENEATH:
-                number[np.int64((z + DEEPEST) / BIN)] += 1
-    best, most = 0, np.int64(0)
-    for k in range(1, len(number) - 1):
-        around = number[k - 1] + number[k] + number[k + 1]
-        if around > most:
-            best, most = k, around
-    return (best + 0.5) * BIN - DEEPEST if most else np.inf
+def _beneath(lowest, near, layer):
+    """Height of the ground under the sensor, metres from it: the layer with the lowest points of most near cells."""
+    middle = len(lowest) // 2
+    part = lowest[max(middle - near, 0) : middle + near + 1, max(middle - near, 0) : middle + near + 1].copy().ravel()
+    z = np.sort(part[part < 0])
+    number = np.searchsorted(z, z + layer) - np.arange(len(z))
+    return z[np.argmax(number)] + layer / 2 if len(z) else np.inf
 
 
 @njit(cache=True, nogil=True)
@@ -84,7 +74,7 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     for i in range(len(cells)):
         if cells[i] >= 0:
             low[cells[i]] = min(low[cells[i]], heights[i])
-    level, found, number = _beneath(low, wide, near), np.full(n, np.inf), np.zeros(n, np.int32)
+    level, found, number = _beneath(low.reshape(wide, wide), near, layer), np.full(n, np.inf), np.zeros(n, np.int32)
     if level == np.inf:
         return found.reshape(wide, wide), number.reshape(wide, wide)
     least, middle = np.empty(n), wide // 2
