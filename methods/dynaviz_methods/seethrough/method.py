@@ -2,7 +2,7 @@
 
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
-                as steep as the ground around; level the scan if it is more than 10 cm off the ground of earlier ones
+                within 10 % of their mean incline; level the scan if it is more than 10 cm off the ground of earlier ones
         hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
