@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, F64, I32, I64, U64, Bool
-from dynaviz.blocks.rolling import RollingDirectory
+from dynaviz.blocks.rolling import RollingDirectory, empty_directory
 from dynaviz.blocks.window import Window
 from dynaviz.contracts.extent import CELL, Extent
 from dynaviz.contracts.scan import Scan
@@ -54,6 +54,7 @@ class BlockGrid:
     Args:
         extent: contains all points and ray origins.
         resolution: edge of a voxel, metres.
+        spare: metres above and below the extent where ``extend`` may add blocks, up to as many as there are.
 
     Raises:
         ValueError: if the resolution is not positive.
@@ -61,7 +62,7 @@ class BlockGrid:
 
     _OF_WORD = 1  # number of kinds of marks at addresses
 
-    def __init__(self, extent: Extent, resolution: float) -> None:
+    def __init__(self, extent: Extent, resolution: float, spare: float = 0.0) -> None:
         if not resolution > 0:
             raise ValueError(f"resolution must be positive, not {resolution}")
         self.resolution = resolution
@@ -72,7 +73,7 @@ class BlockGrid:
             self._rolling = RollingDirectory(extent, self._per_metre, _covering)
             self._blocks, self._place = self._rolling.blocks, self._rolling.place
         else:
-            self._blocks, self._place = self._cover(extent)
+            self._cover(extent, spare)
             self._rectangle = self._cropped(extent)
         lanes, rows = kernels.threads_in_use(), len(self._blocks) + 1
         # Rows are filled in order, so rows that no scan needs never occupy physical memory.
@@ -83,14 +84,29 @@ class BlockGrid:
         self._words, touched = kernels.addresses.memory(lanes, near, self._OF_WORD)
         self._near = self._words[..., 0], touched
 
-    def _cover(self, extent: Extent) -> tuple[I64, tuple[I64, I64, I32, I32]]:
-        """The blocks of an extent that is known, and their directory."""
-        reach = kernels.blocks.REACH // 128  # super-blocks
-        exact = np.nan_to_num(np.array([extent.low, extent.high]) * self._per_metre / 128, posinf=0, neginf=0)
-        bounds: I64 = np.clip(np.floor(exact), -reach, reach - 1).astype(np.int64)
-        base, shape = bounds[0], bounds[1] - bounds[0] + 1
-        blocks = kernels.as_readonly(_covering(extent.cells, self._per_metre, bounds), np.int64)
-        return blocks, (base, shape, *kernels.blocks.directory(blocks, base, shape))
+    def _cover(self, extent: Extent, spare: float) -> None:
+        """Make the blocks of an extent that is known, and their directory."""
+        reach, around = kernels.blocks.REACH // 128, np.array([0.0, 0.0, spare])  # super-blocks, metres
+        exact = np.array([extent.low - around, extent.high + around]) * self._per_metre / 128
+        limits = np.nan_to_num(exact, posinf=0, neginf=0)
+        bounds: I64 = np.clip(np.floor(limits), -reach, reach - 1).astype(np.int64)
+        blocks = _covering(extent.cells, self._per_metre, bounds)
+        rows, more = len(np.unique(pack_indices(blocks >> 4))), 2 if spare else 1
+        directory, self._books = empty_directory(bounds[1] - bounds[0] + 1, 1 + more * rows, more * len(blocks))
+        self._place, self._blocks = (bounds[0], *directory), kernels.as_readonly(self._books[1], np.int64)
+        self._add(blocks)
+
+    def extend(self, points: F32) -> None:
+        """Add the blocks of points (K, 3), metres, within the bounds and as long as there is room; not in live use."""
+        if self._rolling:
+            return
+        blocks = np.floor(points.astype(np.float64) * self._per_metre).astype(np.int64) >> 3
+        base, shape = self._place[:2]
+        blocks = blocks[((blocks >> 4 >= base) & (blocks >> 4 < base + shape)).all(1)]
+        self._add(unpack(np.unique(pack_indices(blocks))))
+
+    def _add(self, blocks: I32) -> None:
+        kernels.window.add_blocks(kernels.as_readonly(blocks, np.int32), *self._place, *self._books)
 
     def _cropped(self, extent: Extent) -> F64 | None:
         """Corners (2, 2), metres, of the rectangle of all blocks, a voxel wider; None if the bounds are as large."""
@@ -132,7 +148,7 @@ class BlockGrid:
 
     @property
     def blocks(self) -> I64:
-        """(len, 3) int64, read-only: indices of the blocks from the world's origin; sorted unless they come and go."""
+        """(len, 3) int64, read-only: indices of the blocks from the world's origin; sorted unless they come later."""
         return self._blocks
 
     @property

@@ -18,6 +18,23 @@ FAR = 20  # super-blocks beyond the window, through which rays to far points lea
 ROOM = 1.3  # blocks per cell, of the same size: a cell that rounding splits needs two
 
 Covering = Callable[[I32, float, I64], I32]
+Directory = tuple[I64, I32, I32]  # its shape in super-blocks, ``top`` and ``children``
+Books = tuple[I32, I64, I32, I32, I64]  # blocks per row of children, keys, free blocks and children, and how many
+
+
+def empty_directory(shape: I64, rows: int, capacity: int) -> tuple[Directory, Books]:
+    """A directory without blocks (``kernels/blocks.py``), and the books of what is free (``kernels/window.py``).
+
+    Args:
+        shape: (3,), number of super-blocks along each axis.
+        rows: of children, the first of which stays empty.
+        capacity: number of blocks for which there is room.
+    """
+    top, children = np.zeros(int(shape.prod()), np.int32), np.zeros((rows, 4096), np.int32)
+    # The last entries are used first, so rows fill from the first on and the others never occupy memory.
+    free, free_children = np.arange(capacity - 1, -1, -1, dtype=np.int32), np.arange(rows - 1, 0, -1, dtype=np.int32)
+    left, keys = np.array([len(free), len(free_children)]), np.zeros((capacity, 3), np.int64)
+    return (shape, top, children), (np.zeros(rows, np.int32), keys, free, free_children, left)
 
 
 class RollingDirectory:
@@ -46,17 +63,11 @@ class RollingDirectory:
         self.farthest = kernels.blocks.REACH / per_metre
         self.span = 16 * across
         shape = np.full(3, across + 2 * FAR, np.int64)
-        top, children = np.zeros(int(shape.prod()), np.int32), np.zeros((across**3 + 1, 4096), np.int32)
-        self.place = (np.zeros(3, np.int64), shape, top, children)
-        keys = np.zeros((capacity, 3), np.int64)
-        self.blocks: I64 = keys.view()
+        directory, self._books = empty_directory(shape, across**3 + 1, capacity)
+        self.place = (np.zeros(3, np.int64), *directory)
+        self.blocks: I64 = self._books[1].view()
         self.blocks.flags.writeable = False
         self.exists = np.zeros(capacity, np.bool_)
-        # The last entries are used first, so rows fill from the first on and the others never occupy memory.
-        free = np.arange(capacity - 1, -1, -1, dtype=np.int32)
-        free_children = np.arange(len(children) - 1, 0, -1, dtype=np.int32)  # row 0 is empty
-        left = np.array([len(free), len(free_children)])
-        self._books = (np.zeros(len(children), np.int32), keys, free, free_children, left)
         self.states: list[tuple[NDArray[Any], float]] = []
         self.watchers: list[Callable[[I32], None]] = []
         self._gone = np.empty(0, np.int32)

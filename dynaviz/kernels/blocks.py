@@ -16,35 +16,6 @@ BIT_OF = np.argsort([((int(SEQUENCE) << v) % (1 << 64)) >> 58 for v in range(64)
 
 
 @njit(cache=True, nogil=True)
-def directory(blocks, base, shape):
-    """Build the directory of a grid.
-
-    Args:
-        blocks: (B, 3), indices of the blocks from the world's origin; a block's number is its row.
-        base: (3,), index of the first super-block.
-        shape: (3,), number of super-blocks along each axis.
-
-    Returns:
-        top: (shape[0] * shape[1] * shape[2],) int32.
-        children: (rows, 4096) int32; row 0 is empty.
-    """
-    top = np.zeros(shape[0] * shape[1] * shape[2], np.int32)
-    rows = 1
-    for n in range(len(blocks)):
-        x, y, z = blocks[n, 0] - (base[0] << 4), blocks[n, 1] - (base[1] << 4), blocks[n, 2] - (base[2] << 4)
-        j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
-        if top[j] == 0:
-            top[j] = rows
-            rows += 1
-    children = np.zeros((rows, 4096), np.int32)
-    for n in range(len(blocks)):
-        x, y, z = blocks[n, 0] - (base[0] << 4), blocks[n, 1] - (base[1] << 4), blocks[n, 2] - (base[2] << 4)
-        j = ((x >> 4) * shape[1] + (y >> 4)) * shape[2] + (z >> 4)
-        children[top[j], (x & 15) << 8 | (y & 15) << 4 | (z & 15)] = n + 1
-    return top, children
-
-
-@njit(cache=True, nogil=True)
 def voxels_of(blocks, bits):
     """(N,) int64: voxels whose bit is set.
 

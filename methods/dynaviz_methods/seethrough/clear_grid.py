@@ -24,11 +24,12 @@ class ClearGrid(BlockGrid):
     Args:
         extent: where points will lie.
         resolution: edge of a voxel, metres.
+        spare: metres above and below the extent where blocks may be added.
         sensor: casts rays into the sky if its field of view is known.
     """
 
-    def __init__(self, extent: Extent, resolution: float, sensor: Sensor | None = None) -> None:
-        super().__init__(extent, resolution)
+    def __init__(self, extent: Extent, resolution: float, spare: float = 0.0, sensor: Sensor | None = None) -> None:
+        super().__init__(extent, resolution, spare)
         self._image = sensor_image(sensor) if sensor is not None else None
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F32, I32, I64, U16, Bool
@@ -151,27 +149,3 @@ class History:
     def forget(self, number: int) -> None:
         """Drop the visits of a scan."""
         self._visits.pop(number, None)
-
-    def move(self, grid: BlockGrid, to: I64, counts: tuple[U16, ...]) -> None:
-        """Go on in another grid, in which block k of the old one is block ``to[k]``.
-
-        Args:
-            grid: it contains all blocks of the old one.
-            to: (B,) int64; counts: the counts of the new grid.
-        """
-        for name, state in vars(self).items():
-            if isinstance(state, np.ndarray):
-                setattr(self, name, moved(state, to, len(grid) + 1))
-        for number, each in self._visits.items():
-            places = (to[each.places >> 2] << 2 | each.places & 3).astype(np.int32)
-            self._visits[number] = replace(each, places=places)
-        self._grid, self._counts = grid, counts
-
-
-def moved(state: NDArray[Any], to: I64, rows: int) -> NDArray[Any]:
-    """State with one row per block, and an empty last row, in a grid in which block k is block ``to[k]``."""
-    found = np.zeros((rows, *state.shape[1:]), state.dtype)  # memory of blocks that no scan touches is never used
-    if state[-1].any():
-        found[:] = state[-1]
-    found[to] = state[:-1]
-    return found

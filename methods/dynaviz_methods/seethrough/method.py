@@ -2,7 +2,7 @@
 
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
-                within 10 % of their mean incline; level the scan if it is more than 10 cm off the ground of earlier ones
+                within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
         hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
@@ -39,12 +39,11 @@ from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
-from dynaviz.spatial.grid import pack_indices
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
 from dynaviz_methods.seethrough.ground import EDGE, EXACT, PIT, Level, ScanGround
-from dynaviz_methods.seethrough.history import Decision, History, moved
+from dynaviz_methods.seethrough.history import Decision, History
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
@@ -168,14 +167,11 @@ class SeeThrough:
     def begin(self, context: Context) -> None:
         """Allocate the map where points will lie."""
         p, self._probe = self.params, context.probe
-        self._extent = context.extent
-        self._sensor = context.sensor
-        self._grid = ClearGrid(context.extent, p.resolution, context.sensor)
+        self._grid = ClearGrid(context.extent, p.resolution, LIFTED[0], context.sensor)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
         self._weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
         self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
-        self._room = 0.0  # metres above and below all points
         self._level = Level(LIFTED[self._grid.rolls] - 0.1)
         self._observed = 0
         self._judged: Judged | None = None
@@ -193,8 +189,6 @@ class SeeThrough:
         tilt = self._level.error(surface, scan.position)
         now = self._number[scan.index] = self._observed
         self._tilts[now], self._observed = tilt, now + 1
-        if tilt.any() and not self._grid.rolls:
-            self._make_room(scan, tilt)
         measured = self._measured = self._measure(scan, surface)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
@@ -251,21 +245,12 @@ class SeeThrough:
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
         voxels = self._grid.locate(levelled.points)
+        if self._tilts[number].any():
+            given = self._grid.locate(scan.points)
+            self._grid.extend(levelled.points[(voxels < 0) & (given >= 0)])
+            voxels = self._grid.locate(levelled.points)
+            voxels = np.where(voxels < 0, given, voxels)  # beyond the room for blocks
         return Measured(number, levelled, surface.heights(scan.points), voxels, self._tilts[number])
-
-    def _make_room(self, scan: Scan, tilt: F64) -> None:
-        """Go on in a grid with room for a levelled scan above and below all points, if there is too little."""
-        lift, room = np.abs(_lift(scan.points, scan.position, tilt)), self._room
-        lifted = min(float(lift.max(where=np.isfinite(lift), initial=0.0)), LIFTED[0])
-        while self._room < lifted:
-            self._room = max(2 * self._room, CELL)
-        if self._room == room:
-            return
-        old = pack_indices(self._grid.blocks)
-        self._grid = ClearGrid(self._extent.widened(self._room, (2,)), self.params.resolution, self._sensor)
-        to = np.searchsorted(pack_indices(self._grid.blocks), old)
-        self._counts = tuple(moved(of, to, len(self._grid) + 1) for of in self._counts)
-        self._history.move(self._grid, to, self._counts)
 
     def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
         """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,); NaN for voxel -1."""
