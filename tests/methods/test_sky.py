@@ -65,7 +65,7 @@ def test_what_is_in_front_of_the_sky_alone_is_removed_if_the_field_of_view_is_kn
 def test_rays_into_the_sky_cross_voxels_but_hit_none() -> None:
     """Next to a wall without sky above it, they are as long as the points around the hole are far."""
     seen = scan(0, ground(), truck(-1.5))
-    grid = [ClearGrid(Extent.of(seen, scan(1, truck(-8.0))), 0.1, sensor) for sensor in (None, SENSOR)]
+    grid = [ClearGrid(Extent.of(seen, scan(1, truck(-8.0))), 0.1, sensor=sensor) for sensor in (None, SENSOR)]
     marks = [each.mark_once(seen, each.locate(seen.points)) for each in grid]
     hits, crossed = ([voxels_of(of.blocks, of.bits[:, k : k + 8]) for of in marks] for k in (8, 0))
     assert set(hits[0]) == set(hits[1])
