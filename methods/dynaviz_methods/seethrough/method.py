@@ -245,11 +245,12 @@ class SeeThrough:
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
         voxels = self._grid.locate(levelled.points)
-        if self._tilts[number].any():
-            given = self._grid.locate(scan.points)
-            self._grid.extend(levelled.points[(voxels < 0) & (given >= 0)])
-            voxels = self._grid.locate(levelled.points)
-            voxels = np.where(voxels < 0, given, voxels)  # beyond the room for blocks
+        lost = np.flatnonzero(voxels < 0)
+        if len(lost) and self._tilts[number].any():
+            given = self._grid.locate(scan.points[lost])
+            self._grid.extend(levelled.points[lost[given >= 0]])
+            found = self._grid.locate(levelled.points[lost])
+            voxels[lost] = np.where(found < 0, given, found)  # beyond the room for blocks
         return Measured(number, levelled, surface.heights(scan.points), voxels, self._tilts[number])
 
     def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
