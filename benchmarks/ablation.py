@@ -35,9 +35,8 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "poses as they are": ({"ground.OFF": 1e9}, ()),
     "no tracks": ({"history.DYNAMIC": 1.0}, ()),
     "no limit of height": ({"method.HIGHEST": 1e9}, ()),
-    "feet up to 0.8 m away": ({"method.UNDER": 4}, ()),
     "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
-    "pits are ground": ({"ground.PIT": 1e9}, ()),
+    "pits and other floors are ground": ({"ground.PIT": 1e9}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
     "rays into the sky pass the points next to it": ({"sky.AROUND": 0}, ()),
 }

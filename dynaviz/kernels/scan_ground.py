@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit, prange
 
 FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are not above a cell of ground
-ATTEMPTS = 4  # at finding a layer with enough points
 UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
 
 
@@ -55,8 +54,8 @@ def _beneath(lowest, near, layer):
 def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     """The mean height of the lowest layer of points in each cell, and the number of its points.
 
-    A layer with less than a tenth of its cell's points, or a single one of several, is not the lowest: a few returns
-    below the ground. Nor is what a slope from the ground under the sensor cannot reach: a reflection.
+    One with less than a tenth of its cell's points is not ground: a few returns below it. Nor is what a slope from the
+    ground under the sensor cannot reach: a reflection.
 
     Args:
         heights: (N,) float32, metres above the sensor.
@@ -79,41 +78,22 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
         return found.reshape(wide, wide), number.reshape(wide, wide)
     least, middle = np.empty(n), wide // 2
     for c in range(n):
-        if low[c] < np.inf:
-            far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
-            least[c] = level - margin - steep * edge * far
-    total, inside, summed, rows = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64), len(cells)
-    open_rows = np.empty(rows, np.int32)
-    for i in range(rows):
-        open_rows[i] = i
-    low[:] = np.float32(np.inf)
-    for attempt in range(ATTEMPTS):
-        for k in range(rows):
-            i = open_rows[k]
-            c = cells[i]
-            if c >= 0 and heights[i] >= least[c]:
-                low[c] = min(low[c], heights[i])
-                total[c] += attempt == 0
-        for k in range(rows):
-            i = open_rows[k]
-            c = cells[i]
-            if c >= 0 and low[c] <= heights[i] < low[c] + layer:
-                inside[c] += 1
-                summed[c] += np.int64(np.float64(heights[i]) * 1e6)  # integers: any order
-        for c in range(n):
-            if inside[c] == 0:
-                continue
-            if 10 * inside[c] >= total[c] and (inside[c] > 1 or total[c] <= 1 or attempt == ATTEMPTS - 1):
-                found[c], number[c] = summed[c] / (1e6 * inside[c]), inside[c]
-            else:
-                least[c] = low[c] + layer / 2
-            low[c], inside[c], summed[c] = np.inf, 0, 0
-        left = 0
-        for k in range(rows):
-            c = cells[open_rows[k]]
-            open_rows[left] = open_rows[k]
-            left += c >= 0 and number[c] == 0
-        rows = left
+        far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
+        least[c], low[c] = level - margin - steep * edge * far, np.inf
+    total, summed = np.zeros(n, np.int32), np.zeros(n, np.int64)
+    for i in range(len(cells)):
+        c = cells[i]
+        if c >= 0 and heights[i] >= least[c]:
+            low[c] = min(low[c], heights[i])
+            total[c] += 1
+    for i in range(len(cells)):
+        c = cells[i]
+        if c >= 0 and low[c] <= heights[i] < low[c] + layer:
+            number[c] += 1
+            summed[c] += np.int64(np.float64(heights[i]) * 1e6)  # integers: any order
+    for c in range(n):
+        if number[c] > 0 and 10 * number[c] >= total[c]:
+            found[c] = summed[c] / (1e6 * number[c])
     return found.reshape(wide, wide), number.reshape(wide, wide)
 
 

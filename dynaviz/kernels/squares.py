@@ -51,17 +51,16 @@ def in_or_next_to(points, chosen, among, cell):
 
 
 @njit(cache=True, nogil=True)
-def local_level(points, chosen, wanted, height, cell, few):
+def local_level(points, chosen, wanted, height, cell):
     """(N,) float32, metres: mean height of the chosen points in each wanted point's square cell, seen from above.
 
-    0 in cells with fewer than ``few`` chosen points, and for points that are not wanted.
+    0 in cells without chosen points, and for points that are not wanted.
 
     Args:
         points: (N, 3) float32, metres.
         chosen, wanted: (N,) bool; these points must be finite.
         height: (N,) float32, metres.
         cell: edge of a cell, metres.
-        few: minimum number of points.
     """
     level = np.zeros(len(points), np.float32)
     cells, low, high = _squares(points, wanted, cell)
@@ -79,6 +78,6 @@ def local_level(points, chosen, wanted, height, cell, few):
     for i in range(len(points)):
         if wanted[i]:
             x, y = cells[i, 0] - low[0], cells[i, 1] - low[1]
-            if number[x, y] >= few:
+            if number[x, y] > 0:
                 level[i] = total[x, y] / (1e6 * number[x, y])
     return level

@@ -47,10 +47,9 @@ from dynaviz_methods.seethrough.history import Decision, History
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-UNDER = 2  # voxels: edge of the cells that are under or next to a dynamic object
-GROUND = 4 * EDGE, 3  # metres: edge of the cells in which low points are compared; minimum number of them
+GROUND = 4 * EDGE  # metres: edge of the cells in which low points are compared
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
-OBJECT = 30.0  # metres
+OBJECT = 30.0  # metres: the largest object, around a tile
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,7 @@ class SeeThrough:
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
         self._weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
         self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
-        self._level = Level(LIFTED[self._grid.rolls] - 0.1)
+        self._level = Level(LIFTED[self._grid.rolls] - p.resolution)
         self._observed = 0
         self._judged: Judged | None = None
         self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
@@ -273,16 +272,15 @@ class SeeThrough:
         return reasons
 
     def _under(self, measured: Measured, reasons: U8) -> Bool:
-        """(N,) bool: low points in or next to the cells of dynamic points that are not low."""
+        """(N,) bool: low points under, or in a column of voxels next to, dynamic points that are not low."""
         chosen, low = any_of(reasons, REMOVED) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
-        size = UNDER * self.params.resolution
-        under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, size)
+        under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, self.params.resolution)
         return under
 
     def _ground(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
         """(N,) float32, metres: mean height of the other low points around the wanted points (N,); 0 if unknown."""
         low = (measured.voxels >= 0) & (measured.height <= self.params.ground_height) & (measured.height > -PIT)
-        level: F32 = kernels.squares.local_level(measured.scan.points, low & ~under, wanted, measured.height, *GROUND)
+        level: F32 = kernels.squares.local_level(measured.scan.points, low & ~under, wanted, measured.height, GROUND)
         return level
 
     def halo(self) -> Halo:
