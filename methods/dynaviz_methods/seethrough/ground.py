@@ -15,14 +15,13 @@ EDGE = 0.8  # metres: edge of a cell
 REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
 NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it, and how a scan is levelled
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
-PIT = (
-    2 * LAYER
-)  # metres: what is lower by more than most cells around is a reflection; by more between scans, another floor
+PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
 SLOPE = 0.1  # metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that incline
 STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
 EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
 FULL = 5  # points: cells with fewer count less
 
+OTHER = EDGE  # metres: ground that differs by more, after levelling, is that of another floor
 OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
 WRAP = 8 * REACH  # cells along x and y after which the ground of earlier scans is forgotten
 ROUNDS = 5  # iterations of a fit
@@ -104,7 +103,7 @@ class Level:
         start = np.array([error[0] + error[1] * dx + error[2] * dy, error[1], error[2]])
         at, dx, dy, z, number = cells
         known, before = self._known(at)
-        known &= np.abs(z - start[0] - start[1] * dx - start[2] * dy - before) < PIT
+        known &= np.abs(z - start[0] - start[1] * dx - start[2] * dy - before) < OTHER
         if not known.any():
             return np.array([start[0], 0.0, 0.0])
         weight = np.minimum(number[known], 2 * FULL).astype(np.float64)
@@ -124,7 +123,7 @@ class Level:
         z = z - error[0] - error[1] * dx - error[2] * dy
         known, before = self._known(at)
         x, y = at[0] % WRAP, at[1] % WRAP
-        same = known & (np.abs(z - before) < PIT)
+        same = known & (np.abs(z - before) < OTHER)
         old = np.where(same, self._weight[x, y], 0.0)
         own = number / (1.0 + (dx * dx + dy * dy) / 100.0)
         self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
