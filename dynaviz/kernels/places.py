@@ -151,7 +151,8 @@ def follow(starts, objects, columns, dynamic, last, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they more than half of
-    it, together. One that is larger than that absorbs them, and they stay the last ones of their columns.
+    it, together. One that is larger than that absorbs them, and they stay the last ones of their columns. Or it is a
+    part of one: this covers more than half of it, in columns that dynamic objects visited before any other.
 
     Args:
         starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
@@ -163,6 +164,7 @@ def follow(starts, objects, columns, dynamic, last, back):
     for of in objects:
         size[of] += 1
     absorbs = np.zeros(len(objects), np.bool_)
+    visited, free = np.zeros(len(last), np.bool_), np.zeros(len(last), np.bool_)
     for step in range(scans):
         t = scans - 1 - step if back else step
         start = starts[t]
@@ -172,18 +174,21 @@ def follow(starts, objects, columns, dynamic, last, back):
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] += 1
-            covered = 0
+            covered, part = 0, 0
             for k in rows:
                 other = last[columns[k]]
                 absorbs[k] = other >= 0 and 2 * shared[other] > size[other]
                 covered += absorbs[k]
-            if 2 * covered > size[of]:
+                part += other >= 0 and 2 * shared[other] > size[of] and free[columns[k]]
+            if 2 * max(covered, part) > size[of]:
                 dynamic[of], absorbs[start : start + size[of]] = True, False
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] = 0
             start += size[of]
         for k in range(starts[t], starts[t + 1]):
+            free[columns[k]] |= dynamic[objects[k]] and not visited[columns[k]]
+            visited[columns[k]] = True
             if dynamic[objects[k]] and not absorbs[k]:
                 last[columns[k]] = objects[k]
 

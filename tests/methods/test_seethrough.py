@@ -253,7 +253,7 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, share
     [
         ([1, 2, 3], [2, 3, 4], (True, True)),  # it moves on
         ([1, 2, 3, 4, 5, 6], [1, 2], (False, True)),  # for one scan it is joined with something larger
-        ([0], [0, 1], (False, True)),  # for one scan most of it is hidden
+        ([0], [0, 1, 2], (True, True)),  # for one scan most of it is hidden
         ([3, 4, 5], [4, 5, 6], (False, False)),  # something else is next to it
     ],
 )
@@ -282,6 +282,16 @@ def test_two_halves_of_an_object_continue_as_one(more: list[int], dynamic: bool)
     found = np.array([True, True, False, False])
     kernels.places.follow(np.array([0, 4, 8 + len(more), len(columns)]), objects, columns, found, np.full(8, -1), False)
     assert found.tolist() == [True, True, dynamic, True]
+
+
+@pytest.mark.plain
+def test_parts_of_a_dynamic_object_are_followed_where_nothing_static_was_before() -> None:
+    """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""
+    columns = np.array([0, 1, *range(6), 0, 1, 3, 4, 3, 4])
+    objects = np.array([0, 0, *[1] * 6, 2, 2, 3, 3, 4, 4])
+    found = np.array([False, True, False, False, False])
+    kernels.places.follow(np.array([0, 2, 8, 12, 14]), objects, columns, found, np.full(6, -1), False)
+    assert found.tolist() == [False, True, False, True, True]
 
 
 def test_points_too_high_for_movers_are_kept() -> None:

@@ -12,7 +12,8 @@
     certainty:  k = votes (f - prior) from -1 to 1; m = its mean over the places of an object in one scan, which weigh
                 1 + |k|
     track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: of
-                each it covers more than half of the columns of 0.8 m, and they of it
+                each it covers more than half of the columns of 0.8 m, and they of it; or if one of them covers
+                more than half of it, where nothing static came first
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > prior in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
