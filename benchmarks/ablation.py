@@ -36,7 +36,7 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "no tracks": ({"history.DYNAMIC": 1.0}, ()),
     "no limit of height": ({"method.HIGHEST": 1e9}, ()),
     "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
-    "pits and other floors are ground": ({"ground.PIT": 1e9}, ()),
+    "pits are ground": ({"ground.PIT": 1e9}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
     "rays into the sky pass the points next to it": ({"sky.AROUND": 0}, ()),
 }

@@ -158,12 +158,12 @@ class BlockGrid:
 
     def existing(self) -> Bool:
         """(len,) bool: the blocks that exist."""
-        return self._rolling.exists if self._rolling else np.ones(len(self), np.bool_)
+        return self._rolling.exists if self._rolling else np.arange(len(self)) < len(self) - self._books[-1][0]
 
     def neighbours(self) -> I32:
         """(len, 27) int32: numbers of the blocks around each block, by x, y and z; -1 if absent.
 
-        If blocks come and go, the array is kept up to date.
+        Only for a grid without ``spare``. If blocks come and go, the array is kept up to date.
         """
         if self._rolling:
             return self._rolling.neighbours()

@@ -54,6 +54,24 @@ def test_a_map_of_kilometres_fits():
 
 
 @pytest.mark.plain
+def test_blocks_are_added_within_the_bounds_while_there_is_room():
+    points = np.array([[0.5, 0.5, 0.5], [4.5, 0.5, 0.5], [0.5, 4.5, 0.5]], np.float32)
+    grid = BlockGrid(extent_of(points), 0.1, spare=4.0)
+    voxels, first = grid.locate(points), int(grid.existing().sum())
+    assert first == 3
+    assert len(grid) == 6
+    raised = points + np.array([0, 0, 2], np.float32)
+    assert (grid.locate(raised) == -1).all()
+    grid.extend(np.concatenate([raised[:2], raised[:2], [[999.0, 0.0, 0.0]]]).astype(np.float32))
+    assert int(grid.existing().sum()) == 5
+    assert (grid.locate(raised) >= 0).tolist() == [True, True, False]
+    assert grid.blocks[grid.existing()].tolist()[3:] == [[0, 0, 3], [5, 0, 3]]
+    grid.extend(raised + np.array([1, 0, 0], np.float32))  # one more has room
+    assert int(grid.existing().sum()) == 6
+    np.testing.assert_array_equal(grid.locate(points), voxels)
+
+
+@pytest.mark.plain
 def test_an_empty_extent_has_no_blocks():
     grid = BlockGrid(Extent(np.full(3, np.inf), np.full(3, -np.inf), np.zeros((0, 3), np.int32)), 0.1)
     assert len(grid) == 0

@@ -254,6 +254,7 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, share
         ([1, 2, 3], [2, 3, 4], (True, True)),  # it moves on
         ([1, 2, 3, 4, 5, 6], [1, 2], (False, True)),  # for one scan it is joined with something larger
         ([0], [0, 1, 2], (True, True)),  # for one scan most of it is hidden
+        ([0], [0, 1], (True, False)),  # a third of it stays hidden: its track is lost
         ([3, 4, 5], [4, 5, 6], (False, False)),  # something else is next to it
     ],
 )

@@ -134,7 +134,7 @@ class Measured:
         number: its position.
         scan: levelled; height: (N,) float32, metres above the ground, infinite if unknown.
         voxels: (N,) int64, -1 for none.
-        tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``; before: (3,) the position.
+        tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``.
     """
 
     number: int
