@@ -55,13 +55,13 @@ def clearness(hits, passed, grazed, weights):
     Args:
         hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit of their own.
         weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence;
-            most evidence of hits alone, against the place.
+            the prior: the evidence that a place must exceed, and the most that hits alone are against it.
     """
-    near, hit, votes, most = weights
+    near, hit, votes, prior = weights
     clear, against = np.float64(passed) - grazed, near * grazed + hit * hits
     if clear > against:
         return min(clear / votes, 1.0) * (clear - against) / (clear + against)
-    return most * (clear - against) / (clear + against + 1.0)
+    return prior * (clear - against) / (clear + against + 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -84,8 +84,8 @@ def of_points(voxels, hits, passed, grazed, weights):
 def evidence(places, up, hits, passed, grazed, weights, found):
     """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
 
-    The evidence of a place is the mean over its voxels with points of objects, weighted with the scans that hit them;
-    less if these were fewer than ``votes``.
+    The evidence of a place is the mean over its voxels with points of objects, less the prior, weighted with the scans
+    that hit them; nearer 0 if these were fewer than ``votes``.
 
     Args:
         up, hits, passed, grazed, weights: as in ``visit`` and ``clearness``.
@@ -100,29 +100,27 @@ def evidence(places, up, hits, passed, grazed, weights, found):
                 v = w << 6 | BIT_OF[(word ^ rest) * SEQUENCE >> np.uint64(58)]
                 h, p, word = hits[block, v], passed[block, v], rest
                 if h > 1 or p > 0:
-                    summed += h * clearness(h, p, grazed[block, v], weights)
+                    summed += h * (clearness(h, p, grazed[block, v], weights) - weights[3])
                     total += h
         found[places[k]] = summed / max(total, weights[2])
 
 
 @njit(cache=True, nogil=True)
-def certainties(places, objects, own, shared, weights):
+def certainties(places, objects, own, shared, link, full):
     """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
 
     Args:
         places, objects: as from ``visit``.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
-        weights: of what a place inherits from these; what evidence must exceed; by how much for full certainty. Places
-            weigh 1, certain ones 2.
+        link: weight of what a place inherits from these; full: what is full certainty. Places weigh 1, certain ones 2.
     """
-    link, prior, certain = weights
     size = 0
     for of in objects:
         size = max(size, of + 1)
     total, weight = np.zeros(size), np.zeros(size)
     for k in range(len(places)):
         f = own[places[k]] + link * max(shared[places[k]], 0.0)
-        f = min(max((f - prior) / certain, -1.0), 1.0)
+        f = min(max(f / full, -1.0), 1.0)
         total[objects[k]] += f * (1.0 + abs(f))
         weight[objects[k]] += 1.0 + abs(f)
     return total / weight
@@ -194,7 +192,7 @@ def follow(starts, objects, columns, dynamic, last, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, height, low, own, shared, shares, hits, passed, grazed, weights, highest, codes):
+def outcomes(voxels, height, low, own, shared, link, hits, passed, grazed, weights, highest, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
@@ -202,12 +200,11 @@ def outcomes(voxels, height, low, own, shared, shares, hits, passed, grazed, wei
         height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
             points above the other are too high for a mover, unless infinite, unknown.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
-        shares: the weight of what they inherit, and what the sum must exceed.
+        link: weight of what they inherit.
         hits, passed, grazed, weights: as in ``of_voxel``.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
             removed by the evidence of their place alone, or with what it inherits.
     """
-    link, prior = shares
     out, near_ground, above, little, never, seen, followed = codes
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
@@ -219,8 +216,8 @@ def outcomes(voxels, height, low, own, shared, shares, hits, passed, grazed, wei
             found[i] = near_ground
         elif height[i] > highest and height[i] < np.inf:
             found[i] = above
-        elif own[p] + link * max(shared[p], 0.0) > prior:
-            found[i] = seen if own[p] > prior else followed
+        elif own[p] + link * max(shared[p], 0.0) > 0:
+            found[i] = seen if own[p] > 0 else followed
         else:
             found[i] = little if of_voxel(v, hits, passed, grazed, weights) > 0 else never
     return found

@@ -208,16 +208,16 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
             c, against = p - q, 0.3 * q + 0.12 * h
             empty = min(c / 3, 1) * (c - against) / (c + against) if c > against else None
             empty = 0.2 * (c - against) / (c + against + 1) if empty is None else empty
-            summed, total = summed + h * empty * (h > 1 or p > 0), total + h * (h > 1 or p > 0)
+            summed, total = summed + h * (empty - 0.2) * (h > 1 or p > 0), total + h * (h > 1 or p > 0)
         expected = summed / total * min(total / 3, 1) if total else 0.0
         assert found[place] == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
-    """A certain place and one without evidence in one object; one that inherits half of the prior in another."""
-    own, shared = np.array([0.7, 0.0, 0.05, -0.1], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
+    """A certain place and one with hits alone in one object; one that inherits what it lacks in another."""
+    own, shared = np.array([0.6, -0.1, -0.05, -0.2], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
     places, objects = np.arange(4, dtype=np.int32), np.array([0, 0, 1, 2], np.int32)
-    certain = kernels.places.certainties(places, objects, own, shared, (0.5, 0.1, 1 / 3))
+    certain = kernels.places.certainties(places, objects, own, shared, 0.5, 1 / 3)
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
     np.testing.assert_allclose(certain, [mean, 0.0, -0.6], atol=1e-6)
 
@@ -236,12 +236,12 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
 @pytest.mark.plain
 @pytest.mark.parametrize(
     ("own", "shared", "reason"),
-    [(0.2, 0.0, SEEN_THROUGH), (0.2, -1.0, SEEN_THROUGH), (0.0, 0.3, FOLLOWED), (0.0, 0.1, TOO_LITTLE)],
+    [(0.1, 0.0, SEEN_THROUGH), (0.1, -1.0, SEEN_THROUGH), (-0.1, 0.3, FOLLOWED), (-0.1, 0.1, TOO_LITTLE)],
 )
 def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
-    of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), (0.5, 0.1)
+    of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), 0.5
     codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), 4.5, BY_PLACE)
     assert codes.tolist() == [reason]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, I32, I64, U16, Bool
+from dynaviz.arrays import F32, F64, I32, I64, U16, Bool
 from dynaviz.blocks.blocks import BlockGrid
 from dynaviz.spatial.grid import pack_indices
 
 DYNAMIC = 0.5  # certainty of an object that is dynamic as a whole
-LIVE_PRIOR = 0.005  # what evidence must exceed online, where there is less of it
+SCANS = 40  # in fewer scans, fewer errors add up: the prior is smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +34,18 @@ class Decision:
     """What decides the labels of points, by place; all (4 B,), the last block being that of points without one.
 
     Attributes:
-        own: float32: evidence of places.
+        own: float32: evidence of places, less the prior.
         shared: float32: mean certainty of the objects that were there, from -1, static, to 1, dynamic.
         source: int32: position of the last scan in which it was above 0; -1 for none.
-        inherit: weight of what places inherit from objects; prior: what the sum must exceed.
+        inherit: weight of what places inherit from objects; with it, the evidence of dynamic ones exceeds 0.
+        weights: as from ``History.weights``.
     """
 
     own: F32
     shared: F32
     source: I32
     inherit: float
-    prior: float
+    weights: tuple[float, ...]
 
 
 class History:
@@ -53,17 +54,13 @@ class History:
     Args:
         grid: the grid of the places' blocks.
         inherit: weight of what a place inherits.
-        prior: what the evidence of a place must exceed, with what it inherits.
-        weights: of a crossing near a hit, of a hit; clear crossings for full evidence; most evidence of hits alone.
+        weights: of a crossing near a hit, of a hit; clear crossings for full evidence; the prior.
         counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
     """
 
-    def __init__(
-        self, grid: BlockGrid, inherit: float, prior: float, weights: tuple[float, ...], counts: tuple[U16, ...]
-    ) -> None:
+    def __init__(self, grid: BlockGrid, inherit: float, weights: tuple[float, ...], counts: tuple[U16, ...]) -> None:
         rows, own = len(grid) + 1, grid.per_block
-        self._weights, self._counts, certain = weights, counts, 1 / weights[2]
-        self._whole, self._live = (inherit, prior, certain), (inherit, min(prior, LIVE_PRIOR), certain)
+        self._inherit, self._weights, self._counts = inherit, weights, counts
         self._visits: dict[int, Visits] = {}
         self._stamps, self._source = (own(np.full((rows, 4), -1, np.int32), -1) for _ in range(2))
         self._up = own(np.zeros((rows, 8), np.uint64))
@@ -87,16 +84,24 @@ class History:
         visits = Visits(number, *k.visit(voxels, objects, number, self._up, self._stamps))
         self._visits[number], places = visits, visits.places
         self._weigh(places, self._own)
-        certain = k.certainties(places, visits.objects, self._own.ravel(), self._shared.ravel(), self._live)
+        certain = self._certain(places, visits.objects, self._own.ravel(), self._shared.ravel())
         state = self._number.ravel(), self._shared.ravel(), self._source.ravel()
         k.share(places, visits.objects, certain, np.full_like(places, number), *state)
 
+    def weights(self) -> tuple[float, ...]:
+        """As given, with the prior for the scans so far."""
+        return *self._weights[:3], self._weights[3] * min((self._now + 1) / SCANS, 1.0)
+
     def _weigh(self, places: I32, found: F32) -> None:
-        kernels.places.evidence(places, self._up, *self._counts, self._weights, found.reshape(-1))
+        kernels.places.evidence(places, self._up, *self._counts, self.weights(), found.reshape(-1))
+
+    def _certain(self, places: I32, objects: I32, own: F32, shared: F32) -> F64:
+        certain: F64 = kernels.places.certainties(places, objects, own, shared, self._inherit, 1 / self._weights[2])
+        return certain
 
     def so_far(self) -> Decision:
         """What decides the labels of the last scan, by the scans so far."""
-        return Decision(self._own.ravel(), self._shared.ravel(), self._source.ravel(), *self._live[:2])
+        return Decision(self._own.ravel(), self._shared.ravel(), self._source.ravel(), self._inherit, self.weights())
 
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""
@@ -110,13 +115,13 @@ class History:
         existing, rows = np.unique(places, return_inverse=True)
         self._weigh(existing, own)
         for last in (False, True):
-            certain = kernels.places.certainties(places, objects, own, shared, self._whole)
+            certain = self._certain(places, objects, own, shared)
             if last:
                 certain[self._followed(firsts, existing, rows, objects, certain > DYNAMIC)] = 1.0
             shared, source = self._nothing()
             number = np.zeros(len(own), np.int32)
             kernels.places.share(places, objects, certain, numbers, number, shared, source)
-        return Decision(own, shared, source, *self._whole[:2])
+        return Decision(own, shared, source, self._inherit, self.weights())
 
     def _nothing(self) -> tuple[F32, I32]:
         return np.zeros(self._own.size, np.float32), np.full(self._own.size, -1, np.int32)

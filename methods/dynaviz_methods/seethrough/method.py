@@ -6,22 +6,23 @@
         hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
+    prior:      p = ``prior`` min(scans / 40, 1); online, the scans are those so far
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
-                evidence is min(c / votes, 1) (c - a) / (c + a) if c > a, or prior (c - a) / (c + a + 1)
-    place:      u = mean evidence of its voxels with points of objects, those hit most counting most; 4 x 4 x 8 voxels
-    certainty:  k = votes (f - prior) from -1 to 1; m = its mean over the places of an object in one scan, which weigh
-                1 + |k|
+                evidence is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
+    place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
+                of voxels that contained points of objects, and that another scan hit or crossed
+    certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
     track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: of
                 each it covers more than half of the columns of 0.8 m, and they of it; or if one of them covers
                 more than half of it, where nothing static came first
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
-    point:      dynamic if f = u + inherit max(T, 0) > prior in its place
+    point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
     foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
-                around, or if the evidence of its voxel exceeds ``prior``
+                around, or if e > p in its voxel
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, without
-tracks, and ``prior`` is at most 0.005.
+tracks.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class SeeThroughParams:
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
-        prior: evidence that a place must exceed, with what it inherits, from 0 to less than 1; hits alone are at most
-            so much evidence against it.
+        prior: evidence that a place must exceed in 40 scans or more, with what it inherits, from 0 to less than 1; hits
+            alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
         gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
@@ -170,8 +171,8 @@ class SeeThrough:
         self._grid = ClearGrid(context.extent, p.resolution, LIFTED[0], context.sensor)
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
-        self._weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
-        self._history = History(self._grid, float(p.inherit), float(p.prior), self._weights, self._counts)
+        weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
+        self._history = History(self._grid, float(p.inherit), weights, self._counts)
         self._level = Level(LIFTED[self._grid.rolls] - p.resolution)
         self._observed = 0
         self._judged: Judged | None = None
@@ -261,14 +262,14 @@ class SeeThrough:
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
         of_points = measured.voxels, measured.height, np.float32(self.params.ground_height)
-        of_places = decision.own, decision.shared, (decision.inherit, decision.prior)
-        of_voxels = *self._counts, self._weights
+        of_places = decision.own, decision.shared, decision.inherit
+        of_voxels = *self._counts, decision.weights
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, *of_voxels, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
             stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
             empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
-            reasons[under & (stands_out | (empty > np.float32(self.params.prior)))] = FOOT
+            reasons[under & (stands_out | (empty > np.float32(decision.weights[3])))] = FOOT
         self._judged = Judged(measured, decision, reasons)
         return reasons
 
@@ -310,14 +311,14 @@ class SeeThrough:
 
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
         """The rules that remove points, for the points in some rows."""
-        measured, p = judged.measured, self.params
+        measured, p, weights = judged.measured, self.params, judged.decision.weights
         voxels, height = measured.voxels[rows], measured.height[rows]
-        empty = known(kernels.places.of_points(voxels, *self._counts, self._weights), voxels)
+        empty = known(kernels.places.of_points(voxels, *self._counts, weights), voxels)
         up = (
             Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
             Term("more than 4.5 m above the ground", _high(height), "<", 1),
         )
-        place = Term("evidence of its place, with what it inherits", total, ">", judged.decision.prior)
+        place = Term("evidence of its place, with what it inherits, less the prior", total, ">", 0.0)
         under = self._under(measured, judged.reasons)
         wanted = np.zeros(len(under), np.bool_)
         wanted[rows] = measured.voxels[rows] >= 0
@@ -328,7 +329,7 @@ class SeeThrough:
         return (
             Rule("place", (*up, place)),
             Rule("foot", (near, stands)),
-            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(p.prior))))),
+            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(weights[3]))))),
         )
 
     def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
