@@ -246,6 +246,15 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, share
     assert codes.tolist() == [reason]
 
 
+@pytest.mark.parametrize(("number", "prior"), [(2, 0.005), (10, 0.025), (50, 0.1)])
+def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
+    places = np.linspace(-4, 4, number)
+    labelled = running([seen(k, wall(), block(7.0, y)) for k, y in enumerate(places)])
+    labelled.label(seen(0, wall(), block(7.0, places[0])))
+    assert labelled._judged is not None
+    assert labelled._judged.decision.weights == pytest.approx((0.5, 0.12, 3.0, prior))
+
+
 @pytest.mark.plain
 @pytest.mark.parametrize("back", [False, True])
 @pytest.mark.parametrize(

@@ -96,8 +96,9 @@ class History:
         kernels.places.evidence(places, self._up, *self._counts, self.weights(), found.reshape(-1))
 
     def _certain(self, places: I32, objects: I32, own: F32, shared: F32) -> F64:
+        """(O,) float64: certainty of objects; 1 if they are dynamic."""
         certain: F64 = kernels.places.certainties(places, objects, own, shared, self._inherit, 1 / self._weights[2])
-        return certain
+        return np.where(certain > DYNAMIC, 1.0, certain)
 
     def so_far(self) -> Decision:
         """What decides the labels of the last scan, by the scans so far."""

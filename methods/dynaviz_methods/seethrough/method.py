@@ -77,7 +77,7 @@ class SeeThroughParams:
     near: float = 0.5
     hit: float = 0.12
     prior: float = 0.1
-    inherit: float = 0.5
+    inherit: float = 0.4
     ground_height: float = 0.15
     gap: float = 0.3
 
