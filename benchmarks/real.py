@@ -5,7 +5,8 @@
 Runs every method on each labelled drive in FOLDER, with the given poses and with those of small-gicp, at its default
 parameters. With --tune, also at those that a short ``dynaviz tune`` finds on the drive with implants and poses of
 small-gicp, where their gain on other implants is proven. Writes counts, also of each mover, to docs/real.json, from
-which docs/generate.py draws the tables. Finished cells and searches in OUT are kept; cells of changed code run again.
+which docs/generate.py draws the tables; what it has of other drives and methods stays. Finished cells and searches in
+OUT are kept; cells of changed code run again.
 """
 
 from __future__ import annotations
@@ -111,6 +112,27 @@ def cell(drive: str, poses: str, row: BenchRow) -> tuple[dict[str, Any], list[tu
     return counts, [(each, movers[each][1]) for each in ordered]
 
 
+def save(found: dict[str, list[dict[str, Any]]], methods: list[str], tuned: bool) -> None:
+    """Replace in the file what was run again: some methods on the drives that were found, tuned as well or not."""
+    stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {name: [] for name in found}
+    drives = {row["name"] for row in found["drives"]}
+
+    def stays(name: str, row: dict[str, Any]) -> bool:
+        again = name == "drives" or (row["method"] in methods and (tuned or not row.get("set", True)))
+        return row.get("drive", row.get("name")) not in drives or not again
+
+    def place(row: dict[str, Any]) -> list[Any]:
+        return [
+            bool(row.get(of)) if of == "set" else row.get(of, "") for of in ("name", "drive", "set", "poses", "method")
+        ]
+
+    parts = []
+    for name, rows in found.items():
+        rows = sorted([*rows, *(row for row in stored[name] if stays(name, row))], key=place)
+        parts.append(f'"{name}": [\n' + ",\n".join(map(json.dumps, rows)) + "\n]")  # one row per line
+    STORED.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
+
+
 def main() -> None:
     """Run what is missing, and write the file and the pages."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -142,9 +164,8 @@ def main() -> None:
             where, licence, labelled = FACTS.get(drive.name, ("", "", ""))
             known = {"where": where, "licence": licence, "labelled": labelled, "sensor": drive.sensor.title}
             facts[drive.name] = {**known, "frames": len(drive), "movers": counted[0][1]}
-    stored = {"drives": [{"name": name, **fact} for name, fact in facts.items()], "cells": cells, "searches": searches}
-    parts = (f'"{name}": [\n' + ",\n".join(map(json.dumps, rows)) + "\n]" for name, rows in stored.items())
-    STORED.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")  # one cell per line
+    found = {"drives": [{"name": name, **fact} for name, fact in facts.items()], "cells": cells, "searches": searches}
+    save(found, methods, options.tune)
     subprocess.run([sys.executable, DOCS / "generate.py"], check=True)
 
 
