@@ -246,7 +246,7 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, share
     assert codes.tolist() == [reason]
 
 
-@pytest.mark.parametrize(("number", "prior"), [(2, 0.005), (10, 0.025), (50, 0.1)])
+@pytest.mark.parametrize(("number", "prior"), [(2, 0.005), (10, 0.025), (50, 0.12)])
 def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
     places = np.linspace(-4, 4, number)
     labelled = running([seen(k, wall(), block(7.0, y)) for k, y in enumerate(places)])

@@ -6,7 +6,7 @@
         hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
-    prior:      p = ``prior`` min(scans / 40, 1); online, the scans are those so far
+    prior:      p = ``prior`` min(scans / 48, 1); online, the scans are those so far
     voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
                 evidence is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
@@ -64,7 +64,7 @@ class SeeThroughParams:
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
-        prior: evidence that a place must exceed in 40 scans or more, with what it inherits, from 0 to less than 1; hits
+        prior: evidence that a place must exceed in 48 scans or more, with what it inherits, from 0 to less than 1; hits
             alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
@@ -76,7 +76,7 @@ class SeeThroughParams:
     votes: int = 3
     near: float = 0.5
     hit: float = 0.12
-    prior: float = 0.1
+    prior: float = 0.12
     inherit: float = 0.4
     ground_height: float = 0.15
     gap: float = 0.3
