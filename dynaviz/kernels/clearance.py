@@ -1,4 +1,4 @@
-"""Counts of how often each voxel of a block grid was hit, crossed, and crossed without a hit of the same scan nearby.
+"""Counts of how often each voxel of a block grid was hit, crossed, and crossed near hits.
 
 Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after the last is empty.
 """

@@ -53,7 +53,7 @@ def clearness(hits, passed, grazed, weights):
     """The evidence that a voxel is empty at times, at most 1; below 0 if it was rather always occupied.
 
     Args:
-        hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit of their own.
+        hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit.
         weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence;
             the prior: the evidence that a place must exceed, and the most that hits alone are against it.
     """

@@ -9,34 +9,38 @@ FELLOWS = 3  # minimum number of cells among 5 x 5, itself included, that are no
 UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground around
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def cells_of(points, position, most, edge):
     """The cells of points (N, 3) in a square raster around the sensor that contains them all, or is as wide as allowed.
+
+    Its number of cells along each axis is a power of two. The sensor is in the first cell beyond the middle.
 
     Cell (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge in the world.
 
     Args:
         points: (N, 3) float32, position: (3,) float64, metres, world frame.
-        most: maximum number of cells to each side of the sensor; edge: of a cell, metres.
+        most: maximum number of cells to each side of the sensor, a power of two; edge: of a cell, metres.
 
     Returns:
         (N,) int32: the cell of each point, -1 outside; wide: cells along each axis; (2,) int64: key of the first cell.
     """
     farthest = np.float32(edge)
-    for i in range(len(points)):
-        for axis in range(2):
-            away = abs(points[i, axis] - np.float32(position[axis]))
-            farthest = max(farthest, away) if away < most * edge else farthest
-    reach = min(np.int64(math.ceil(farthest / edge)) + 1, most)
+    x, y = np.float32(position[0]), np.float32(position[1])
+    for i in prange(len(points)):
+        away = max(abs(points[i, 0] - x), abs(points[i, 1] - y))
+        farthest = max(farthest, away if away < most * edge else np.float32(0))
+    reach = most
+    while reach > 2 and reach // 2 > math.ceil(farthest / edge):
+        reach //= 2
     first = np.array(
         [np.int64(math.floor(position[0] / edge)) - reach, np.int64(math.floor(position[1] / edge)) - reach]
     )
-    wide, cells = 2 * reach + 1, np.full(len(points), np.int32(-1))
-    for i in range(len(points)):
-        if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
-            x, y = math.floor(points[i, 0] / edge) - first[0], math.floor(points[i, 1] / edge) - first[1]
-            if 0 <= x < wide and 0 <= y < wide:
-                cells[i] = np.int32(x) * wide + np.int32(y)
+    wide, cells = 2 * reach, np.full(len(points), np.int32(-1))
+    for p in prange(len(points)):
+        if math.isfinite(points[p, 0] + points[p, 1] + points[p, 2]):
+            i, j = math.floor(points[p, 0] / edge) - first[0], math.floor(points[p, 1] / edge) - first[1]
+            if 0 <= i < wide and 0 <= j < wide:
+                cells[p] = np.int32(i) * wide + np.int32(j)
     return cells, wide, first
 
 

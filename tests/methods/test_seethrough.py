@@ -246,13 +246,27 @@ def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, share
     assert codes.tolist() == [reason]
 
 
-@pytest.mark.parametrize(("number", "prior"), [(2, 0.005), (10, 0.025), (50, 0.12)])
+@pytest.mark.parametrize(("number", "prior"), [(2, 0.0040625), (16, 0.0325), (70, 0.13)])
 def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
     places = np.linspace(-4, 4, number)
     labelled = running([seen(k, wall(), block(7.0, y)) for k, y in enumerate(places)])
     labelled.label(seen(0, wall(), block(7.0, places[0])))
     assert labelled._judged is not None
-    assert labelled._judged.decision.weights == pytest.approx((0.5, 0.12, 3.0, prior))
+    assert labelled._judged.decision.weights == pytest.approx((0.4, 0.12, 4.0, prior))
+
+
+def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> None:
+    """Rays cross the place of a point that is there in the first scan alone, on their way to a wall."""
+    point, wall_behind = np.float32([[2.05, 0.05, 0.05]]), np.float32([[4.05, 0.05, 0.05]])
+    grid, crossed = ClearGrid(Extent.of(Scan(0, np.concatenate([point, wall_behind]), np.eye(4))), 0.1), []
+    voxel = int(grid.locate(point)[0])
+    for k, points in enumerate((point, wall_behind, wall_behind)):
+        scan = Scan(k, points, np.eye(4))
+        marks = grid.mark_once(scan, grid.locate(points))
+        near = grid.near(marks, 3)
+        rows = np.flatnonzero(marks.blocks == voxel >> 9)
+        crossed.append(bool(near[rows[0], voxel >> 6 & 7] >> np.uint64(voxel & 63) & np.uint64(1)))
+    assert crossed == [True, True, False]
 
 
 @pytest.mark.plain
@@ -357,7 +371,18 @@ def test_distinct_origins_in_any_order(order: str) -> None:
     np.testing.assert_array_equal(places[rows], origins)
 
 
+@pytest.mark.plain
+def test_one_voxel_of_each_cube_of_eight_is_the_first() -> None:
+    random, scratch = np.random.default_rng(0), np.zeros((3, 8), np.int64)
+    goals = random.permutation(3 * 512)[:300]
+    cubes = [(v >> 9, v >> 7 & 3, v >> 4 & 3, v >> 1 & 3) for v in goals.tolist()]
+    first = kernels.voids.first_of_cubes(goals, scratch)
+    assert first.tolist() == [cube not in cubes[:k] for k, cube in enumerate(cubes)]
+    assert not scratch.any()
+
+
 def test_few_origins_cast_the_same_rays_as_many() -> None:
+    """The points are so sparse that hardly two of an origin are in one cube of voxels."""
     random = np.random.default_rng(0)
     points = random.uniform(-5, 5, (400, 3)).astype(np.float32)
     which = random.integers(0, SENSORS, 400)

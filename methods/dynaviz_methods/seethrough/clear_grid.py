@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I64, U64
+from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.blocks.blocks import BlockGrid, Marks
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.spatial.grid import in_key_range, pack, unpack
-from dynaviz_methods.sky import DepthImage, sensor_image
+from dynaviz.spatial.grid import KeySet, in_key_range, pack
+from dynaviz_methods.sky import sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
 
@@ -31,75 +31,84 @@ class ClearGrid(BlockGrid):
     def __init__(self, extent: Extent, resolution: float, spare: float = 0.0, sensor: Sensor | None = None) -> None:
         super().__init__(extent, resolution, spare)
         self._image = sensor_image(sensor) if sensor is not None else None
+        self._way = 1
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
+        self._before, self._last = self.per_block(np.zeros((len(self) + 1, 8), np.uint64)), np.empty(0, np.int32)
 
     def mark_once(self, scan: Scan, voxels: I64) -> Marks:
-        """Cast one ray per origin to the centre of each voxel with points, and rays into the sky; mark the voxels.
+        """Mark the voxels with points, and those that rays cross on the way to them and into the sky.
 
-        Rays into the sky cross voxels, but hit none.
+        Of the voxels of a cube of 2^3, one gets a ray per origin, unless the sensor moves during the scan: the other
+        rays would cross nearly the same voxels. It is the first and the last one by turns, so that a sensor that stands
+        does not miss the same voxels in each scan. Rays into the sky cross voxels, but hit none.
 
         Args:
             scan: gives the origins of the rays.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
+        self._way = -self._way
         places, which = _distinct(scan.origins)
-        goals, origins = self._rays(voxels, places, which)
-        rays = [(kernels.blocks.centres_of(goals, self._blocks, self.resolution), origins)]
-        if self._rectangle is not None:
-            rays.append(self._beyond(scan, voxels, places, which))
-        hitting = sum(len(ends) for ends, _ in rays)
-        if self._image is not None:
-            rays.extend(self._sky(self._image, each) for each in _by_sensor(scan, places, which))
-        centres = np.concatenate([ends for ends, _ in rays])
-        if len(places) > 1:
-            origins = np.concatenate([np.broadcast_to(starts, ends.shape) for ends, starts in rays])
-        way = kernels.as_readonly(centres, np.float32), kernels.as_readonly(origins, np.float64)
-        every = kernels.as_readonly(np.ones(len(centres), np.bool_), np.bool_)
-        return self._cast(*way, every, kernels.as_readonly(np.arange(len(centres)) < hitting, np.bool_))
+        parts = _by_sensor(scan, places, which)
+        owners = [voxels] if len(parts) == 1 else [voxels[which == k] for k in range(len(parts))]
+        rays = [self._rays(part, own, len(places) > SENSORS) for part, own in zip(parts, owners, strict=True)]
+        ends, casts, hits = (np.concatenate([each[k] for each in rays]) for k in range(3))
+        starts = [each[3] for each in rays]
+        if len(parts) > 1:
+            starts = [np.broadcast_to(each[3], each[0].shape) for each in rays]
+        way = kernels.as_readonly(ends, np.float32), kernels.as_readonly(np.concatenate(starts), np.float64)
+        return self._cast(*way, kernels.as_readonly(casts, np.bool_), kernels.as_readonly(hits, np.bool_))
 
-    def _sky(self, image: DepthImage, scan: Scan) -> tuple[F32, F64]:
-        """Ends (K, 3) and origin (1, 3) of the rays into the sky: where a scan has no return."""
-        ends = image.targets(scan, *image.sky(*image.of(scan))).astype(np.float32)
-        ends = ends[self.reaching(ends, scan.position[None]) & in_key_range(ends, self.resolution)]
-        return ends, scan.position[None]
+    def _rays(self, scan: Scan, voxels: I64, moves: bool) -> tuple[F32, Bool, Bool, F64]:
+        """Ends (K, 3), whether to cast them and whether they hit, (K,) each, and origins (K or 1, 3) of rays.
 
-    def _rays(self, voxels: I64, places: F64, which: I64) -> tuple[I64, F64]:
-        """Goals (K,) and origins (K or 1, 3) of the rays to voxels (N,), without duplicates.
-
-        ``places`` (P, 3) are the origins, and ``which`` (N or 1,) that of each point.
+        ``moves``: each ray has its own origin.
         """
-        if not 0 < len(places) <= SENSORS:
-            rays = np.unique((voxels * len(places) + which)[voxels >= 0])
-            return rays // len(places), places[rays % len(places)]
         inside = voxels >= 0
-        goals = [kernels.voids.distinct(voxels, inside & (which == k), self._once) for k in range(len(places))]
-        if len(places) == 1:
-            return goals[0], places
-        return np.concatenate(goals), np.repeat(places, [len(rays) for rays in goals], 0)
+        goals = voxels[inside] if moves else kernels.voids.distinct(voxels, inside, self._once)[:: self._way]
+        goals, beyond = kernels.as_readonly(goals, np.int64), self._beyond(scan, ~inside, moves)
+        keys = np.concatenate(
+            [kernels.blocks.packed_of(goals, self._blocks), pack(scan.points[beyond], self.resolution)]
+        )
+        sky = self._sky(scan)
+        ends = np.concatenate([kernels.voxels.centres(keys, self.resolution), sky])
+        casts, hits = np.ones(len(ends), np.bool_), np.arange(len(ends)) < len(goals)
+        if not moves:
+            casts[: len(goals)] = kernels.voids.first_of_cubes(goals, self._once)
+            return ends, casts, hits, scan.origins[:1]
+        own = scan.origins[inside], scan.origins[beyond], np.broadcast_to(scan.position, sky.shape)
+        return ends, casts, hits, np.concatenate(own)
 
-    def _beyond(self, scan: Scan, voxels: I64, places: F64, which: I64) -> tuple[F32, F64]:
-        """Ends and origins, (K, 3) each, of rays that may cross blocks and end in voxels without one, one for each.
+    def _sky(self, scan: Scan) -> F32:
+        """(K, 3) float32, metres: ends of the rays into the sky, where a scan has no return; none without an image."""
+        if self._image is None:
+            return np.empty((0, 3), np.float32)
+        ends = self._image.targets(scan, *self._image.sky(*self._image.of(scan))).astype(np.float32)
+        return ends[self.reaching(ends, scan.position[None]) & in_key_range(ends, self.resolution)]
 
-        In a tile of a map, points around the tile have no voxel. The arguments are those of ``_rays``.
-        """
-        rows = np.flatnonzero((voxels < 0) & self.reaching(scan.points, scan.origins))
-        rows = rows[in_key_range(scan.points[rows], self.resolution)]
-        of = np.broadcast_to(which, len(voxels))[rows]
-        keys = pack(scan.points[rows], self.resolution)
-        order = np.lexsort((of, keys))
-        keys, of = keys[order], of[order]
-        first = np.append(len(keys) > 0, (np.diff(keys) != 0) | (np.diff(of) != 0))[: len(keys)]
-        return ((unpack(keys[first]) + 0.5) * self.resolution).astype(np.float32), places[of[first]]
+    def _beyond(self, scan: Scan, outside: Bool, moves: bool) -> I64:
+        """(K,) int64: points without a voxel, around a tile of a map, of which the rays may cross its blocks."""
+        if self._rectangle is None:
+            return np.empty(0, np.int64)
+        rows = np.flatnonzero(outside & in_key_range(scan.points, self.resolution))
+        if not moves:
+            rows = rows[:: self._way]
+            rows = rows[KeySet().add(pack(scan.points[rows], 2 * self.resolution))]
+        origins = scan.origins[rows] if len(scan.origins) > 1 else scan.origins
+        return rows[self.reaching(scan.points[rows], origins)]
 
     def near(self, marks: Marks, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.
 
-        The cubes extend into adjacent blocks only if these are marked, too.
+        These are the hits of this scan and of the one before, for which this was called last. The cubes extend into
+        adjacent blocks only if these are marked, too.
         """
         sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
         padded = np.zeros((len(marks.blocks) + 1, 8), np.uint64)
-        padded[:-1] = marks.bits[:, 8:].view(np.uint64)
+        hits = marks.bits[:, 8:].view(np.uint64)
+        padded[:-1] = hits | self._before[marks.blocks]
+        self._before[self._last] = 0
+        self._before[marks.blocks], self._last = hits, marks.blocks
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
 

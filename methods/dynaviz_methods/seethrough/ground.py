@@ -143,17 +143,19 @@ def _incline(z: F64) -> F64:
 
 
 def _filled(z: F64, weight: F64) -> F64:
-    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push."""
+    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push.
+
+    X is a power of two.
+    """
     import cv2
 
-    size, half = len(z), (len(z) + 1) // 2
-    if size == 1 or not weight.any():
+    if len(z) == 1 or not weight.any():
         return z
-    weights = np.pad(weight, (0, 2 * half - size))
-    total = 4 * cv2.resize(weights, (half, half), interpolation=cv2.INTER_AREA)
-    summed = 4 * cv2.resize(weights * np.pad(z, (0, 2 * half - size)), (half, half), interpolation=cv2.INTER_AREA)
+    half = (len(z) // 2,) * 2
+    total = 4 * cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
+    summed = 4 * cv2.resize(weight * z, half, interpolation=cv2.INTER_AREA)
     coarse = _filled(summed / np.where(total > 0, total, 1.0), np.minimum(total, 1.0))
-    around = cv2.resize(coarse, (2 * half, 2 * half), interpolation=cv2.INTER_LINEAR)[:size, :size]
+    around = cv2.resize(coarse, z.shape, interpolation=cv2.INTER_LINEAR)
     found: F64 = weight * z + (1 - weight) * around
     return found
 

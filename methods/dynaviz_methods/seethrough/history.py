@@ -12,7 +12,7 @@ from dynaviz.blocks.blocks import BlockGrid
 from dynaviz.spatial.grid import pack_indices
 
 DYNAMIC = 0.5  # certainty of an object that is dynamic as a whole
-SCANS = 48  # in fewer scans, fewer errors add up: the prior is smaller
+SCANS = 64  # in fewer scans, fewer errors add up: the prior is smaller
 
 
 @dataclass(frozen=True, eq=False)

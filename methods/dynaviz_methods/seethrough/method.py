@@ -3,12 +3,13 @@
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
                 within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
-        hit:    mark the voxels of its points; add rays into the sky, where no returns come up to the upper border
-        clear:  of the voxels that its rays cross, those without a hit of the same scan within ``guard``
+        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky, where no
+                returns come up to the upper border
+        clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
-    prior:      p = ``prior`` min(scans / 48, 1); online, the scans are those so far
-    voxel:      c scans saw it clear, q crossed it near a hit of their own, h hit it. With a = near q + hit h, its
-                evidence is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
+    prior:      p = ``prior`` min(scans / 64, 1); online, the scans are those so far
+    voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit h, its evidence
+                is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
@@ -60,11 +61,12 @@ class SeeThroughParams:
 
     Attributes:
         resolution: edge of a voxel, metres.
-        guard: a crossed voxel is not clear if the same scan has a hit within this distance, metres; at most 7 voxels.
+        guard: a crossed voxel is not clear if this scan or the one before has a hit within this distance, metres; at
+            most 7 voxels.
         votes: number of clear scans for the full evidence of a voxel; of hits, for that of a place.
         near: weight of a crossing near a hit, against one clear crossing.
         hit: weight of a hit, against one clear crossing.
-        prior: evidence that a place must exceed in 48 scans or more, with what it inherits, from 0 to less than 1; hits
+        prior: evidence that a place must exceed in 64 scans or more, with what it inherits, from 0 to less than 1; hits
             alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
@@ -73,10 +75,10 @@ class SeeThroughParams:
 
     resolution: float = 0.1
     guard: float = 0.3
-    votes: int = 3
-    near: float = 0.5
+    votes: int = 4
+    near: float = 0.4
     hit: float = 0.12
-    prior: float = 0.12
+    prior: float = 0.13
     inherit: float = 0.4
     ground_height: float = 0.15
     gap: float = 0.3
@@ -115,7 +117,7 @@ BY_PLACE = (OUT_OF_REACH, LOW, HIGH, TOO_LITTLE, NEVER_CLEAR, SEEN_THROUGH, FOLL
 REMOVED = np.isin(np.arange(len(REASONS)), (SEEN_THROUGH, FOLLOWED, FOOT))  # (R,) bool, by code
 STATES = (
     State("clear", Voxels, "Voxels with points that this scan saw clear; number of such scans", value_range=(1, 6)),
-    State("passed", Voxels, "Voxels with points that this scan's rays crossed near its hits: no evidence"),
+    State("passed", Voxels, "Voxels with points, crossed near hits of this scan or the last one: no evidence"),
     State(
         "objects",
         PointClasses,
