@@ -10,9 +10,6 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from dynaviz.kernels.keys import REACH as KEY_REACH
-from dynaviz.kernels.keys import X_SHIFT, Y_SHIFT
-
 REACH = 1 << 15  # voxels to each side of the world's origin, as in OctoMap's keys of 16 bit
 SEQUENCE = np.uint64(0x03F79D71B4CB0A89)  # de Bruijn: its 64 windows of 6 bits differ, which numbers single bits
 BIT_OF = np.argsort([((int(SEQUENCE) << v) % (1 << 64)) >> 58 for v in range(64)])
@@ -64,13 +61,17 @@ def keys_of(voxels, blocks):
 
 
 @njit(cache=True, nogil=True)
-def packed_of(voxels, blocks):
-    """(N,) int64: packed keys of voxels (N,); blocks: (B, 3), indices of the grid's blocks."""
-    keys = np.empty(len(voxels), np.int64)
+def centres_of(voxels, blocks, resolution):
+    """(N, 3) float32, metres: centres of voxels (N,) int64; blocks: (B, 3), indices of the grid's blocks."""
+    centres = np.empty((len(voxels), 3), np.float32)
     for i in range(len(voxels)):
         x, y, z = _key(voxels[i], blocks)
-        keys[i] = x + KEY_REACH << X_SHIFT | y + KEY_REACH << Y_SHIFT | z + KEY_REACH
-    return keys
+        centres[i, 0], centres[i, 1], centres[i, 2] = (
+            (x + 0.5) * resolution,
+            (y + 0.5) * resolution,
+            (z + 0.5) * resolution,
+        )
+    return centres
 
 
 @njit(cache=True, nogil=True, parallel=True)

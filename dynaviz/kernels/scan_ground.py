@@ -13,9 +13,8 @@ UNKNOWN = np.int16(32767)  # millimetres: height of a surface without ground aro
 def cells_of(points, position, most, edge):
     """The cells of points (N, 3) in a square raster around the sensor that contains them all, or is as wide as allowed.
 
-    Its number of cells along each axis is a power of two. The sensor is in the first cell beyond the middle.
-
-    Cell (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge in the world.
+    Its number of cells along each axis is a power of two; the sensor is in the first cell beyond the middle. Cell
+    (i, j) of the raster is number i wide + j; keys (i, j) span [i, i + 1) * edge in the world.
 
     Args:
         points: (N, 3) float32, position: (3,) float64, metres, world frame.

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from dynaviz.arrays import F32, I64, Bool
-from dynaviz.kernels.keys import BITS, MASK, REACH
+from dynaviz.kernels.keys import BITS, REACH
 
 Keys = I64
 
@@ -62,13 +62,3 @@ def rehash(slots: Keys, size: int) -> Keys:
                 s = (s + 1) & mask
             bigger[s] = slots[i]
     return bigger
-
-
-@njit(cache=True, nogil=True)
-def centres(keys: Keys, size: float) -> F32:
-    """(N, 3) float32, metres: centres of voxels of edge ``size`` metres, from their packed keys (N,)."""
-    found = np.empty((len(keys), 3), np.float32)
-    for i in range(len(keys)):
-        for axis in range(3):
-            found[i, axis] = ((keys[i] >> BITS * (2 - axis) & MASK) - REACH + 0.5) * size
-    return found

@@ -16,6 +16,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import MemoryProbe
 from dynaviz.contracts.scan import Label, Scan
+from dynaviz.contracts.sensors import load_sensor
 from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
@@ -369,6 +370,12 @@ def test_distinct_origins_in_any_order(order: str) -> None:
     places, rows = _distinct(origins)
     np.testing.assert_array_equal(places, np.unique(origins, axis=0))
     np.testing.assert_array_equal(places[rows], origins)
+
+
+def test_a_scan_without_points_whose_points_have_their_own_origins_marks_nothing() -> None:
+    nothing = Scan(0, np.empty((0, 3), np.float32), np.eye(4), origins=np.empty((0, 3)))
+    grid = ClearGrid(Extent.of(Scan(0, wall(), np.eye(4))), 0.1, sensor=load_sensor("hdl64e"))
+    assert len(grid.mark_once(nothing, grid.locate(nothing.points)).blocks) == 0
 
 
 @pytest.mark.plain

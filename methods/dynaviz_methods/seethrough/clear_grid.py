@@ -1,4 +1,4 @@
-"""A block grid for SeeThrough: one ray for each voxel with points, rays into the sky, and the voxels near hits."""
+"""A block grid for SeeThrough: rays to voxels with points and into the sky, and the voxels near hits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynaviz.blocks.blocks import BlockGrid, Marks
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.spatial.grid import KeySet, in_key_range, pack
+from dynaviz.spatial.grid import KeySet, in_key_range, pack, unpack
 from dynaviz_methods.sky import sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
@@ -31,10 +31,11 @@ class ClearGrid(BlockGrid):
     def __init__(self, extent: Extent, resolution: float, spare: float = 0.0, sensor: Sensor | None = None) -> None:
         super().__init__(extent, resolution, spare)
         self._image = sensor_image(sensor) if sensor is not None else None
-        self._way = 1
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
+        # Of the scan before: its hits, and the blocks that it marked; and the order of its voxels.
         self._before, self._last = self.per_block(np.zeros((len(self) + 1, 8), np.uint64)), np.empty(0, np.int32)
+        self._order = 1
 
     def mark_once(self, scan: Scan, voxels: I64) -> Marks:
         """Mark the voxels with points, and those that rays cross on the way to them and into the sky.
@@ -47,16 +48,16 @@ class ClearGrid(BlockGrid):
             scan: gives the origins of the rays.
             voxels: (N,) int64, the voxel of each point, -1 for none.
         """
-        self._way = -self._way
+        self._order = -self._order
         places, which = _distinct(scan.origins)
         parts = _by_sensor(scan, places, which)
         owners = [voxels] if len(parts) == 1 else [voxels[which == k] for k in range(len(parts))]
         rays = [self._rays(part, own, len(places) > SENSORS) for part, own in zip(parts, owners, strict=True)]
         ends, casts, hits = (np.concatenate([each[k] for each in rays]) for k in range(3))
-        starts = [each[3] for each in rays]
+        starts = rays[0][3]
         if len(parts) > 1:
-            starts = [np.broadcast_to(each[3], each[0].shape) for each in rays]
-        way = kernels.as_readonly(ends, np.float32), kernels.as_readonly(np.concatenate(starts), np.float64)
+            starts = np.concatenate([np.broadcast_to(each[3], each[0].shape) for each in rays])
+        way = kernels.as_readonly(ends, np.float32), kernels.as_readonly(starts, np.float64)
         return self._cast(*way, kernels.as_readonly(casts, np.bool_), kernels.as_readonly(hits, np.bool_))
 
     def _rays(self, scan: Scan, voxels: I64, moves: bool) -> tuple[F32, Bool, Bool, F64]:
@@ -65,13 +66,12 @@ class ClearGrid(BlockGrid):
         ``moves``: each ray has its own origin.
         """
         inside = voxels >= 0
-        goals = voxels[inside] if moves else kernels.voids.distinct(voxels, inside, self._once)[:: self._way]
+        goals = voxels[inside] if moves else kernels.voids.distinct(voxels, inside, self._once)[:: self._order]
         goals, beyond = kernels.as_readonly(goals, np.int64), self._beyond(scan, ~inside, moves)
-        keys = np.concatenate(
-            [kernels.blocks.packed_of(goals, self._blocks), pack(scan.points[beyond], self.resolution)]
-        )
+        known = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
+        around = kernels.thinning.centres(unpack(pack(scan.points[beyond], self.resolution)), self.resolution)
         sky = self._sky(scan)
-        ends = np.concatenate([kernels.voxels.centres(keys, self.resolution), sky])
+        ends = np.concatenate([known, around, sky])
         casts, hits = np.ones(len(ends), np.bool_), np.arange(len(ends)) < len(goals)
         if not moves:
             casts[: len(goals)] = kernels.voids.first_of_cubes(goals, self._once)
@@ -92,7 +92,7 @@ class ClearGrid(BlockGrid):
             return np.empty(0, np.int64)
         rows = np.flatnonzero(outside & in_key_range(scan.points, self.resolution))
         if not moves:
-            rows = rows[:: self._way]
+            rows = rows[:: self._order]
             rows = rows[KeySet().add(pack(scan.points[rows], 2 * self.resolution))]
         origins = scan.origins[rows] if len(scan.origins) > 1 else scan.origins
         return rows[self.reaching(scan.points[rows], origins)]
@@ -115,7 +115,7 @@ class ClearGrid(BlockGrid):
 
 def _by_sensor(scan: Scan, places: F64, which: I64) -> list[Scan]:
     """What each of the sensors of a merged scan saw from where it was; the whole scan if its sensor moved meanwhile."""
-    if len(places) > SENSORS:
+    if not 0 < len(places) <= SENSORS:
         return [scan]
     parts = [scan] if len(places) == 1 else [scan.chosen(np.flatnonzero(which == k)) for k in range(len(places))]
     poses = np.repeat(scan.T_world_sensor[None], len(places), 0)
