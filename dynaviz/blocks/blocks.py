@@ -219,14 +219,14 @@ class BlockGrid:
         """
         if self._rectangle is not None:
             casts = casts & self.reaching(scan.points, scan.origins)
-        ends = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.origins, np.float64)
-        which = kernels.as_readonly(casts, np.bool_), kernels.as_readonly(hits, np.bool_)
-        return self._cast(*ends, *which)
+        return self._cast(scan.points, scan.origins, (~casts).astype(np.float32), hits)
 
-    def _cast(self, ends: F32, origins: F64, casts: Bool, hits: Bool) -> Marks:
-        """Cast rays from origins (1 or N, 3) to ends (N, 3); see ``mark``."""
+    def _cast(self, ends: F32, origins: F64, begins: F32, hits: Bool) -> Marks:
+        """Cast rays from origins (1 or N, 3) to ends (N, 3); see ``mark`` and ``raycast.mark``."""
         near = self._addresses(origins * self._per_metre)
-        kernels.raycast.mark(*(ends, origins, casts, hits, self._per_metre, *self._place, *self._scratch), *near)
+        way = kernels.as_readonly(ends, np.float32), kernels.as_readonly(origins, np.float64)
+        what = kernels.as_readonly(begins, np.float32), kernels.as_readonly(hits, np.bool_)
+        kernels.raycast.mark(*(*way, *what, self._per_metre, *self._place, *self._scratch), *near)
         return self._collected(near)
 
     def _addresses(self, origins: F64) -> tuple[I64, U64, Bool]:

@@ -7,8 +7,32 @@ import numpy as np
 from numba import njit, prange
 
 MOST = np.uint16(65535)
-LOW, HIGH = np.uint64(0x0101010101010101), np.uint64(0x8080808080808080)
-ONE, SEVEN, EIGHT, TOP = np.uint64(1), np.uint64(7), np.uint64(8), np.uint64(56)
+LOW, ONE, EIGHT = np.uint64(0x0101010101010101), np.uint64(1), np.uint64(8)
+
+
+@njit(cache=True, nogil=True)
+def begins(goals, scratch):
+    """Where rays to voxels (K,) int64 without duplicates begin, to leave out what others from the same origin cross.
+
+    Of a cube of 2^3 voxels, only the first one gets a ray: the others would end a voxel beside it. In the middle, that
+    is the distance between rays to a cube of 4^3, and at a quarter of the way between those to a block: except the
+    first one, they begin there.
+
+    Returns:
+        (K,) float32: share of the way; 1 for no ray. ``scratch`` (blocks, 8) int64 is zero before and after.
+    """
+    found = np.empty(len(goals), np.float32)
+    for k in range(len(goals)):
+        block, v = goals[k] >> 9, goals[k] & 511
+        small = np.int64(1) << ((v >> 7) << 4 | (v >> 4 & 3) << 2 | v >> 1 & 3)
+        large = np.int64(1) << (v >> 8 << 2 | (v >> 5 & 1) << 1 | v >> 2 & 1)
+        begin = 0.5 if scratch[block, 1] & large else 0.25 if scratch[block, 1] else 0.0
+        found[k] = 1.0 if scratch[block, 0] & small else begin
+        scratch[block, 0] |= small
+        scratch[block, 1] |= large
+    for g in goals:
+        scratch[g >> 9, 0], scratch[g >> 9, 1] = 0, 0
+    return found
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -42,32 +66,56 @@ def adjacent(blocks, rows, keys, base, shape, top, children):
 
 
 @njit(cache=True, nogil=True, parallel=True)
+def of_two_scans(blocks, bits, before, last):
+    """(B + 1, 8) uint64: hit voxels of the marked blocks, in this scan or the one before; the last row is empty.
+
+    Args:
+        blocks, bits: the marks of the scan, as from ``raycast.collect``.
+        before: (all blocks + 1, 8) uint64: hits of the scan before. Modified: those of this one.
+        last: (K,) int32: the blocks with hits of the scan before.
+    """
+    hits = np.zeros((len(blocks) + 1, 8), np.uint64)
+    for r in prange(len(blocks)):
+        for w in range(8):
+            hits[r, w] = np.uint64(bits[r, 8 + w]) | before[blocks[r], w]
+    for r in prange(len(last)):
+        before[last[r]] = 0
+    for r in prange(len(blocks)):
+        for w in range(8):
+            before[blocks[r], w] = np.uint64(bits[r, 8 + w])
+    return hits
+
+
+@njit(cache=True, nogil=True, parallel=True)
 def grown(bits, sides, times):
     """Dilate voxels (B + 1, 8) uint64 by cubes of edge 2 times + 1 voxels, one axis after another.
 
     ``sides`` (B, 6) are the rows of adjacent blocks, as from ``adjacent``. The last row stands for absent ones.
     """
-    n = len(sides)
+    n, done = len(sides), 0
     here, there = bits.copy(), bits.copy()
-    for _ in range(times):
+    while done < times:
+        step = min(times - done, 2 * done + 1)  # farther steps would leave gaps
+        up, down = np.uint64(step), np.uint64(8 - step)
+        low = LOW * ((ONE << up) - ONE)  # bits of a byte that come from the adjacent block
         for r in prange(n):
             for w in range(8):  # z: bits of a byte
                 word = here[r, w]
-                below = (word << ONE) & ~LOW | (here[sides[r, 4], w] >> SEVEN) & LOW
-                above = (word >> ONE) & ~HIGH | (here[sides[r, 5], w] << SEVEN) & HIGH
+                below = (word << up) & ~low | (here[sides[r, 4], w] >> down) & low
+                above = (word >> up) & ~(low << down) | (here[sides[r, 5], w] << down) & (low << down)
                 there[r, w] = word | below | above
         for r in prange(n):
             for w in range(8):  # y: bytes of a word
                 word = there[r, w]
-                below = word << EIGHT | there[sides[r, 2], w] >> TOP
-                above = word >> EIGHT | there[sides[r, 3], w] << TOP
+                below = word << EIGHT * up | there[sides[r, 2], w] >> EIGHT * down
+                above = word >> EIGHT * up | there[sides[r, 3], w] << EIGHT * down
                 here[r, w] = word | below | above
         for r in prange(n):
             for w in range(8):  # x: words of a block
-                below = here[r, w - 1] if w > 0 else here[sides[r, 0], 7]
-                above = here[r, w + 1] if w < 7 else here[sides[r, 1], 0]
+                below = here[r, w - step] if w >= step else here[sides[r, 0], 8 + w - step]
+                above = here[r, w + step] if w + step < 8 else here[sides[r, 1], w + step - 8]
                 there[r, w] = here[r, w] | below | above
-        here, there = there, here
+        here, there, done = there, here, done + step
     return here
 
 

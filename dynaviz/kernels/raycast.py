@@ -238,8 +238,8 @@ def _until(e, axes, centre):
 
 @njit(cache=True, nogil=True)
 def _mark_lane(
-    lane, points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
-    touched,
+    lane, points, origins, begins, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre,
+    bits, touched,
 ):  # fmt: skip
     """Mark the voxels of one lane's rays; see ``mark``. Returns the number of blocks that it touched."""
     n, several, count = len(points), len(origins) > 1, np.int64(0)
@@ -250,7 +250,13 @@ def _mark_lane(
             if not _inside(e, base, shape):
                 continue
             o = (origins[q, 0] * per_metre, origins[q, 1] * per_metre, origins[q, 2] * per_metre)
-            if casts[p] and _inside(o, base, shape):
+            if begins[p] > 0:
+                o = (
+                    o[0] + begins[p] * (e[0] - o[0]),
+                    o[1] + begins[p] * (e[1] - o[1]),
+                    o[2] + begins[p] * (e[2] - o[2]),
+                )
+            if begins[p] < 1 and _inside(o, base, shape):
                 x, y, z = _axis(o[0], e[0], 2), _axis(o[1], e[1], 1), _axis(o[2], e[2], 0)
                 until = _until(e, (x, y, z), centre) if len(touched) else np.int64(START)
                 if until > START:
@@ -271,7 +277,7 @@ def _mark_lane(
 
 @njit(cache=True, nogil=True, parallel=True)
 def mark(
-    points, origins, casts, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
+    points, origins, begins, hits, per_metre, base, shape, top, children, slots, owners, masks, used, centre, bits,
     touched,
 ):  # fmt: skip
     """Mark crossed and hit voxels in scratch memory, each lane in its own; see ``collect``.
@@ -279,7 +285,8 @@ def mark(
     Args:
         points: (N, 3) float32, metres, world frame: ends of the rays.
         origins: (N or 1, 3) float64, metres, world frame: origins of the rays.
-        casts, hits: (N,) bool: whether to cast the ray, and whether its end counts as a hit.
+        begins: (N,) float32: share of the way to its end where each ray begins, 0 for the origin; 1 for none.
+        hits: (N,) bool: whether the end counts as a hit.
         per_metre: voxels per metre.
         base, shape, top, children: the grid's directory.
         slots, owners, masks, used: the grid's scratch memory.
@@ -288,7 +295,7 @@ def mark(
     """
     for lane in prange(len(used)):
         used[lane] = _mark_lane(
-            np.int64(lane), points, origins, casts, hits, per_metre, base, shape, top, children, slots[lane],
+            np.int64(lane), points, origins, begins, hits, per_metre, base, shape, top, children, slots[lane],
             owners[lane], masks[lane], used, centre, bits[lane], touched[lane],
         )  # fmt: skip
 

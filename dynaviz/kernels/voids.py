@@ -38,19 +38,6 @@ def distinct(voxels, chosen, scratch):
 
 
 @njit(cache=True, nogil=True)
-def first_of_cubes(goals, scratch):
-    """(K,) bool: voxels (K,) that are the first of their cube of 2^3; ``scratch`` is that of ``distinct``."""
-    first = np.empty(len(goals), np.bool_)
-    for k in range(len(goals)):
-        block, cube = goals[k] >> 9, (goals[k] >> 7 & 3) << 4 | (goals[k] >> 4 & 3) << 2 | goals[k] >> 1 & 3
-        first[k] = not scratch[block, 0] >> cube & 1
-        scratch[block, 0] |= np.int64(1) << cube
-    for g in goals:
-        scratch[g >> 9, 0] = 0
-    return first
-
-
-@njit(cache=True, nogil=True)
 def remember(blocks, hit, observed, void, seen_free, crossed):
     """Add a scan's bits, (B, 8) int64, to those of all scans: void voxels, and voxels that rays crossed."""
     for b in range(len(blocks)):

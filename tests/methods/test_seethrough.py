@@ -379,12 +379,14 @@ def test_a_scan_without_points_whose_points_have_their_own_origins_marks_nothing
 
 
 @pytest.mark.plain
-def test_one_voxel_of_each_cube_of_eight_is_the_first() -> None:
+def test_rays_begin_where_they_leave_those_to_voxels_near_their_end() -> None:
     random, scratch = np.random.default_rng(0), np.zeros((3, 8), np.int64)
     goals = random.permutation(3 * 512)[:300]
-    cubes = [(v >> 9, v >> 7 & 3, v >> 4 & 3, v >> 1 & 3) for v in goals.tolist()]
-    first = kernels.voids.first_of_cubes(goals, scratch)
-    assert first.tolist() == [cube not in cubes[:k] for k, cube in enumerate(cubes)]
+    index = np.stack([goals >> 6 & 7, goals >> 3 & 7, goals & 7], 1)
+    cubes = [[(v >> 9, *at) for v, at in zip(goals, (index >> size).tolist(), strict=True)] for size in (1, 2, 3)]
+    begins = [(0.0, 0.25, 0.5, 1.0)[sum(cube[k] in cube[:k] for cube in cubes)] for k in range(len(goals))]
+    assert kernels.clearance.begins(goals, scratch).tolist() == begins
+    assert set(begins) == {0.0, 0.25, 0.5, 1.0}
     assert not scratch.any()
 
 

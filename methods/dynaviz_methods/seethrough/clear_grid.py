@@ -12,7 +12,7 @@ from dynaviz.blocks.blocks import BlockGrid, Marks
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.spatial.grid import KeySet, in_key_range, pack, unpack
+from dynaviz.spatial.grid import KeySet, in_key_range, pack, pack_indices, unpack
 from dynaviz_methods.sky import sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
@@ -40,9 +40,9 @@ class ClearGrid(BlockGrid):
     def mark_once(self, scan: Scan, voxels: I64) -> Marks:
         """Mark the voxels with points, and those that rays cross on the way to them and into the sky.
 
-        Of the voxels of a cube of 2^3, one gets a ray per origin, unless the sensor moves during the scan: the other
-        rays would cross nearly the same voxels. It is the first and the last one by turns, so that a sensor that stands
-        does not miss the same voxels in each scan. Rays into the sky cross voxels, but hit none.
+        Unless the sensor moves during the scan, parts of rays are left out that others cross nearly as well: see
+        ``clearance.begins``. Voxels come in the order of their points, forward and backward by turns, so that a sensor
+        that stands does not miss the same voxels in each scan. Rays into the sky cross voxels, but hit none.
 
         Args:
             scan: gives the origins of the rays.
@@ -53,31 +53,27 @@ class ClearGrid(BlockGrid):
         parts = _by_sensor(scan, places, which)
         owners = [voxels] if len(parts) == 1 else [voxels[which == k] for k in range(len(parts))]
         rays = [self._rays(part, own, len(places) > SENSORS) for part, own in zip(parts, owners, strict=True)]
-        ends, casts, hits = (np.concatenate([each[k] for each in rays]) for k in range(3))
-        starts = rays[0][3]
-        if len(parts) > 1:
-            starts = np.concatenate([np.broadcast_to(each[3], each[0].shape) for each in rays])
-        way = kernels.as_readonly(ends, np.float32), kernels.as_readonly(starts, np.float64)
-        return self._cast(*way, kernels.as_readonly(casts, np.bool_), kernels.as_readonly(hits, np.bool_))
+        if len(rays) == 1:
+            return self._cast(*rays[0])
+        rays = [(ends, np.broadcast_to(origins, ends.shape), begins, hits) for ends, origins, begins, hits in rays]
+        ends, origins, begins, hits = (np.concatenate(each) for each in zip(*rays, strict=True))
+        return self._cast(ends, origins, begins, hits)
 
-    def _rays(self, scan: Scan, voxels: I64, moves: bool) -> tuple[F32, Bool, Bool, F64]:
-        """Ends (K, 3), whether to cast them and whether they hit, (K,) each, and origins (K or 1, 3) of rays.
-
-        ``moves``: each ray has its own origin.
-        """
-        inside = voxels >= 0
+    def _rays(self, scan: Scan, voxels: I64, moves: bool) -> tuple[F32, F64, F32, Bool]:
+        """The arguments of ``_cast`` for what one sensor saw; ``moves``: each point has its own origin."""
+        inside, sky = voxels >= 0, self._sky(scan)
         goals = voxels[inside] if moves else kernels.voids.distinct(voxels, inside, self._once)[:: self._order]
-        goals, beyond = kernels.as_readonly(goals, np.int64), self._beyond(scan, ~inside, moves)
+        goals = kernels.as_readonly(goals, np.int64)
         known = kernels.blocks.centres_of(goals, self._blocks, self.resolution)
-        around = kernels.thinning.centres(unpack(pack(scan.points[beyond], self.resolution)), self.resolution)
-        sky = self._sky(scan)
+        around, later, rows = self._beyond(scan, ~inside, moves)
         ends = np.concatenate([known, around, sky])
-        casts, hits = np.ones(len(ends), np.bool_), np.arange(len(ends)) < len(goals)
-        if not moves:
-            casts[: len(goals)] = kernels.voids.first_of_cubes(goals, self._once)
-            return ends, casts, hits, scan.origins[:1]
-        own = scan.origins[inside], scan.origins[beyond], np.broadcast_to(scan.position, sky.shape)
-        return ends, casts, hits, np.concatenate(own)
+        first = np.zeros(len(goals), np.float32) if moves else kernels.clearance.begins(goals, self._once)
+        begins = np.concatenate([first, later, np.zeros(len(sky), np.float32)])
+        origins = scan.origins[:1]
+        if moves:
+            own = scan.origins[inside], scan.origins[rows], np.broadcast_to(scan.position, sky.shape)
+            origins = np.concatenate(own)
+        return ends, origins, begins, np.arange(len(ends)) < len(goals)
 
     def _sky(self, scan: Scan) -> F32:
         """(K, 3) float32, metres: ends of the rays into the sky, where a scan has no return; none without an image."""
@@ -86,16 +82,21 @@ class ClearGrid(BlockGrid):
         ends = self._image.targets(scan, *self._image.sky(*self._image.of(scan))).astype(np.float32)
         return ends[self.reaching(ends, scan.position[None]) & in_key_range(ends, self.resolution)]
 
-    def _beyond(self, scan: Scan, outside: Bool, moves: bool) -> I64:
-        """(K,) int64: points without a voxel, around a tile of a map, of which the rays may cross its blocks."""
+    def _beyond(self, scan: Scan, outside: Bool, moves: bool) -> tuple[F32, F32, I64]:
+        """Rays to voxels around a tile of a map that may cross its blocks: their ends, where they begin, and points."""
         if self._rectangle is None:
-            return np.empty(0, np.int64)
-        rows = np.flatnonzero(outside & in_key_range(scan.points, self.resolution))
+            return np.empty((0, 3), np.float32), np.empty(0, np.float32), np.empty(0, np.int64)
+        rows = np.flatnonzero(outside & in_key_range(scan.points, self.resolution))[:: 1 if moves else self._order]
+        keys = unpack(pack(scan.points[rows], self.resolution))
+        begins = np.zeros(len(rows), np.float32)
         if not moves:
-            rows = rows[:: self._order]
-            rows = rows[KeySet().add(pack(scan.points[rows], 2 * self.resolution))]
-        origins = scan.origins[rows] if len(scan.origins) > 1 else scan.origins
-        return rows[self.reaching(scan.points[rows], origins)]
+            first = KeySet().add(pack_indices(keys >> 1))
+            rows, keys = rows[first], keys[first]
+            large, block = (KeySet().add(pack_indices(keys >> size)) for size in (2, 3))
+            begins = np.where(block, 0.0, np.where(large, 0.25, 0.5)).astype(np.float32)
+        ends = kernels.thinning.centres(keys, self.resolution)
+        found = self.reaching(ends, scan.origins[rows] if moves else scan.position[None])
+        return ends[found], begins[found], rows[found]
 
     def near(self, marks: Marks, times: int) -> U64:
         """(B, 8) uint64: voxels of the marked blocks within the cubes of edge 2 times + 1 voxels around the hit voxels.
@@ -104,11 +105,8 @@ class ClearGrid(BlockGrid):
         adjacent blocks only if these are marked, too.
         """
         sides = kernels.clearance.adjacent(marks.blocks, self._rows, self._blocks, *self._place)
-        padded = np.zeros((len(marks.blocks) + 1, 8), np.uint64)
-        hits = marks.bits[:, 8:].view(np.uint64)
-        padded[:-1] = hits | self._before[marks.blocks]
-        self._before[self._last] = 0
-        self._before[marks.blocks], self._last = hits, marks.blocks
+        padded = kernels.clearance.of_two_scans(marks.blocks, marks.bits, self._before, self._last)
+        self._last = marks.blocks
         grown: U64 = kernels.clearance.grown(padded, sides, times)[:-1]
         return grown
 
