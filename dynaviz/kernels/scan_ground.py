@@ -81,8 +81,9 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
         return found.reshape(wide, wide), number.reshape(wide, wide)
     least, middle = np.empty(n), wide // 2
     for c in range(n):
-        far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
-        least[c], low[c] = level - margin - steep * edge * far, np.inf
+        if low[c] < np.inf:
+            far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
+            least[c], low[c] = level - margin - steep * edge * far, np.inf
     total, summed = np.zeros(n, np.int32), np.zeros(n, np.int64)
     for i in range(len(cells)):
         c = cells[i]
@@ -149,6 +150,38 @@ def lower(surface, step):
                 surface[x, y] = z
 
 
+@njit(cache=True, nogil=True)
+def _rise(z, axis, steep, most):
+    """Mean rise from cell to cell along an axis, where it is at most ``steep``; limited to ``most``, up and down."""
+    a, b = (z[:-1], z[1:]) if axis == 0 else (z[:, :-1], z[:, 1:])
+    total, number = 0.0, 0
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            rise = b[i, j] - a[i, j]
+            if abs(rise) <= steep:  # not if both are infinite
+                total, number = total + rise, number + 1
+    return min(max(total / max(number, 1), -most), most)
+
+
+@njit(cache=True, nogil=True)
+def surface_of(lowest, steep, step):
+    """The highest surface (X, Y) not above cells (X, Y) that rises by at most ``step`` more than their mean incline.
+
+    The incline is the mean rise from cell to cell, at most ``step`` as well, of adjacent cells that can both be ground:
+    those that differ by at most ``steep`` in height.
+    """
+    u, v = _rise(lowest, 0, steep, step), _rise(lowest, 1, steep, step)
+    surface = lowest.copy()
+    for i in range(len(surface)):
+        for j in range(surface.shape[1]):
+            surface[i, j] -= u * i + v * j
+    lower(surface, step)
+    for i in range(len(surface)):
+        for j in range(surface.shape[1]):
+            surface[i, j] += u * i + v * j
+    return surface
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def above(points, lift, first, surface, edge):
     """(N,) float32, metres: height of points (N, 3) above a surface, interpolated between the centres of its cells.
@@ -159,11 +192,11 @@ def above(points, lift, first, surface, edge):
         lift: metres, added to the surface; first: (2,) int64, its first cell; edge: of a cell, metres.
         surface: (X, X) int16, millimetres; 32767 where unknown.
     """
-    found, wide = np.full(len(points), np.float32(np.inf)), surface.shape[0]
+    found, wide, per_metre = np.full(len(points), np.float32(np.inf)), surface.shape[0], 1.0 / edge
     for i in prange(len(points)):
         if math.isfinite(points[i, 0] + points[i, 1] + points[i, 2]):
-            u = min(max(points[i, 0] / edge - 0.5 - first[0], 0.0), wide - 1.0)
-            v = min(max(points[i, 1] / edge - 0.5 - first[1], 0.0), wide - 1.0)
+            u = min(max(points[i, 0] * per_metre - 0.5 - first[0], 0.0), wide - 1.0)
+            v = min(max(points[i, 1] * per_metre - 0.5 - first[1], 0.0), wide - 1.0)
             x, y = min(np.int64(u), wide - 2), min(np.int64(v), wide - 2)
             u, v = u - x, v - y
             a, b, c, d = surface[x, y], surface[x + 1, y], surface[x, y + 1], surface[x + 1, y + 1]

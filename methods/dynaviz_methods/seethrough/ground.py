@@ -55,10 +55,7 @@ class ScanGround:
         lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
         for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
             lowest[k.pits(lowest, PIT)] = np.inf
-        incline = _incline(lowest)
-        surface = lowest - incline
-        k.lower(surface, SLOPE * EDGE)
-        surface += incline
+        surface = k.surface_of(lowest, STEEP * EDGE, SLOPE * EDGE)
         number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
         weight = np.minimum(number, FULL) / FULL
         height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
@@ -131,17 +128,6 @@ class Level:
         self._keys[x, y, 0], self._keys[x, y, 1] = at
 
 
-def _incline(z: F64) -> F64:
-    """(X, X) float64, metres: a plane with the mean rise from cell to cell, where adjacent ones can both be ground."""
-    with np.errstate(invalid="ignore"):
-        rises = np.diff(z, axis=0), np.diff(z, axis=1)
-    known = [np.abs(rise) <= STEEP * EDGE for rise in rises]  # not if both are infinite
-    means = [rise.sum(where=both) / max(both.sum(), 1) for rise, both in zip(rises, known, strict=True)]
-    u, v = np.clip(means, -SLOPE * EDGE, SLOPE * EDGE)
-    plane: F64 = np.add.outer(u * np.arange(len(z)), v * np.arange(len(z)))
-    return plane
-
-
 def _filled(z: F64, weight: F64) -> F64:
     """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push.
 
@@ -162,7 +148,9 @@ def _filled(z: F64, weight: F64) -> F64:
 
 def _cells(surface: ScanGround, position: F64) -> Cells:
     """The seen cells (K,) up to ``NEAR`` away: their keys, dx and dy from the sensor, height, number of points."""
-    rows = np.nonzero(surface.number)
+    middle, far = len(surface.number) // 2, math.ceil(NEAR / EDGE) + 1
+    low = max(middle - far, 0)
+    rows = tuple(low + each for each in np.nonzero(surface.number[low : middle + far, low : middle + far]))
     at = rows[0] + surface.first[0], rows[1] + surface.first[1]
     dx, dy = ((key + 0.5) * EDGE - centre for key, centre in zip(at, position[:2], strict=True))
     near = dx * dx + dy * dy < NEAR * NEAR

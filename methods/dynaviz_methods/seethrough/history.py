@@ -67,26 +67,21 @@ class History:
         self._own, self._shared = (own(np.zeros((rows, 4), np.float32)) for _ in range(2))
         self._number = own(np.zeros((rows, 4), np.int32))  # visits
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
-        self._grid, self._now = grid, -1
+        self._grid, self._now, self._weighed = grid, -1, -1  # the last scan; the last one whose places inherited
         grid.watch(self._block_came)
 
     def _block_came(self, numbers: I32) -> None:
         self._since[numbers] = self._now + 1
 
     def add(self, number: int, voxels: I64, objects: I32) -> None:
-        """Add the visits of a scan that was counted, and let its places inherit from what is known so far.
+        """Add the visits of a scan that was counted.
 
         Args:
             number: position of the scan.
             voxels: (N,) int64, objects: (N,) int32: of each point, -1 for none.
         """
-        k, self._now = kernels.places, number
-        visits = Visits(number, *k.visit(voxels, objects, number, self._up, self._stamps))
-        self._visits[number], places = visits, visits.places
-        self._weigh(places, self._own)
-        certain = self._certain(places, visits.objects, self._own.ravel(), self._shared.ravel())
-        state = self._number.ravel(), self._shared.ravel(), self._source.ravel()
-        k.share(places, visits.objects, certain, np.full_like(places, number), *state)
+        visits = kernels.places.visit(voxels, objects, number, self._up, self._stamps)
+        self._visits[number], self._now = Visits(number, *visits), number
 
     def weights(self) -> tuple[float, ...]:
         """As given, with the prior for the scans so far."""
@@ -101,8 +96,19 @@ class History:
         return np.where(certain > DYNAMIC, 1.0, certain)
 
     def so_far(self) -> Decision:
-        """What decides the labels of the last scan, by the scans so far."""
-        return Decision(self._own.ravel(), self._shared.ravel(), self._source.ravel(), self._inherit, self.weights())
+        """What decides the labels of the last scan, by the scans so far; their places inherit only if this is asked."""
+        own, shared, source = self._own.ravel(), self._shared.ravel(), self._source.ravel()
+        for number in range(self._weighed + 1, self._now + 1):
+            if number in self._visits:
+                visits = self._remaining(self._visits[number])
+                self._weigh(visits.places, self._own)
+                certain = self._certain(visits.places, visits.objects, own, shared)
+                scans = np.full_like(visits.places, number)
+                kernels.places.share(
+                    visits.places, visits.objects, certain, scans, self._number.ravel(), shared, source
+                )
+        self._weighed = self._now
+        return Decision(own, shared, source, self._inherit, self.weights())
 
     def decide(self) -> Decision:
         """What decides the labels of all scans that were not forgotten."""
@@ -113,7 +119,9 @@ class History:
         firsts = np.cumsum([0, *(each.objects.max(initial=-1) + 1 for each in visits)])
         objects = np.concatenate([empty, *(each.objects + first for each, first in zip(visits, firsts, strict=False))])
         own, (shared, source) = np.zeros(self._own.size, np.float32), self._nothing()
-        existing, rows = np.unique(places, return_inverse=True)
+        visited = np.zeros(own.size, np.bool_)
+        visited[places] = True
+        existing, rows = np.flatnonzero(visited).astype(np.int32), (np.cumsum(visited) - 1)[places]
         self._weigh(existing, own)
         for last in (False, True):
             certain = self._certain(places, objects, own, shared)
