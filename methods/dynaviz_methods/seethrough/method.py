@@ -3,8 +3,8 @@
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
                 within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
-        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky, where no
-                returns come up to the upper border
+        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, from where they leave rays to
+                voxels around, and into the sky, where no returns come up to the upper border
         clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
     prior:      p = ``prior`` min(scans / 64, 1); online, the scans are those so far
