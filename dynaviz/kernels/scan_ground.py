@@ -71,25 +71,29 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     Returns:
         (wide, wide) float64, metres above the sensor, infinite without; and (wide, wide) int32.
     """
-    n = wide * wide
-    low = np.full(n, np.float32(np.inf))
+    n, middle = wide * wide, wide // 2
+    low, summed = np.full(n, np.float32(np.inf)), np.zeros(n, np.int64)
+    total, number = np.zeros(n, np.int32), np.zeros(n, np.int32)
     for i in range(len(cells)):
         if cells[i] >= 0:
             low[cells[i]] = min(low[cells[i]], heights[i])
-    level, found, number = _beneath(low.reshape(wide, wide), near, layer), np.full(n, np.inf), np.zeros(n, np.int32)
+            total[cells[i]] += 1
+    level, found = _beneath(low.reshape(wide, wide), near, layer), np.full(n, np.inf)
     if level == np.inf:
         return found.reshape(wide, wide), number.reshape(wide, wide)
-    least, middle = np.empty(n), wide // 2
+    least, below = np.full(n, -np.inf), False  # the lowest ground of cells with points below it
     for c in range(n):
-        if low[c] < np.inf:
+        if low[c] < level - margin:
             far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
-            least[c], low[c] = level - margin - steep * edge * far, np.inf
-    total, summed = np.zeros(n, np.int32), np.zeros(n, np.int64)
-    for i in range(len(cells)):
-        c = cells[i]
-        if c >= 0 and heights[i] >= least[c]:
-            low[c] = min(low[c], heights[i])
-            total[c] += 1
+            if low[c] < level - margin - steep * edge * far:
+                least[c], below = level - margin - steep * edge * far, True
+                low[c], total[c] = np.inf, 0
+    if below:
+        for i in range(len(cells)):
+            c = cells[i]
+            if c >= 0 and heights[i] >= least[c] > -np.inf:
+                low[c] = min(low[c], heights[i])
+                total[c] += 1
     for i in range(len(cells)):
         c = cells[i]
         if c >= 0 and low[c] <= heights[i] < low[c] + layer:

@@ -47,6 +47,11 @@ class Decision:
     inherit: float
     weights: tuple[float, ...]
 
+    @property
+    def prior(self) -> float:
+        """The evidence that a voxel must exceed to count as empty at times."""
+        return self.weights[3]
+
 
 class History:
     """The visits of places by objects.

@@ -248,8 +248,8 @@ class SeeThrough:
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
         voxels = self._grid.locate(levelled.points)
-        lost = np.flatnonzero(voxels < 0)
-        if len(lost) and self._tilts[number].any():
+        lost = np.flatnonzero(voxels < 0) if self._tilts[number].any() else ()
+        if len(lost):
             given = self._grid.locate(scan.points[lost])
             self._grid.extend(levelled.points[lost[given >= 0]])
             found = self._grid.locate(levelled.points[lost])
@@ -271,7 +271,7 @@ class SeeThrough:
         if under.any():
             stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
             empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
-            reasons[under & (stands_out | (empty > np.float32(decision.weights[3])))] = FOOT
+            reasons[under & (stands_out | (empty > np.float32(decision.prior)))] = FOOT
         self._judged = Judged(measured, decision, reasons)
         return reasons
 
@@ -313,9 +313,9 @@ class SeeThrough:
 
     def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
         """The rules that remove points, for the points in some rows."""
-        measured, p, weights = judged.measured, self.params, judged.decision.weights
+        measured, p, decision = judged.measured, self.params, judged.decision
         voxels, height = measured.voxels[rows], measured.height[rows]
-        empty = known(kernels.places.of_points(voxels, *self._counts, weights), voxels)
+        empty = known(kernels.places.of_points(voxels, *self._counts, decision.weights), voxels)
         up = (
             Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
             Term("more than 4.5 m above the ground", _high(height), "<", 1),
@@ -331,7 +331,7 @@ class SeeThrough:
         return (
             Rule("place", (*up, place)),
             Rule("foot", (near, stands)),
-            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(weights[3]))))),
+            Rule("empty foot", (near, Term(name, empty, ">", float(np.float32(decision.prior))))),
         )
 
     def _show(self, measured: Measured, marks: Marks, near: U64) -> None:
@@ -367,7 +367,7 @@ def _high(height: F32) -> Bool:
 def _levelled(scan: Scan, tilt: F64) -> Scan:
     """A scan without an error of its pose, (3,), as from ``Level``."""
     if not tilt.any():
-        return replace(scan, points=kernels.as_readonly(scan.points, np.float32))
+        return scan
 
     def lowered(xyz: Any) -> Any:
         found = xyz.copy()
