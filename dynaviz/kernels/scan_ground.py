@@ -85,9 +85,9 @@ def lowest_layers(heights, cells, wide, edge, layer, steep, margin, near):
     for c in range(n):
         if low[c] < level - margin:
             far = math.sqrt(float((c // wide - middle) ** 2 + (c % wide - middle) ** 2))
-            if low[c] < level - margin - steep * edge * far:
-                least[c], below = level - margin - steep * edge * far, True
-                low[c], total[c] = np.inf, 0
+            possible = level - margin - steep * edge * far
+            if low[c] < possible:
+                least[c], low[c], total[c], below = possible, np.inf, 0, True
     if below:
         for i in range(len(cells)):
             c = cells[i]
@@ -130,7 +130,7 @@ def pits(surface, deep):
 
 
 @njit(cache=True, nogil=True)
-def lower(surface, step):
+def _lower(surface, step):
     """Lower a surface (X, Y), in place, until no cell is more than ``step`` above a neighbour, √2 as much diagonally.
 
     The shortest way between two cells has steps of two adjacent directions at most: a sweep from either end is enough.
@@ -175,15 +175,10 @@ def surface_of(lowest, steep, step):
     those that differ by at most ``steep`` in height.
     """
     u, v = _rise(lowest, 0, steep, step), _rise(lowest, 1, steep, step)
-    surface = lowest.copy()
-    for i in range(len(surface)):
-        for j in range(surface.shape[1]):
-            surface[i, j] -= u * i + v * j
-    lower(surface, step)
-    for i in range(len(surface)):
-        for j in range(surface.shape[1]):
-            surface[i, j] += u * i + v * j
-    return surface
+    plane = u * np.arange(len(lowest)).reshape(-1, 1) + v * np.arange(lowest.shape[1])
+    surface = lowest - plane
+    _lower(surface, step)
+    return surface + plane
 
 
 @njit(cache=True, nogil=True, parallel=True)
