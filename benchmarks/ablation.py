@@ -38,7 +38,6 @@ PARTS = {  # constants to change, and reasons whose points are kept
     "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
     "pits are ground": ({"ground.PIT": 1e9}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
-    "rays into the sky pass the points next to it": ({"sky.AROUND": 0}, ()),
 }
 PARAMETERS = {
     "guard": (0.2, 0.4),

@@ -149,8 +149,9 @@ def follow(starts, objects, columns, dynamic, last, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they more than half of
-    it, together. One that is larger than that absorbs them, and they stay the last ones of their columns. Or it is a
-    part of one: this covers more than half of it, in columns that dynamic objects visited before any other.
+    it, together; or as a part of one, which covers more than half of it, in columns that dynamic objects visited before
+    any other. In both cases, those that are dynamic by themselves on the way to it must have as many columns as it, or
+    more, in all scans together: a fragment tells nothing about what it merges into.
 
     Args:
         starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
@@ -161,8 +162,8 @@ def follow(starts, objects, columns, dynamic, last, back):
     scans, size, shared = len(starts) - 1, np.zeros(len(dynamic), np.int64), np.zeros(len(dynamic), np.int64)
     for of in objects:
         size[of] += 1
-    absorbs = np.zeros(len(objects), np.bool_)
     visited, free = np.zeros(len(last), np.bool_), np.zeros(len(last), np.bool_)
+    shown = np.where(dynamic, size, 0)  # by object: columns of those in its track that are dynamic by themselves
     for step in range(scans):
         t = scans - 1 - step if back else step
         start = starts[t]
@@ -172,14 +173,17 @@ def follow(starts, objects, columns, dynamic, last, back):
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] += 1
-            covered, part = 0, 0
+            covered, part, before = 0, 0, 0
             for k in rows:
                 other = last[columns[k]]
-                absorbs[k] = other >= 0 and 2 * shared[other] > size[other]
-                covered += absorbs[k]
-                part += other >= 0 and 2 * shared[other] > size[of] and free[columns[k]]
+                covers = other >= 0 and 2 * shared[other] > size[other]
+                within = other >= 0 and 2 * shared[other] > size[of] and free[columns[k]]
+                covered, part = covered + covers, part + within
+                if covers or within:
+                    before = max(before, shown[other])
             if 2 * max(covered, part) > size[of]:
-                dynamic[of], absorbs[start : start + size[of]] = True, False
+                shown[of] += before
+                dynamic[of] |= shown[of] >= size[of]
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] = 0
@@ -187,7 +191,7 @@ def follow(starts, objects, columns, dynamic, last, back):
         for k in range(starts[t], starts[t + 1]):
             free[columns[k]] |= dynamic[objects[k]] and not visited[columns[k]]
             visited[columns[k]] = True
-            if dynamic[objects[k]] and not absorbs[k]:
+            if dynamic[objects[k]]:
                 last[columns[k]] = objects[k]
 
 

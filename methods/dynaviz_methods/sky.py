@@ -16,7 +16,7 @@ from dynaviz_methods.range_images import whole
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
 COARSE = 1.0  # degrees: height of a pixel if only the sensor decides; smaller holes are drop-outs
-FARTHEST, INPAINT, AROUND = 80.0, 3, 1  # metres, and pixels, of such an image
+FARTHEST, INPAINT = 80.0, 3  # metres, and pixels, of such an image
 
 
 @dataclass(frozen=True)
@@ -122,13 +122,16 @@ def sensor_image(sensor: Sensor) -> DepthImage | None:
     """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown.
 
     The rows between sparse rings are holes. Those that are connected to the sky show that nothing is in front of the
-    surface that the rings above and below them hit.
+    surface that the rings above and below them hit; so no hole is deeper than the points up to one ring away.
     """
     low, high = sensor.elevation or (0.0, 0.0)
     rows = round((high - low) / COARSE) + 1
     if not sensor.rings:
         rows = min(rows, rows_of(sensor, low, high))
-    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, AROUND) if rows >= 2 else None
+    if rows < 2:
+        return None
+    around = math.ceil((rows - 1) / max((sensor.rings or rows) - 1, 1))
+    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, around)
 
 
 def _square(pixels: int) -> U8:

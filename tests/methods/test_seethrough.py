@@ -297,26 +297,39 @@ def test_objects_continue_those_with_which_they_share_most(
     assert not found[1::2].any()
 
 
+def followed(scans: list[list[list[int]]], dynamic: list[bool]) -> list[bool]:
+    """Which objects are dynamic, those of all scans in turn: lists of their columns."""
+    objects = [each for scan in scans for each in scan]
+    rows = np.repeat(np.arange(len(objects)), [len(each) for each in objects])
+    starts = np.cumsum([0, *(sum(map(len, scan)) for scan in scans)])
+    columns, found = np.concatenate(objects), np.array(dynamic)
+    kernels.places.follow(starts, rows, columns, found, np.full(columns.max() + 1, -1), False)
+    return found.tolist()
+
+
 @pytest.mark.plain
 @pytest.mark.parametrize(("more", "dynamic"), [([], True), ([4, 5, 6, 7], False)])
 def test_two_halves_of_an_object_continue_as_one(more: list[int], dynamic: bool) -> None:
     """What hid the middle of a car has gone; it may be joined with something static for a while."""
-    scans = [[[0, 1], [2, 3]], [[0, 1, 2, 3, *more]], [[0, 1, 2, 3]]]
-    columns = np.array([column for scan in scans for each in scan for column in each])
-    objects = np.array([0, 0, 1, 1, *[2] * (4 + len(more)), *[3] * 4])
-    found = np.array([True, True, False, False])
-    kernels.places.follow(np.array([0, 4, 8 + len(more), len(columns)]), objects, columns, found, np.full(8, -1), False)
-    assert found.tolist() == [True, True, dynamic, True]
+    halves = [[0, 1], [2, 3]]
+    scans = [halves, halves, [[0, 1, 2, 3, *more]], [[0, 1, 2, 3]]]
+    assert followed(scans, [True] * 4 + [False] * 2) == [True] * 4 + [dynamic, True]
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("times", "dynamic"), [(1, False), (2, True)])
+def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(times: int, dynamic: bool) -> None:
+    """Far away, two columns of something were seen to move; nearer, it grows into a car of four columns."""
+    scans = [[[0, 1]]] * times + [[[0, 1, 2]], [[0, 1, 2, 3]]]
+    found = followed(scans, [True] * times + [False] * 2)
+    assert found == [True] * times + [dynamic] * 2
 
 
 @pytest.mark.plain
 def test_parts_of_a_dynamic_object_are_followed_where_nothing_static_was_before() -> None:
     """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""
-    columns = np.array([0, 1, *range(6), 0, 1, 3, 4, 3, 4])
-    objects = np.array([0, 0, *[1] * 6, 2, 2, 3, 3, 4, 4])
-    found = np.array([False, True, False, False, False])
-    kernels.places.follow(np.array([0, 2, 8, 12, 14]), objects, columns, found, np.full(6, -1), False)
-    assert found.tolist() == [False, True, False, True, True]
+    scans = [[[0, 1]], [[0, 1, 2, 3, 4, 5]], [[0, 1], [3, 4]], [[3, 4]]]
+    assert followed(scans, [False, True, False, False, False]) == [False, True, False, True, True]
 
 
 def test_points_too_high_for_movers_are_kept() -> None:

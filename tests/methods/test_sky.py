@@ -101,16 +101,18 @@ def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sensor", "rows"),
+    ("sensor", "rows", "around"),
     [
-        (Sensor(rings=64, elevation=(-24.8, 2.0)), 28),
-        (Sensor(rings=16, elevation=(-15.0, 15.0)), 31),
-        (Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400), 40),
-        (Sensor(rings=16), 0),
-        (Sensor(), 0),
+        (Sensor(rings=64, elevation=(-24.8, 2.0)), 28, 1),
+        (Sensor(rings=16, elevation=(-15.0, 15.0)), 31, 2),
+        (Sensor(elevation=(-10.0, 30.0), points_per_sweep=14400), 40, 1),
+        (Sensor(rings=10, elevation=(-30.67, 5.33)), 37, 4),
+        (Sensor(rings=16), 0, 0),
+        (Sensor(), 0, 0),
     ],
 )
-def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, rows: int) -> None:
+def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, rows: int, around: int) -> None:
+    """No hole is deeper than the points up to one ring away."""
     image = sensor_image(sensor)
-    assert (image.rows if image else 0) == rows
+    assert ((image.rows, image.around) if image else (0, 0)) == (rows, around)
     assert image is None or image.pixel > math.radians(0.98)

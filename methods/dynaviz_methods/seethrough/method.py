@@ -13,13 +13,12 @@
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
-    track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: of
-                each it covers more than half of the columns of 0.8 m, and they of it; or if one of them covers
-                more than half of it, where nothing static came first
+    track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: it
+                covers more than half of the columns of 0.8 m of each, and they of it; or one of them covers more than
+                half of it, where nothing static came first. Those with m > 1/2 on the way have as many columns as it
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
-    foot:       a low point next to dynamic ones is dynamic, too, if it is 5 cm above the scan's other low points
-                around, or if e > p in its voxel
+    foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
 and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, without
@@ -45,12 +44,11 @@ from dynaviz.contracts.scan import Scan
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
-from dynaviz_methods.seethrough.ground import EDGE, EXACT, PIT, Level, ScanGround
+from dynaviz_methods.seethrough.ground import EXACT, Level, ScanGround
 from dynaviz_methods.seethrough.history import Decision, History
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
-GROUND = 4 * EDGE  # metres: edge of the cells in which low points are compared
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
 OBJECT = 30.0  # metres: the largest object, around a tile
 
@@ -269,9 +267,8 @@ class SeeThrough:
         reasons: U8 = kernels.places.outcomes(*of_points, *of_places, *of_voxels, HIGHEST, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
-            stands_out = measured.height - self._ground(measured, under, under) > np.float32(EXACT)
             empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
-            reasons[under & (stands_out | (empty > np.float32(decision.prior)))] = FOOT
+            reasons[under & ((measured.height > np.float32(EXACT)) | (empty > np.float32(decision.prior)))] = FOOT
         self._judged = Judged(measured, decision, reasons)
         return reasons
 
@@ -280,12 +277,6 @@ class SeeThrough:
         chosen, low = any_of(reasons, REMOVED) & (reasons != FOOT), (reasons == LOW) | (reasons == FOOT)
         under: Bool = kernels.squares.in_or_next_to(measured.scan.points, chosen, low, self.params.resolution)
         return under
-
-    def _ground(self, measured: Measured, under: Bool, wanted: Bool) -> F32:
-        """(N,) float32, metres: mean height of the other low points around the wanted points (N,); 0 if unknown."""
-        low = (measured.voxels >= 0) & (measured.height <= self.params.ground_height) & (measured.height > -PIT)
-        level: F32 = kernels.squares.local_level(measured.scan.points, low & ~under, wanted, measured.height, GROUND)
-        return level
 
     def halo(self) -> Halo:
         """The size of an object, and of what it inherits from."""
@@ -322,10 +313,7 @@ class SeeThrough:
         )
         place = Term("evidence of its place, with what it inherits, less the prior", total, ">", 0.0)
         under = self._under(measured, judged.reasons)
-        wanted = np.zeros(len(under), np.bool_)
-        wanted[rows] = measured.voxels[rows] >= 0
-        level = height - self._ground(measured, under, wanted)[rows]
-        stands = Term("height above the low points around", level, ">", float(np.float32(EXACT)), "m")
+        stands = Term("height above the ground", height, ">", float(np.float32(EXACT)), "m")
         near = Term("low and near a dynamic object", np.where(np.isnan(empty), np.nan, under[rows]), ">=", 1)
         name = "evidence of its voxel"
         return (
