@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 
 import numpy as np
 
 import dynaviz as dv
+from dynaviz.arrays import F64
 from dynaviz.contracts import registry
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.extent import Extent
@@ -27,18 +29,30 @@ from dynaviz.spatial import geometry
 STRIDES, RINGS = (1, 2, 5, 10), (2, 4)  # every n-th scan, with all rings; every n-th ring, of all scans
 
 
+def beams(sensor: Sensor) -> F64:
+    """(R,) float64, degrees: the elevations of the rings."""
+    assert sensor.elevation
+    assert sensor.rings
+    return np.array(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
+
+
 def every_ring(scan: Scan, sensor: Sensor, step: int) -> Scan:
     """Every n-th ring of a scan; points belong to the ring with the nearest elevation."""
     if step == 1:
         return scan
-    assert sensor.elevation
-    assert sensor.rings
     assert scan.labels is not None
-    beams = np.array(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
     x, y, z = geometry.apply(geometry.inverse(scan.T_world_sensor), scan.points.astype(np.float64)).T
-    ring = np.abs(np.degrees(np.arctan2(z, np.hypot(x, y)))[:, None] - beams).argmin(1)
+    ring = np.abs(np.degrees(np.arctan2(z, np.hypot(x, y)))[:, None] - beams(sensor)).argmin(1)
     kept = ring % step == 0
     return Scan(scan.index, scan.points[kept], scan.T_world_sensor, labels=scan.labels[kept])
+
+
+def with_every_ring(sensor: Sensor, step: int) -> Sensor:
+    """The sensor that measures every n-th ring."""
+    if step == 1:
+        return sensor
+    kept = beams(sensor)[::step].tolist()
+    return replace(sensor, rings=len(kept), elevation=(kept[0], kept[-1]), elevations=tuple(kept))
 
 
 def rates(name: str, scans: list[Scan], sensor: Sensor) -> tuple[float, float]:
@@ -69,12 +83,12 @@ def main() -> None:
     scans = [Scan(scan.index, scan.points, scan.T_world_sensor, labels=scan.labels) for scan in read]
     for stride, step in [*((stride, 1) for stride in STRIDES), *((1, step) for step in RINGS)]:
         chosen = [every_ring(scan, drive.sensor, step) for scan in scans[::stride]]
-        seen = looks([scan.position for scan in chosen])
+        sensor, seen = with_every_ring(drive.sensor, step), looks([scan.position for scan in chosen])
         for name in options.methods or [handle.name for handle in registry.handles("methods")]:
-            row = {"method": name, "drive": drive.name, "looks": seen, "rings": (drive.sensor.rings or 0) // step}
+            row = {"method": name, "drive": drive.name, "looks": seen, "rings": sensor.rings or 0}
             if any(row.items() <= known.items() for known in rows):
                 continue
-            SA, DA = rates(name, chosen, drive.sensor)
+            SA, DA = rates(name, chosen, sensor)
             rows.append({**row, "SA": round(SA, 2), "DA": round(DA, 2)})
             print(rows[-1], flush=True)
             lines = ",\n".join(json.dumps(each) for each in sorted(rows, key=lambda row: (row["method"], row["drive"])))
