@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 
 import dynaviz as dv
-from dynaviz.arrays import F64
 from dynaviz.contracts import registry
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.extent import Extent
@@ -25,15 +24,9 @@ from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.diagnosis.sampling import TABLE, looks
 from dynaviz.spatial import geometry
+from dynaviz.synthetic.simulate.lidar import beams
 
 STRIDES, RINGS = (1, 2, 5, 10), (2, 4)  # every n-th scan, with all rings; every n-th ring, of all scans
-
-
-def beams(sensor: Sensor) -> F64:
-    """(R,) float64, degrees: the elevations of the rings."""
-    assert sensor.elevation
-    assert sensor.rings
-    return np.array(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
 
 
 def every_ring(scan: Scan, sensor: Sensor, step: int) -> Scan:

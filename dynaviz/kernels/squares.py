@@ -9,9 +9,9 @@ from dynaviz.kernels.keys import REACH
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _cell(point, cell, low):
-    """The cell of a point along x and y, counted from ``low``."""
-    return np.int64(math.floor(point[0] / cell)) - low[0], np.int64(math.floor(point[1] / cell)) - low[1]
+def _cell(point, cell, first):
+    """The cell of a point along x and y, counted from the cell ``first``."""
+    return np.int64(math.floor(point[0] / cell)) - first[0], np.int64(math.floor(point[1] / cell)) - first[1]
 
 
 @njit(cache=True, nogil=True)
@@ -26,22 +26,23 @@ def in_or_next_to(points, chosen, among, cell):
     """
     low, high = np.array([REACH, REACH]), np.array([-REACH, -REACH])
     for i in range(len(points)):
-        for axis in range(2 if chosen[i] else 0):
-            c = np.int64(math.floor(points[i, axis] / cell))
-            low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
+        if chosen[i]:
+            for axis in range(2):
+                c = np.int64(math.floor(points[i, axis] / cell))
+                low[axis], high[axis] = min(low[axis], c), max(high[axis], c)
     found = np.zeros(len(points), np.bool_)
     if high[0] < low[0]:
         return found
-    picture = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_)
+    picture, first = np.zeros((high[0] - low[0] + 3, high[1] - low[1] + 3), np.bool_), low - 1
     for i in range(len(points)):
         if chosen[i]:
-            x, y = _cell(points[i], cell, low)
-            for u in range(x, x + 3):
-                for v in range(y, y + 3):
+            x, y = _cell(points[i], cell, first)
+            for u in range(x - 1, x + 2):
+                for v in range(y - 1, y + 2):
                     picture[u, v] = True
     for i in range(len(points)):
         if among[i]:
-            x, y = _cell(points[i], cell, low)
-            if -1 <= x < picture.shape[0] - 1 and -1 <= y < picture.shape[1] - 1:
-                found[i] = picture[x + 1, y + 1]
+            x, y = _cell(points[i], cell, first)
+            if 0 <= x < picture.shape[0] and 0 <= y < picture.shape[1]:
+                found[i] = picture[x, y]
     return found

@@ -84,15 +84,20 @@ def sweep_rays(sensor: Sensor, frame: int, rng: np.random.Generator) -> Rays:
     return Rays(np.concatenate(directions), np.concatenate(origins), np.concatenate(lidar))
 
 
+def beams(sensor: Sensor) -> F64:
+    """(rings,) float64, degrees: elevations of all beams from the lowest up; rings and elevation must be known."""
+    assert sensor.elevation
+    assert sensor.rings
+    return np.array(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
+
+
 def _rings(sensor: Sensor, start: float) -> tuple[F64, F64]:
     """Azimuth and elevation over the field of view, radians, firing by firing, from the lowest beam up."""
     assert sensor.azimuth_step
-    assert sensor.elevation
-    assert sensor.rings
     low, high = sensor.azimuth
     firings = np.arange(int((high - low) / sensor.azimuth_step))
-    elevations = np.array(sensor.elevations) if sensor.elevations else np.linspace(*sensor.elevation, sensor.rings)
-    within = (np.arange(sensor.rings) / sensor.rings + start) % 1  # the beams of one firing follow one another
+    elevations = beams(sensor)
+    within = (np.arange(len(elevations)) / len(elevations) + start) % 1  # the beams of one firing follow one another
     azimuth = low + sensor.azimuth_step * (firings[:, None] + within)
     return np.radians(azimuth.ravel()), np.radians(np.broadcast_to(elevations, azimuth.shape).ravel())
 

@@ -10,7 +10,7 @@ from dynaviz.arrays import F64, I32, I64, U16, Bool
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.synthetic.simulate.classes import ObjectClass
 from dynaviz.synthetic.simulate.effects import Effects
-from dynaviz.synthetic.simulate.lidar import REFLECTING, Hits
+from dynaviz.synthetic.simulate.lidar import REFLECTING, Hits, beams
 from dynaviz.synthetic.simulate.sweep import MovingSweep, TimedRays
 
 PASSES = 4  # leaves and panes that a ray can pass
@@ -54,8 +54,7 @@ def near_edges(ranges: F64, sensor: Sensor) -> Bool:
     """
     if not sensor.rings:
         return np.ones(len(ranges), np.bool_)
-    assert sensor.elevation
-    elevations = np.radians(sensor.elevations or np.linspace(*sensor.elevation, sensor.rings))
+    elevations = np.radians(beams(sensor))
     inverse = 1 / (ranges.reshape(max(1, len(sensor.mounts)), -1, sensor.rings) * np.cos(elevations))
     squared = inverse**2
     across = np.abs((np.roll(inverse, 1, axis=1) + np.roll(inverse, -1, axis=1)) / 2 - inverse)
