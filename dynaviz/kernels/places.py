@@ -196,13 +196,12 @@ def follow(starts, objects, columns, dynamic, last, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, height, low, own, shared, link, hits, passed, grazed, weights, highest, codes):
+def outcomes(voxels, bands, own, shared, link, hits, passed, grazed, weights, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
         voxels: (N,) int64, -1 for none.
-        height: (N,) float32, metres above the ground; low, highest: metres: points up to the one are near the ground,
-            points above the other are too high for a mover, unless infinite, unknown.
+        bands: (N,) uint8, as from ``scan_ground.bands``.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
         link: weight of what they inherit.
         hits, passed, grazed, weights: as in ``of_voxel``.
@@ -216,9 +215,9 @@ def outcomes(voxels, height, low, own, shared, link, hits, passed, grazed, weigh
         p = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
         if v < 0:
             found[i] = out
-        elif height[i] <= low:
+        elif bands[i] < 2:
             found[i] = near_ground
-        elif height[i] > highest and height[i] < np.inf:
+        elif bands[i] > 2:
             found[i] = above
         elif own[p] + link * max(shared[p], 0.0) > 0:
             found[i] = seen if own[p] > 0 else followed

@@ -206,6 +206,22 @@ def above(points, lift, first, surface, edge):
 
 
 @njit(cache=True, nogil=True)
+def bands(heights, exact, low, highest):
+    """(N,) uint8: 0 for points on the ground, 1 for others near it, 3 for those that are too high, 2 for the rest.
+
+    Args:
+        heights: (N,) float32, metres above the ground, infinite if unknown, which is not too high.
+        exact, low, highest: float32, metres: points up to ``low`` are near the ground, and on it up to ``exact``.
+    """
+    found = np.empty(len(heights), np.uint8)
+    for i in range(len(heights)):
+        h = heights[i]
+        near, above = np.uint8(h > exact), np.uint8(2) + np.uint8((h > highest) & (h < np.inf))
+        found[i] = near if h <= low else above
+    return found
+
+
+@njit(cache=True, nogil=True)
 def plane(x, y, z, weight, start, exact, rounds):
     """(3,) float64: the plane c + a x + b y through most points (K,) each: iterated least squares, which tend to L1.
 

@@ -241,9 +241,9 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
 )
 def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
-    of_points = np.array([0]), np.ones(1, np.float32), np.float32(0.15)
+    of_points = np.array([0]), np.array([2], np.uint8)
     of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), 0.5
-    codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), 4.5, BY_PLACE)
+    codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), BY_PLACE)
     assert codes.tolist() == [reason]
 
 

@@ -12,7 +12,7 @@ from dynaviz.arrays import F32, F64, I16, I64, U8, Bool
 from dynaviz.contracts.scan import Scan
 
 EDGE = 0.8  # metres: edge of a cell
-REACH = 128  # cells to each side of the sensor; points beyond are measured from the ground at the border
+REACH = 64  # cells to each side of the sensor; points beyond are measured from the ground at the border
 NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it, and how a scan is levelled
 LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
 PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection

@@ -51,6 +51,7 @@ TALL = 3  # height of the cells that join points, in gaps: rings are farther apa
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
 OBJECT = 30.0  # metres: the largest object, around a tile
+ON_GROUND, NEAR_GROUND, ABOVE, TOO_HIGH = BANDS = range(4)  # of heights: see ``scan_ground.bands``
 
 
 @dataclass(frozen=True)
@@ -133,14 +134,14 @@ class Measured:
 
     Attributes:
         number: its position.
-        scan: levelled; height: (N,) float32, metres above the ground, infinite if unknown.
+        scan: levelled; bands: (N,) uint8, how high its points are above the ground: one of ``BANDS``.
         voxels: (N,) int64, -1 for none.
         tilt: (3,) float64, the error of the pose that was subtracted, as from ``Level``.
     """
 
     number: int
     scan: Scan
-    height: F32
+    bands: U8
     voxels: I64
     tilt: F64
 
@@ -180,24 +181,24 @@ class SeeThrough:
         self._decided: tuple[int, Decision] = -1, self._history.so_far()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._tilts: dict[int, F64] = {}  # by position
-        self._grounds: dict[int, ScanGround] = {}  # by scan index, until it is labelled
+        self._bands: dict[int, U8] = {}  # by scan index, until it is labelled; packed
         self._reasons: dict[int, U8] = {}  # by scan index: four bits per point, packed
 
     def observe(self, scan: Scan) -> None:
         """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
         p = self.params
-        surface = self._grounds[scan.index] = ScanGround.of(scan)
-        tilt = self._level.error(surface, scan.position)
+        surface = ScanGround.of(scan)
         now = self._number[scan.index] = self._observed
-        self._tilts[now], self._observed = tilt, now + 1
-        measured = self._measured = self._measure(scan, surface)
+        self._tilts[now], self._observed = self._level.error(surface, scan.position), now + 1
+        measured = self._measured = self._measure(scan, self._bands_of(surface.heights(scan.points)))
+        self._bands[scan.index] = pack_codes(measured.bands)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
         bits = marks.bits
         if now >= kernels.clearance.MOST:
             bits = kernels.clearance.countable(marks.blocks, bits, *self._counts[:2])
         kernels.clearance.count(marks.blocks, bits, near, *self._counts)
-        chosen = (measured.voxels >= 0) & (measured.height > p.ground_height) & ~_high(measured.height)
+        chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
         kernels.objects.connect(objects, order, cells[order])  # which turns numbers of cells into numbers of objects
@@ -212,8 +213,10 @@ class SeeThrough:
         if scan.index not in self._reasons:
             number, measured = self._number[scan.index], self._measured
             if measured is None or measured.number != number:
-                measured = self._measure(scan, self._grounds.get(scan.index) or ScanGround.of(scan))
-            self._grounds.pop(scan.index, None)
+                packed = self._bands.get(scan.index)
+                bands = self._bands_of(_heights(scan)) if packed is None else unpack_codes(packed, len(scan))
+                measured = self._measure(scan, bands)
+            self._bands.pop(scan.index, None)
             at, decision = self._decided
             if at != self._observed:
                 online = number + 1 == self._observed
@@ -228,7 +231,7 @@ class SeeThrough:
         """Drop what is stored about a scan."""
         number = self._number.pop(index, -1)
         self._reasons.pop(index, None)
-        self._grounds.pop(index, None)
+        self._bands.pop(index, None)
         self._tilts.pop(number, None)
         self._history.forget(number)
 
@@ -241,8 +244,13 @@ class SeeThrough:
         finally:
             self._reasons, self._decided = stored, decided
 
-    def _measure(self, scan: Scan, surface: ScanGround) -> Measured:
-        """The height, voxel and place of each point of an observed scan."""
+    def _bands_of(self, heights: F32) -> U8:
+        exact, low, highest = (np.float32(limit) for limit in (EXACT, self.params.ground_height, HIGHEST))
+        bands: U8 = kernels.scan_ground.bands(heights, exact, low, highest)
+        return bands
+
+    def _measure(self, scan: Scan, bands: U8) -> Measured:
+        """What an observed scan shows; bands: (N,) uint8, those of its points."""
         number = self._number[scan.index]
         levelled = _levelled(scan, self._tilts[number])
         voxels = self._grid.locate(levelled.points)
@@ -252,7 +260,7 @@ class SeeThrough:
             self._grid.extend(levelled.points[lost[given >= 0]])
             found = self._grid.locate(levelled.points[lost])
             voxels[lost] = np.where(found < 0, given, found)  # beyond the room for blocks
-        return Measured(number, levelled, surface.heights(scan.points), voxels, self._tilts[number])
+        return Measured(number, levelled, bands, voxels, self._tilts[number])
 
     def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
         """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,); NaN for voxel -1."""
@@ -261,14 +269,13 @@ class SeeThrough:
 
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
-        of_points = measured.voxels, measured.height, np.float32(self.params.ground_height)
         of_places = decision.own, decision.shared, decision.inherit
         of_voxels = *self._counts, decision.weights
-        reasons: U8 = kernels.places.outcomes(*of_points, *of_places, *of_voxels, HIGHEST, BY_PLACE)
+        reasons: U8 = kernels.places.outcomes(measured.voxels, measured.bands, *of_places, *of_voxels, BY_PLACE)
         under = self._under(measured, reasons)
         if under.any():
             empty = kernels.places.of_points(np.where(under, measured.voxels, -1), *of_voxels)
-            reasons[under & ((measured.height > np.float32(EXACT)) | (empty > np.float32(decision.prior)))] = FOOT
+            reasons[under & ((measured.bands == NEAR_GROUND) | (empty > np.float32(decision.prior)))] = FOOT
         self._judged = Judged(measured, decision, reasons)
         return reasons
 
@@ -299,17 +306,17 @@ class SeeThrough:
             source = known(np.where(decision.source[places] < 0, np.nan, decision.source[places]), places)
             of_places = ("place", own), ("objects", shared), ("dynamic in", source)
             quantities += [Quantity(name, of) for name, of in of_places]
-            rules = self._rules(judged, asked.rows, own + decision.inherit * np.maximum(shared, 0.0))
+            rules = self._rules(judged, asked, own + decision.inherit * np.maximum(shared, 0.0))
         return Evidence(voxels_around(asked.points, self.params.resolution), tuple(quantities), rules)
 
-    def _rules(self, judged: Judged, rows: I64, total: F64) -> tuple[Rule, ...]:
-        """The rules that remove points, for the points in some rows."""
-        measured, p, decision = judged.measured, self.params, judged.decision
-        voxels, height = measured.voxels[rows], measured.height[rows]
+    def _rules(self, judged: Judged, asked: Asked, total: F64) -> tuple[Rule, ...]:
+        """The rules that remove points."""
+        measured, p, decision, rows = judged.measured, self.params, judged.decision, asked.rows
+        voxels, height = measured.voxels[rows], _heights(asked.scan)[rows]
         empty = known(kernels.places.of_points(voxels, *self._counts, decision.weights), voxels)
         up = (
             Term("height above the ground", height, ">", float(np.float32(p.ground_height)), "m", "ground_height"),
-            Term("more than 4.5 m above the ground", _high(height), "<", 1),
+            Term("more than 4.5 m above the ground", measured.bands[rows] == TOO_HIGH, "<", 1),
         )
         place = Term("evidence of its place, with what it inherits, less the prior", total, ">", 0.0)
         under = self._under(measured, judged.reasons)
@@ -334,7 +341,7 @@ class SeeThrough:
         if wants("objects"):
             emit("objects", PointClasses(CLASS[self._outcomes(measured, self._history.so_far())]))
         if wants("low"):
-            emit("low", Mask(measured.height <= self.params.ground_height))
+            emit("low", Mask(measured.bands < ABOVE))
 
     def _shown(self, voxels: I64, measured: Measured) -> I32:
         """(K, 3) int32: indices of voxels, raised and tilted like the points of a scan that was levelled."""
@@ -346,10 +353,9 @@ class SeeThrough:
         return keys
 
 
-def _high(height: F32) -> Bool:
-    """(N,) bool: points too high above the ground for a mover, from their heights in metres; infinite is unknown."""
-    high: Bool = (height > HIGHEST) & (height < np.inf)
-    return high
+def _heights(scan: Scan) -> F32:
+    """(N,) float32, metres: height of the points of a scan above its ground, infinite if unknown."""
+    return ScanGround.of(scan).heights(scan.points)
 
 
 def _levelled(scan: Scan, tilt: F64) -> Scan:
