@@ -1,4 +1,4 @@
-"""Counts of how often each voxel of a block grid was hit, crossed, and crossed near hits.
+"""Counts of how often each voxel of a block grid was hit, seen clear, and crossed near hits.
 
 Bits are those of ``raycast.collect``: bit v of word w is voxel 64 w + v of a block; the row after the last is empty.
 """
@@ -119,50 +119,33 @@ def grown(bits, sides, times):
     return here
 
 
-@njit(cache=True, nogil=True)
-def countable(blocks, bits, hits, passed):
-    """(B, 16) int64: the bits of voxels whose counts are below 65535; crossed voxels without those that are hit.
-
-    The arguments are those of ``count``, for which these are the bits once counts may be that high.
-    """
-    found = np.zeros_like(bits)
-    for r in range(len(blocks)):
-        for v in range(512):
-            w, bit = v >> 6, np.int64(1) << (v & 63)
-            if bits[r, 8 + w] & bit:
-                found[r, 8 + w] |= bit if hits[blocks[r], v] < MOST else 0
-            elif bits[r, w] & bit:
-                found[r, w] |= bit if passed[blocks[r], v] < MOST else 0
-    return found
-
-
 @njit(cache=True, nogil=True, inline="always")
 def _add(counts, block, w, word):
-    """Add one to the counts of a word's voxels whose bit is set; without branches, so that it is vectorised."""
+    """Add one to the counts of a word's voxels whose bit is set, up to 65535; without branches, to be vectorised."""
     for v in range(64):
-        counts[block, (w << 6) + v] += np.uint16(word >> np.uint64(v) & ONE)
+        n = counts[block, (w << 6) + v]
+        counts[block, (w << 6) + v] = n + np.uint16((word >> np.uint64(v) & ONE) & np.uint64(n != MOST))
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def count(blocks, bits, near, hits, passed, grazed):
-    """Add one scan to the counts, which must be below 65535.
+def count(blocks, bits, near, hits, clear, grazed):
+    """Add one scan to the counts, up to 65535.
 
-    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as passed, and also as grazed if a hit
-    is near. Otherwise the scan saw it clear, which most rays do in most voxels, so that is not counted.
+    A voxel that is hit counts as hit. A voxel that is crossed and not hit counts as grazed if a hit is near, else as
+    clear.
 
     Args:
         blocks, bits: the marks of the scan, as from ``raycast.collect``.
         near: (B, 8) uint64, bits of the voxels near a hit.
-        hits, passed, grazed: (all blocks + 1, 512) uint16, the counts. Modified.
+        hits, clear, grazed: (all blocks + 1, 512) uint16, the counts. Modified.
     """
     for r in prange(len(blocks)):
         for w in range(8):
             hit = np.uint64(bits[r, 8 + w])
             through = np.uint64(bits[r, w]) & ~hit
-            grazing = through & near[r, w]
             if hit:
                 _add(hits, blocks[r], w, hit)
-            if through:
-                _add(passed, blocks[r], w, through)
-            if grazing:
-                _add(grazed, blocks[r], w, grazing)
+            if through & ~near[r, w]:
+                _add(clear, blocks[r], w, through & ~near[r, w])
+            if through & near[r, w]:
+                _add(grazed, blocks[r], w, through & near[r, w])

@@ -49,46 +49,46 @@ def visit(voxels, objects, now, up, stamps):
 
 
 @njit(cache=True, nogil=True)
-def clearness(hits, passed, grazed, weights):
+def clearness(hits, clear, grazed, weights):
     """The evidence that a voxel is empty at times, at most 1; below 0 if it was rather always occupied.
 
     Args:
-        hits, passed, grazed: number of scans that hit the voxel, crossed it, and crossed it near a hit.
+        hits, clear, grazed: number of scans that hit the voxel, saw it clear, and crossed it near a hit.
         weights: of a crossing near a hit, and of a hit, against one clear crossing; clear crossings for full evidence;
             the prior: the evidence that a place must exceed, and the most that hits alone are against it.
     """
     near, hit, votes, prior = weights
-    clear, against = np.float64(passed) - grazed, near * grazed + hit * hits
+    against = near * grazed + hit * hits
     if clear > against:
         return min(clear / votes, 1.0) * (clear - against) / (clear + against)
     return prior * (clear - against) / (clear + against + 1.0)
 
 
 @njit(cache=True, nogil=True)
-def of_voxel(v, hits, passed, grazed, weights):
+def of_voxel(v, hits, clear, grazed, weights):
     """The evidence of a voxel; 0 for -1, or if no other scan touched it."""
-    h, p = hits[v >> 9, v & 511], passed[v >> 9, v & 511]
-    return clearness(h, p, grazed[v >> 9, v & 511], weights) if v >= 0 and (h > 1 or p > 0) else 0.0
+    h, c, q = hits[v >> 9, v & 511], clear[v >> 9, v & 511], grazed[v >> 9, v & 511]
+    return clearness(h, c, q, weights) if v >= 0 and (h > 1 or c > 0 or q > 0) else 0.0
 
 
 @njit(cache=True, nogil=True)
-def of_points(voxels, hits, passed, grazed, weights):
+def of_points(voxels, hits, clear, grazed, weights):
     """(N,) float32: the evidence of each point's voxel, as from ``of_voxel``."""
     found = np.empty(len(voxels), np.float32)
     for i in range(len(voxels)):
-        found[i] = of_voxel(voxels[i], hits, passed, grazed, weights)
+        found[i] = of_voxel(voxels[i], hits, clear, grazed, weights)
     return found
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def evidence(places, up, hits, passed, grazed, weights, found):
+def evidence(places, up, hits, clear, grazed, weights, found):
     """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
 
     The evidence of a place is the mean over its voxels with points of objects, less the prior, weighted with the scans
     that hit them; nearer 0 if these were fewer than ``votes``.
 
     Args:
-        up, hits, passed, grazed, weights: as in ``visit`` and ``clearness``.
+        up, hits, clear, grazed, weights: as in ``visit`` and ``clearness``.
     """
     for k in prange(len(places)):
         block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
@@ -98,9 +98,9 @@ def evidence(places, up, hits, passed, grazed, weights, found):
             while word:
                 rest = word & (word - ONE)
                 v = w << 6 | BIT_OF[(word ^ rest) * SEQUENCE >> np.uint64(58)]
-                h, p, word = hits[block, v], passed[block, v], rest
-                if h > 1 or p > 0:
-                    summed += h * (clearness(h, p, grazed[block, v], weights) - weights[3])
+                h, c, q, word = hits[block, v], clear[block, v], grazed[block, v], rest
+                if h > 1 or c > 0 or q > 0:
+                    summed += h * (clearness(h, c, q, weights) - weights[3])
                     total += h
         found[places[k]] = summed / max(total, weights[2])
 
@@ -196,7 +196,7 @@ def follow(starts, objects, columns, dynamic, last, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, bands, own, shared, link, hits, passed, grazed, weights, codes):
+def outcomes(voxels, bands, own, shared, link, hits, clear, grazed, weights, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
@@ -204,7 +204,7 @@ def outcomes(voxels, bands, own, shared, link, hits, passed, grazed, weights, co
         bands: (N,) uint8, as from ``scan_ground.bands``.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
         link: weight of what they inherit.
-        hits, passed, grazed, weights: as in ``of_voxel``.
+        hits, clear, grazed, weights: as in ``of_voxel``.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
             removed by the evidence of their place alone, or with what it inherits.
     """
@@ -222,5 +222,5 @@ def outcomes(voxels, bands, own, shared, link, hits, passed, grazed, weights, co
         elif own[p] + link * max(shared[p], 0.0) > 0:
             found[i] = seen if own[p] > 0 else followed
         else:
-            found[i] = little if of_voxel(v, hits, passed, grazed, weights) > 0 else never
+            found[i] = little if clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0 else never
     return found

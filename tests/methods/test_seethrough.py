@@ -194,22 +194,21 @@ def test_without_points_below_the_sensor_no_ground_is_known_and_nothing_is_low()
 @settings(max_examples=10, deadline=None)
 def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None:
     random = np.random.default_rng(seed)
-    hits, passed = (random.integers(0, 6, (3, 512)).astype(np.uint16) for _ in range(2))
-    grazed = random.integers(0, passed + 1).astype(np.uint16)
+    hits, clear, grazed = (random.integers(0, most, (3, 512)).astype(np.uint16) for most in (6, 5, 4))
     up = random.integers(0, 2**63, (3, 8)).astype(np.uint64)
     weights, found = (0.3, 0.12, 3.0, 0.2), np.zeros(12, np.float32)
-    kernels.places.evidence(np.arange(12, dtype=np.int32), up, hits, passed, grazed, weights, found)
+    kernels.places.evidence(np.arange(12, dtype=np.int32), up, hits, clear, grazed, weights, found)
     for place in range(12):
         total = summed = 0.0
         for voxel in range(512):
             x, y = voxel >> 6, voxel >> 3 & 7
-            h, p, q = (int(of[place >> 2, voxel]) for of in (hits, passed, grazed))
+            h, c, q = (int(of[place >> 2, voxel]) for of in (hits, clear, grazed))
             if (x >= 4, y >= 4) != (bool(place & 2), bool(place & 1)) or not int(up[place >> 2, x]) >> (voxel & 63) & 1:
                 continue
-            c, against = p - q, 0.3 * q + 0.12 * h
+            against, others = 0.3 * q + 0.12 * h, h > 1 or c + q > 0
             empty = min(c / 3, 1) * (c - against) / (c + against) if c > against else None
             empty = 0.2 * (c - against) / (c + against + 1) if empty is None else empty
-            summed, total = summed + h * (empty - 0.2) * (h > 1 or p > 0), total + h * (h > 1 or p > 0)
+            summed, total = summed + h * (empty - 0.2) * others, total + h * others
         expected = summed / total * min(total / 3, 1) if total else 0.0
         assert found[place] == pytest.approx(expected, abs=1e-5)
 
@@ -365,13 +364,12 @@ def test_counts_stop_at_their_maximum() -> None:
     blocks, bits, near = np.zeros(1, np.int32), np.zeros((1, 16), np.int64), np.zeros((1, 8), np.uint64)
     bits[0, 0], bits[0, 8] = 0b01111, 0b10001  # voxel 0 is hit, 1 to 3 are crossed, 4 is hit and crossed by none
     near[0, 0] = 0b01100
-    hits, passed, grazed = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, 7))
-    hits[0, 0] = passed[0, 3] = most
-    counted = kernels.clearance.countable(blocks, bits, hits, passed)
-    kernels.clearance.count(blocks, counted, near, hits, passed, grazed)
+    hits, clear, grazed = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, most - 1))
+    hits[0, 0] = clear[0, 1] = grazed[0, 3] = most
+    kernels.clearance.count(blocks, bits, near, hits, clear, grazed)
     assert hits[0, :5].tolist() == [most, most - 1, most - 1, most - 1, most]
-    assert passed[0, :5].tolist() == [most - 1, most, most, most, most - 1]
-    assert grazed[0, :5].tolist() == [7, 7, 8, 7, 7], "what is not counted as passed is not counted as grazed"
+    assert clear[0, :5].tolist() == [most - 1, most, most - 1, most - 1, most - 1]
+    assert grazed[0, :5].tolist() == [most - 1, most - 1, most, most, most - 1]
 
 
 @pytest.mark.plain

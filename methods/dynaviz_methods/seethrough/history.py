@@ -60,7 +60,7 @@ class History:
         grid: the grid of the places' blocks.
         inherit: weight of what a place inherits.
         weights: of a crossing near a hit, of a hit; clear crossings for full evidence; the prior.
-        counts: three arrays (B, 512) uint16: scans that hit, crossed, and grazed each voxel.
+        counts: three arrays (B, 512) uint16: scans that hit, saw clear, and grazed each voxel.
     """
 
     def __init__(self, grid: BlockGrid, inherit: float, weights: tuple[float, ...], counts: tuple[U16, ...]) -> None:

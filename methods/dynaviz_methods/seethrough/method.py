@@ -194,10 +194,7 @@ class SeeThrough:
         self._bands[scan.index] = pack_codes(measured.bands)
         marks = self._grid.mark_once(measured.scan, measured.voxels)
         near = self._grid.near(marks, round(p.guard / p.resolution))
-        bits = marks.bits
-        if now >= kernels.clearance.MOST:
-            bits = kernels.clearance.countable(marks.blocks, bits, *self._counts[:2])
-        kernels.clearance.count(marks.blocks, bits, near, *self._counts)
+        kernels.clearance.count(marks.blocks, marks.bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
@@ -264,8 +261,8 @@ class SeeThrough:
 
     def _scans(self, voxels: I64) -> tuple[F64, F64, F64]:
         """The number of scans, (K,) float64 each, that hit, passed and saw clear voxels (K,); NaN for voxel -1."""
-        hits, passed, grazed = (known(of[voxels >> 9, voxels & 511], voxels) for of in self._counts)
-        return hits, passed, passed - grazed
+        hits, clear, grazed = (known(of[voxels >> 9, voxels & 511], voxels) for of in self._counts)
+        return hits, clear + grazed, clear
 
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
