@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from dynaviz_methods.range_images import whole
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
 COARSE = 1.0  # degrees: height of a pixel if only the sensor decides; smaller holes are drop-outs
-FARTHEST, INPAINT = 80.0, 3  # metres, and pixels, of such an image
+FARTHEST = 80.0  # metres, of such an image
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class DepthImage:
         rows: number of rows.
         top, bottom: elevation of the first and the last row, radians.
         farthest: depth of the largest value, 255, metres.
-        inpaint: radius from which holes are filled, pixels.
+        inpaint: radius from which holes are filled, pixels; 0 for the depth of the nearest pixel with a point.
         erosion: pixels by which holes shrink and near depths grow.
         around: no hole is deeper than the points in so many pixels around it.
     """
@@ -82,10 +83,10 @@ class DepthImage:
         """
         import cv2
 
-        margin = self.erosion + self.inpaint + self.around
+        margin = self.erosion + self.inpaint + self.around if self.inpaint else self.columns // 2
         depth, hole = (np.concatenate([a[:, a.shape[1] - margin :], a, a[:, :margin]], 1) for a in (depth, hole))
         near = cv2.erode(depth, _square(self.erosion))
-        filled = cv2.inpaint(near, hole, self.inpaint, cv2.INPAINT_TELEA)
+        filled = cv2.inpaint(near, hole, self.inpaint, cv2.INPAINT_TELEA) if self.inpaint else _nearest(near, hole)
         filled = np.minimum(filled, cv2.erode(near, _square(self.around)))
         _, parts, stats, _ = cv2.connectedComponentsWithStats(cv2.erode(hole, _square(self.erosion)), connectivity=4)
         first, last = stats[:, cv2.CC_STAT_TOP], stats[:, cv2.CC_STAT_TOP] + stats[:, cv2.CC_STAT_HEIGHT]
@@ -131,7 +132,17 @@ def sensor_image(sensor: Sensor) -> DepthImage | None:
     if rows < 2:
         return None
     around = math.ceil((rows - 1) / max((sensor.rings or rows) - 1, 1))
-    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, INPAINT, 0, around)
+    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, 0, 0, around)
+
+
+def _nearest(depth: Any, hole: U8) -> Any:
+    """Fill the holes of a depth image, (R, C) each, with the depth of the nearest pixel with a point; 255 without."""
+    import cv2
+
+    _, which = cv2.distanceTransformWithLabels(hole, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    depths, known = np.full(which.max() + 1, 255, np.uint8), hole == 0
+    depths[which[known]] = depth[known]
+    return depths[which]
 
 
 def _square(pixels: int) -> U8:

@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 from helpers.worlds import pose
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from dynaviz.blocks.blocks import voxels_of
 from dynaviz.contracts.extent import Extent
@@ -15,7 +17,7 @@ from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz_methods.seethrough import SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import ClearGrid, _by_sensor, _distinct
-from dynaviz_methods.sky import sensor_image
+from dynaviz_methods.sky import _nearest, sensor_image
 
 SENSOR = Sensor(rings=65, elevation=(-32.0, 32.0))
 
@@ -116,3 +118,20 @@ def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, row
     image = sensor_image(sensor)
     assert ((image.rows, image.around) if image else (0, 0)) == (rows, around)
     assert image is None or image.pixel > math.radians(0.98)
+
+
+@pytest.mark.plain
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.0))
+@settings(max_examples=25)
+def test_holes_are_as_deep_as_the_nearest_pixel_with_a_point(seed: int, share: float) -> None:
+    random = np.random.default_rng(seed)
+    depth, known = random.integers(0, 255, (9, 14)).astype(np.uint8), random.random((9, 14)) < share
+    filled = _nearest(depth, np.where(known, 0, 255).astype(np.uint8))
+    if not known.any():
+        assert (filled == 255).all()
+        return
+    points = np.argwhere(known)
+    for pixel in np.ndindex(9, 14):
+        away = np.linalg.norm(points - pixel, axis=1)
+        near = points[away <= 1.05 * away.min()]  # OpenCV's distances are a few per cent off
+        assert filled[pixel] in depth[near[:, 0], near[:, 1]]

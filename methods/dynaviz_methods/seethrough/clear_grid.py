@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from dynaviz import kernels
@@ -115,10 +113,10 @@ def _by_sensor(scan: Scan, places: F64, which: I64) -> list[Scan]:
     """What each of the sensors of a merged scan saw from where it was; the whole scan if its sensor moved meanwhile."""
     if not 0 < len(places) <= SENSORS:
         return [scan]
-    parts = [scan] if len(places) == 1 else [scan.chosen(np.flatnonzero(which == k)) for k in range(len(places))]
+    points = [scan.points] if len(places) == 1 else [scan.points[which == k] for k in range(len(places))]
     poses = np.repeat(scan.T_world_sensor[None], len(places), 0)
     poses[:, :3, 3] = places
-    return [replace(part, T_world_sensor=pose) for part, pose in zip(parts, poses, strict=True)]
+    return [Scan(scan.index, part, pose) for part, pose in zip(points, poses, strict=True)]
 
 
 def _distinct(origins: F64) -> tuple[F64, I64]:
