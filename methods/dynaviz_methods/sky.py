@@ -17,7 +17,6 @@ from dynaviz_methods.range_images import whole
 NEAREST = 0.2  # metres: closer points do not enter the image, as published
 SHORTER = 0.2  # metres by which rays end before the depth of their pixel, as published
 COARSE = 1.0  # degrees: height of a pixel if only the sensor decides; smaller holes are drop-outs
-FARTHEST = 80.0  # metres, of such an image
 
 
 @dataclass(frozen=True)
@@ -119,8 +118,10 @@ def rows_of(sensor: Sensor, low: float, high: float) -> int:
     return round(math.sqrt((high - low) * sensor.points_per_sweep / 360))
 
 
-def sensor_image(sensor: Sensor) -> DepthImage | None:
+def sensor_image(sensor: Sensor, farthest: float) -> DepthImage | None:
     """The depth image that follows from a sensor alone; None if its rows or its vertical field of view are unknown.
+
+    Rays into the sky are at most ``farthest`` metres long.
 
     The rows between sparse rings are holes. Those that are connected to the sky show that nothing is in front of the
     surface that the rings above and below them hit; so no hole is deeper than the points up to one ring away.
@@ -132,7 +133,7 @@ def sensor_image(sensor: Sensor) -> DepthImage | None:
     if rows < 2:
         return None
     around = math.ceil((rows - 1) / max((sensor.rings or rows) - 1, 1))
-    return DepthImage(rows, math.radians(high), math.radians(low), FARTHEST, 0, 0, around)
+    return DepthImage(rows, math.radians(high), math.radians(low), farthest, 0, 0, around)
 
 
 def _nearest(depth: Any, hole: U8) -> Any:

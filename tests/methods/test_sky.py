@@ -90,7 +90,7 @@ def test_each_sensor_of_a_merged_scan_has_its_own_sky() -> None:
 
 
 def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
-    image = sensor_image(SENSOR)
+    image = sensor_image(SENSOR, 80.0)
     assert image is not None
     depth, hole = np.full((image.rows, image.columns), 200, np.uint8), np.zeros((image.rows, image.columns), np.uint8)
     depth[:40, 100:120], hole[:40, 100:120] = 255, 255
@@ -115,7 +115,7 @@ def test_rays_into_the_sky_end_before_the_points_next_to_it() -> None:
 )
 def test_pixels_are_a_degree_high_or_as_high_as_points_allow(sensor: Sensor, rows: int, around: int) -> None:
     """No hole is deeper than the points up to one ring away."""
-    image = sensor_image(sensor)
+    image = sensor_image(sensor, 80.0)
     assert ((image.rows, image.around) if image else (0, 0)) == (rows, around)
     assert image is None or image.pixel > math.radians(0.98)
 

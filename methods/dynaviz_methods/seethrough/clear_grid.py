@@ -11,6 +11,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import KeySet, in_key_range, pack, pack_indices, unpack
+from dynaviz_methods.seethrough.ground import EDGE, REACH
 from dynaviz_methods.sky import sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves
@@ -28,7 +29,7 @@ class ClearGrid(BlockGrid):
 
     def __init__(self, extent: Extent, resolution: float, spare: float = 0.0, sensor: Sensor | None = None) -> None:
         super().__init__(extent, resolution, spare)
-        self._image = sensor_image(sensor) if sensor is not None else None
+        self._image = sensor_image(sensor, REACH * EDGE) if sensor is not None else None
         # Scratch memory, all zero between scans.
         self._rows, self._once = np.zeros(len(self) + 1, np.int32), np.zeros((len(self) + 1, 8), np.int64)
         # Of the scan before: its hits, and the blocks that it marked; and the order of its voxels.
