@@ -143,9 +143,10 @@ def count(blocks, bits, near, hits, clear, grazed):
         for w in range(8):
             hit = np.uint64(bits[r, 8 + w])
             through = np.uint64(bits[r, w]) & ~hit
+            grazing = through & near[r, w]
             if hit:
                 _add(hits, blocks[r], w, hit)
-            if through & ~near[r, w]:
-                _add(clear, blocks[r], w, through & ~near[r, w])
-            if through & near[r, w]:
-                _add(grazed, blocks[r], w, through & near[r, w])
+            if through != grazing:
+                _add(clear, blocks[r], w, through ^ grazing)
+            if grazing:
+                _add(grazed, blocks[r], w, grazing)

@@ -221,6 +221,7 @@ def outcomes(voxels, bands, own, shared, link, hits, clear, grazed, weights, cod
             found[i] = above
         elif own[p] + link * max(shared[p], 0.0) > 0:
             found[i] = seen if own[p] > 0 else followed
-        else:
-            found[i] = little if clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0 else never
+        else:  # most voxels were never clear: to read one count is faster than all
+            some = clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0
+            found[i] = little if some else never
     return found

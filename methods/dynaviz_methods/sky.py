@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaviz import kernels
 from dynaviz.arrays import F64, U8, Bool
@@ -136,14 +137,15 @@ def sensor_image(sensor: Sensor, farthest: float) -> DepthImage | None:
     return DepthImage(rows, math.radians(high), math.radians(low), farthest, 0, 0, around)
 
 
-def _nearest(depth: Any, hole: U8) -> Any:
+def _nearest(depth: NDArray[Any], hole: U8) -> U8:
     """Fill the holes of a depth image, (R, C) each, with the depth of the nearest pixel with a point; 255 without."""
     import cv2
 
     _, which = cv2.distanceTransformWithLabels(hole, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     depths, known = np.full(which.max() + 1, 255, np.uint8), hole == 0
     depths[which[known]] = depth[known]
-    return depths[which]
+    filled: U8 = depths[which]
+    return filled
 
 
 def _square(pixels: int) -> U8:

@@ -362,14 +362,14 @@ def test_near_voxels_are_a_dilation(seed: int, times: int) -> None:
 def test_counts_stop_at_their_maximum() -> None:
     most = kernels.clearance.MOST
     blocks, bits, near = np.zeros(1, np.int32), np.zeros((1, 16), np.int64), np.zeros((1, 8), np.uint64)
-    bits[0, 0], bits[0, 8] = 0b01111, 0b10001  # voxel 0 is hit, 1 to 3 are crossed, 4 is hit and crossed by none
+    bits[0, 0], bits[0, 8] = 0b101111, 0b10001  # 0 and 4 are hit, 0 to 3 and 5 are crossed
     near[0, 0] = 0b01100
     hits, clear, grazed = (np.full((2, 512), full, np.uint16) for full in (most - 1, most - 1, most - 1))
     hits[0, 0] = clear[0, 1] = grazed[0, 3] = most
     kernels.clearance.count(blocks, bits, near, hits, clear, grazed)
-    assert hits[0, :5].tolist() == [most, most - 1, most - 1, most - 1, most]
-    assert clear[0, :5].tolist() == [most - 1, most, most - 1, most - 1, most - 1]
-    assert grazed[0, :5].tolist() == [most - 1, most - 1, most, most, most - 1]
+    assert hits[0, :6].tolist() == [most, most - 1, most - 1, most - 1, most, most - 1]
+    assert clear[0, :6].tolist() == [most - 1, most, most - 1, most - 1, most - 1, most]
+    assert grazed[0, :6].tolist() == [most - 1, most - 1, most, most, most - 1, most - 1]
 
 
 @pytest.mark.plain

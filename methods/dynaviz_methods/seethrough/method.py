@@ -209,11 +209,10 @@ class SeeThrough:
         """
         if scan.index not in self._reasons:
             number, measured = self._number[scan.index], self._measured
+            packed = self._bands.pop(scan.index, None)
             if measured is None or measured.number != number:
-                packed = self._bands.get(scan.index)
                 bands = self._bands_of(_heights(scan)) if packed is None else unpack_codes(packed, len(scan))
                 measured = self._measure(scan, bands)
-            self._bands.pop(scan.index, None)
             at, decision = self._decided
             if at != self._observed:
                 online = number + 1 == self._observed
