@@ -45,10 +45,13 @@ def cells_of(points, position, most, edge):
 
 @njit(cache=True, nogil=True)
 def _beneath(lowest, near, layer):
-    """Height of the ground under the sensor, metres from it: the layer with the lowest points of most near cells."""
+    """Height of the ground under the sensor, metres from it: the layer with the lowest points of most near cells.
+
+    The sensor may be on the ground itself, as far as poses know: what is less than a layer above it can be ground.
+    """
     middle = len(lowest) // 2
     part = lowest[max(middle - near, 0) : middle + near + 1, max(middle - near, 0) : middle + near + 1].copy().ravel()
-    z = np.sort(part[part < 0])
+    z = np.sort(part[part < layer])
     number = np.searchsorted(z, z + layer) - np.arange(len(z))
     return z[np.argmax(number)] + layer / 2 if len(z) else np.inf
 

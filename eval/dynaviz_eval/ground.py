@@ -1,4 +1,4 @@
-"""The ground, from a single scan and without ground truth: heights of points above it, and the points on it."""
+"""Heights of points above the ground of their scan, estimated without ground truth, and the points on it."""
 
 from __future__ import annotations
 
@@ -7,33 +7,13 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-import numpy as np
-
-from dynaviz import kernels
 from dynaviz.arrays import F32, Bool
 from dynaviz.contracts.scan import Scan
+from dynaviz.spatial.scan_ground import ScanGround
 
-GROUND_CELL = 1.0  # metres
-# Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 96 % of the lower points
-# are ground; at 0.2 m it is 95 and 97 %.
+# Metres. On a labelled sweep of the odometry data, 98 % of the ground points are lower, and 97 % of the lower points
+# are ground; at 0.15 m it is 97 and 98 %.
 GROUND_HEIGHT = 0.25
-
-
-def heights_above_ground(points: F32) -> F32:
-    """Height of each point above the local ground, estimated from the scan alone, without ground truth.
-
-    The ground of a 1 m cell is the fifth lowest point of the 3 x 3 cells around it, or the lower quartile if these
-    contain fewer than 20 points, so a few reflections below the ground do not matter. Where a scan has no ground points
-    within that window (a roof, a wall behind a fence), heights are relative to the lowest visible surface.
-
-    Args:
-        points: (N, 3) float32, metres, world frame, z up.
-
-    Returns:
-        (N,) float32, metres; NaN for points with non-finite coordinates.
-    """
-    heights: F32 = kernels.heights.above_ground(kernels.as_readonly(points, np.float32), GROUND_CELL)
-    return heights
 
 
 def on_ground(heights: F32) -> Bool:
@@ -62,8 +42,8 @@ def once_per_scan(compute: Callable[[Scan], T]) -> Callable[[Scan], T]:
 
 @once_per_scan
 def scan_heights(scan: Scan) -> F32:
-    """(N,) float32, metres: as ``ground.heights_above_ground``."""
-    return heights_above_ground(scan.points)
+    """(N,) float32, metres above the ground of the scan; infinite if unknown."""
+    return ScanGround.of(scan.points, scan.position).heights(scan.points)
 
 
 @once_per_scan

@@ -8,7 +8,6 @@ import pytest
 
 from dynaviz.scores.scores import Counts
 from dynaviz_eval.breakdown import BreakdownMetric
-from dynaviz_eval.ground import heights_above_ground
 
 pytestmark = pytest.mark.boundscheck
 
@@ -60,58 +59,20 @@ def test_ranges_are_three_dimensional(info, make_labelled):
 
 @pytest.mark.plain
 def test_heights_include_their_lower_edge(info, make_labelled):
-    z = np.array([0.0] * 30 + [-1, 0.1, 0.2, 0.5, 1, 1.9, 2, 4, 9])
-    points = np.c_[np.full((len(z), 2), 0.5), z]
-    section = breakdown(info, make_labelled(0, points=points, labels=[0] * len(z), dynamic=[False] * len(z)))
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-3, 3, 0.2), np.arange(-3, 3, 0.2)))
+    z = np.array([-1, 0.19, 0.2, 0.5, 1, 1.9, 2, 4, 9])
+    points = np.concatenate([np.c_[x, y, 0 * x], np.c_[np.full((len(z), 2), 0.5), z]])
+    labels = [0] * len(points)
+    section = breakdown(info, make_labelled(0, points=points, labels=labels, dynamic=[False] * len(points)))
     edges = [None, 0.2, 0.5, 1, 2, 4, None]
     assert [(row["from"], row["to"]) for row in section["height"]] == list(itertools.pairwise(edges))
-    assert [row["static_kept"] for row in section["height"]] == [32, 1, 1, 2, 1, 2]
+    assert [row["static_kept"] for row in section["height"]] == [len(x) + 2, 1, 1, 2, 1, 2]
 
 
 def test_points_without_coordinates_count_in_the_last_bin(info, make_labelled):
     points = np.array([[np.nan, 0, 0], [1, 0, 0]])
     section = breakdown(info, make_labelled(0, points=points, labels=[0, 0], dynamic=[True, False]))
     assert section["range"][-1]["static_removed"] == section["height"][-1]["static_removed"] == 1
-
-
-def slope(rng, n=20_000):
-    xy = rng.uniform(-20, 20, (n, 2))
-    return np.c_[xy, 0.05 * xy[:, 0] - 1.7 + rng.normal(0, 0.02, n)]
-
-
-def test_heights_follow_the_ground_despite_points_below_it():
-    rng = np.random.default_rng(0)
-    ground = slope(rng)
-    posts = np.c_[rng.uniform(-18, 18, (50, 2)), np.zeros(50)]
-    posts[:, 2] = 0.05 * posts[:, 0] - 1.7 + 1.5
-    below = ground[:30] - [0, 0, 4.0]  # reflections, scattered
-    cloud = np.concatenate([ground, posts, below])
-    heights = heights_above_ground(cloud)
-    assert np.abs(heights[: len(ground)]).max() < 0.3
-    assert heights[len(ground) : -30] == pytest.approx(1.5, abs=0.2)
-    assert (heights[-30:] < -3).all()
-
-
-def test_ground_is_the_fifth_lowest_point_around():
-    points = np.random.default_rng(2).normal(0, 2, (500, 3)).astype(np.float32)
-    cells = np.floor(points[:, :2]).astype(int)
-    expected = []
-    for point, cell in zip(points, cells, strict=True):
-        around = np.sort(points[(np.abs(cells - cell) <= 1).all(1), 2])
-        expected.append(point[2] - around[min(len(around) // 4, 4)])
-    assert len({len(points[(np.abs(cells - c) <= 1).all(1)]) < 20 for c in cells}) == 2  # dense and sparse cells
-    np.testing.assert_array_equal(heights_above_ground(points), np.array(expected, np.float32))
-
-
-def test_heights_do_not_depend_on_the_origin_of_the_world():
-    ground = np.round(slope(np.random.default_rng(1), 3000) * 64) / 64  # exact in float32, here and far away
-    moved = heights_above_ground(ground + np.array([4096, -1024, 50]))
-    np.testing.assert_array_equal(moved, heights_above_ground(ground))
-
-
-def test_heights_of_a_single_point():
-    assert heights_above_ground(np.array([[3.0, 4, 5]])).tolist() == [0]
-    assert heights_above_ground(np.zeros((0, 3))).shape == (0,)
 
 
 def test_objects_are_sorted_by_missed_points(info, make_labelled):

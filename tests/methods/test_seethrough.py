@@ -1,4 +1,4 @@
-"""SeeThrough against a plain reference, its ground, and its properties: whole objects with their feet, even parked."""
+"""SeeThrough against a plain reference, and its properties: whole objects with their feet, even parked."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from dynaviz.contracts.sensors import load_sensor
 from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
-from dynaviz_methods.seethrough.ground import ScanGround
 from dynaviz_methods.seethrough.method import (
     BY_PLACE,
     FOLLOWED,
@@ -156,35 +155,7 @@ def test_errors_of_poses_in_height_and_tilt_do_no_harm(lift: float, slope: float
         assert removed[n:].mean() > 0.95
 
 
-def ground_of(points: np.ndarray, height: float = 1.8) -> np.ndarray:
-    scan = Scan(0, points.astype(np.float32), pose(0.0, 0.0, height))
-    return ScanGround.of(scan).heights(scan.points)
-
-
-def test_reflections_below_the_road_are_not_its_ground() -> None:
-    mirrored = plane(4.0, 9.0, 0.3, -3.0) + np.random.default_rng(0).normal(0, 0.4, (289, 3))
-    heights = ground_of(np.concatenate([plane(-12, 12, 0.1), mirrored]))
-    assert np.abs(heights[:-289]).max() < 0.05
-    assert heights[-289:].max() < -1.0
-
-
-@pytest.mark.parametrize("slope", [0.08, -0.08, 0.15])
-def test_a_ramp_is_ground(slope: float) -> None:
-    flat = plane(-12, 30, 0.15)
-    flat[:, 2] += slope * np.maximum(flat[:, 0] - 4.0, 0.0)
-    assert np.quantile(np.abs(ground_of(flat)), 0.99) < 0.15
-
-
-def test_ground_under_a_roof_is_the_ground_next_to_it() -> None:
-    around = plane(-12, 12, 0.1)
-    around = around[(np.abs(around[:, 0] - 5) > 2) | (np.abs(around[:, 1] - 5) > 2)]
-    heights = ground_of(np.concatenate([around, plane(3.0, 7.0, 0.1, 1.4)]))
-    assert np.abs(heights[: len(around)]).max() < 0.1
-    assert np.abs(heights[len(around) : len(around) + 1600] - 1.4).max() < 0.1
-
-
-def test_without_points_below_the_sensor_no_ground_is_known_and_nothing_is_low() -> None:
-    assert np.isinf(ground_of(plane(-3, 3, 0.1, 4.0))).all()
+def test_nothing_is_low_where_no_ground_is_known() -> None:
     scans = [seen(k, block(7.0, y, low=2.0, high=3.0)) for k, y in enumerate(np.linspace(-4, 4, 6))]
     assert not (running(scans).label(scans[2]).reasons == LOW).any()
 

@@ -11,7 +11,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.scan import Scan
 from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.grid import KeySet, in_key_range, pack, pack_indices, unpack
-from dynaviz_methods.seethrough.ground import EDGE, REACH
+from dynaviz.spatial.scan_ground import EDGE, REACH
 from dynaviz_methods.sky import sensor_image
 
 SENSORS = 8  # up to so many origins are those of sensors whose scans were merged; more are those of one that moves

@@ -41,11 +41,12 @@ from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
+from dynaviz.spatial.scan_ground import EXACT, ScanGround
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
 from dynaviz_methods.seethrough.clear_grid import ClearGrid
-from dynaviz_methods.seethrough.ground import EXACT, Level, ScanGround
 from dynaviz_methods.seethrough.history import Decision, History
+from dynaviz_methods.seethrough.level import Level
 
 TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
@@ -187,7 +188,7 @@ class SeeThrough:
     def observe(self, scan: Scan) -> None:
         """Count the voxels that the scan hits, crosses and sees clear, and let its places inherit."""
         p = self.params
-        surface = ScanGround.of(scan)
+        surface = ScanGround.of(scan.points, scan.position)
         now = self._number[scan.index] = self._observed
         self._tilts[now], self._observed = self._level.error(surface, scan.position), now + 1
         measured = self._measured = self._measure(scan, self._bands_of(surface.heights(scan.points)))
@@ -351,7 +352,7 @@ class SeeThrough:
 
 def _heights(scan: Scan) -> F32:
     """(N,) float32, metres: height of the points of a scan above its ground, infinite if unknown."""
-    return ScanGround.of(scan).heights(scan.points)
+    return ScanGround.of(scan.points, scan.position).heights(scan.points)
 
 
 def _levelled(scan: Scan, tilt: F64) -> Scan:

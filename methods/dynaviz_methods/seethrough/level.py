@@ -1,71 +1,20 @@
-"""The ground of each scan, from this scan alone, and the errors of poses that the grounds of several scans show."""
+"""The errors of poses that the grounds of several scans show."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from dynaviz import kernels
-from dynaviz.arrays import F32, F64, I16, I64, U8, Bool
-from dynaviz.contracts.scan import Scan
-
-EDGE = 0.8  # metres: edge of a cell
-REACH = 64  # cells to each side of the sensor; points beyond are measured from the ground at the border
-NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it, and how a scan is levelled
-LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
-PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
-SLOPE = 0.1  # metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that incline
-STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
-EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
-FULL = 5  # points: cells with fewer count less
+from dynaviz.arrays import F64, I64, U8, Bool
+from dynaviz.spatial.scan_ground import EDGE, EXACT, FULL, NEAR, REACH, ScanGround
 
 OTHER = EDGE  # metres: ground that differs by more, after levelling, is that of another floor
 OFF = 2 * EXACT  # metres: poses whose ground agrees within the errors of both, up to ``NEAR``, stay as they are
 WRAP = 8 * REACH  # cells along x and y after which the ground of earlier scans is forgotten
 ROUNDS = 5  # iterations of a fit
 Cells = tuple[tuple[I64, I64], F64, F64, F64, U8]  # as from ``_cells``
-
-
-@dataclass(frozen=True, eq=False)
-class ScanGround:
-    """The ground that one scan shows.
-
-    Attributes:
-        height: (X, X) int16, millimetres above the sensor, of square cells of ``EDGE``; 32767 if no ground is known.
-        number: (X, X) uint8: points of the scan on the ground, at most 255.
-        first: (2,) int64: the first cell, counted from the world's origin.
-        z: metres, world frame: height of the sensor.
-    """
-
-    height: I16
-    number: U8
-    first: I64
-    z: float
-
-    @classmethod
-    def of(cls, scan: Scan) -> ScanGround:
-        """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach."""
-        points, position = kernels.as_readonly(scan.points, np.float32), kernels.as_readonly(scan.position, np.float64)
-        k, z = kernels.scan_ground, float(scan.position[2])
-        cells, wide, first = k.cells_of(points, position, REACH, EDGE)
-        with np.errstate(invalid="ignore"):
-            heights = points[:, 2] - np.float32(z)
-        lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
-        for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
-            lowest[k.pits(lowest, PIT)] = np.inf
-        surface = k.surface_of(lowest, STEEP * EDGE, SLOPE * EDGE)
-        number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
-        weight = np.minimum(number, FULL) / FULL
-        height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
-        return cls(height, number, first, z)
-
-    def heights(self, points: F32) -> F32:
-        """(N,) float32, metres: height of points (N, 3), world frame, above the ground; infinite if unknown."""
-        where = self.z, self.first, self.height, EDGE
-        found: F32 = kernels.scan_ground.above(kernels.as_readonly(points, np.float32), *where)
-        return found
 
 
 class Level:
@@ -126,24 +75,6 @@ class Level:
         self._height[x, y] = (old * np.where(same, before, 0.0) + own * z) / (old + own)
         self._weight[x, y] = old + own
         self._keys[x, y, 0], self._keys[x, y, 1] = at
-
-
-def _filled(z: F64, weight: F64) -> F64:
-    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push.
-
-    X is a power of two.
-    """
-    import cv2
-
-    if len(z) == 1 or not weight.any():
-        return z
-    half = (len(z) // 2,) * 2
-    total = 4 * cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
-    summed = 4 * cv2.resize(weight * z, half, interpolation=cv2.INTER_AREA)
-    coarse = _filled(summed / np.where(total > 0, total, 1.0), np.minimum(total, 1.0))
-    around = cv2.resize(coarse, z.shape, interpolation=cv2.INTER_LINEAR)
-    found: F64 = weight * z + (1 - weight) * around
-    return found
 
 
 def _cells(surface: ScanGround, position: F64) -> Cells:

@@ -1,0 +1,84 @@
+"""The ground of a scan, from this scan alone: neither other scans, nor drift, nor other floors can change it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaviz import kernels
+from dynaviz.arrays import F32, F64, I16, I64, U8
+
+EDGE = 0.8  # metres: edge of a cell
+REACH = 64  # cells to each side of the sensor; points beyond are measured from the ground at the border
+NEAR = 30.0  # metres around the sensor: ground up to here decides what level is under it
+LAYER = 0.15  # metres: height of the lowest layer of a cell, its ground
+PIT = 2 * LAYER  # metres: what is lower by more, a layer in between, than most cells around is a reflection
+SLOPE = 0.1  # metres per metre: maximum incline of the ground of a scan, and its maximum slope beyond that incline
+STEEP = 2 * SLOPE  # both of them: steepest ground, as seen from the sensor; steeper are objects and reflections
+EXACT = 0.05  # metres: error of the ground; what is higher stands out of it
+FULL = 5  # points: cells with fewer count less
+
+
+@dataclass(frozen=True, eq=False)
+class ScanGround:
+    """The ground that one scan shows.
+
+    Attributes:
+        height: (X, X) int16, millimetres above the sensor, of square cells of ``EDGE``; 32767 if no ground is known.
+        number: (X, X) uint8: points of the scan on the ground, at most 255.
+        first: (2,) int64: the first cell, counted from the world's origin.
+        z: metres, world frame: height of the sensor.
+    """
+
+    height: I16
+    number: U8
+    first: I64
+    z: float
+
+    @classmethod
+    def of(cls, points: F32, position: F64) -> ScanGround:
+        """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach.
+
+        Args:
+            points: (N, 3) float32, metres, world frame, z up: of one scan.
+            position: (3,) float64, metres, world frame: the sensor's.
+        """
+        points, position = kernels.as_readonly(points, np.float32), kernels.as_readonly(position, np.float64)
+        k, z = kernels.scan_ground, float(position[2])
+        cells, wide, first = k.cells_of(points, position, REACH, EDGE)
+        with np.errstate(invalid="ignore"):
+            heights = points[:, 2] - np.float32(z)
+        lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))
+        for _ in range(2):  # reflections next to each other look like ground, until those below the others are gone
+            lowest[k.pits(lowest, PIT)] = np.inf
+        surface = k.surface_of(lowest, STEEP * EDGE, SLOPE * EDGE)
+        number = np.where((lowest < np.inf) & (lowest <= surface + EXACT), np.minimum(number, 255), 0).astype(np.uint8)
+        weight = np.minimum(number, FULL) / FULL
+        height = np.clip(np.rint(1000 * _filled(surface, weight)), -k.UNKNOWN, k.UNKNOWN).astype(np.int16)
+        return cls(height, number, first, z)
+
+    def heights(self, points: F32) -> F32:
+        """(N,) float32, metres: height of points (N, 3), world frame, above the ground; infinite if unknown."""
+        where = self.z, self.first, self.height, EDGE
+        found: F32 = kernels.scan_ground.above(kernels.as_readonly(points, np.float32), *where)
+        return found
+
+
+def _filled(z: F64, weight: F64) -> F64:
+    """Add to cells (X, X) of less than full weight the mean of ever larger squares around them: pull and push.
+
+    X is a power of two.
+    """
+    import cv2
+
+    if len(z) == 1 or not weight.any():
+        return z
+    half = (len(z) // 2,) * 2
+    total = 4 * cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
+    summed = 4 * cv2.resize(weight * z, half, interpolation=cv2.INTER_AREA)
+    coarse = _filled(summed / np.where(total > 0, total, 1.0), np.minimum(total, 1.0))
+    around = cv2.resize(coarse, z.shape, interpolation=cv2.INTER_LINEAR)
+    found: F64 = weight * z + (1 - weight) * around
+    return found

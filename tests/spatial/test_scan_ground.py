@@ -1,0 +1,73 @@
+"""The ground of one scan: reflections, ramps, roofs, and nothing below the sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dynaviz.spatial.scan_ground import EDGE, ScanGround
+
+
+def heights(points: np.ndarray, position: tuple[float, float, float] = (0.0, 0.0, 1.8)) -> np.ndarray:
+    points = points.astype(np.float32)
+    return ScanGround.of(points, np.array(position)).heights(points)
+
+
+def plane(low: float, high: float, step: float, z: float = 0.0) -> np.ndarray:
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(low, high, step), np.arange(low, high, step)))
+    return np.stack([x, y, np.full(len(x), z)], 1)
+
+
+def test_reflections_below_the_road_are_not_its_ground() -> None:
+    mirrored = plane(4.0, 9.0, 0.3, -3.0) + np.random.default_rng(0).normal(0, 0.4, (289, 3))
+    found = heights(np.concatenate([plane(-12, 12, 0.1), mirrored]))
+    assert np.abs(found[:-289]).max() < 0.05
+    assert found[-289:].max() < -1.0
+
+
+def test_scattered_reflections_below_a_slope_are_not_its_ground() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-20, 20, (20_000, 2))
+    ground = np.c_[xy, 0.05 * xy[:, 0] + rng.normal(0, 0.02, len(xy))]
+    posts, below = ground[:50] + np.array([0, 0, 1.5]), ground[50:80] - np.array([0, 0, 4.0])
+    found = heights(np.concatenate([ground, posts, below]))
+    assert np.abs(found[: len(ground)]).max() < 0.3
+    assert found[len(ground) : -30] == pytest.approx(1.5, abs=0.2)
+    assert (found[-30:] < -3).all()
+
+
+@pytest.mark.parametrize("slope", [0.08, -0.08, 0.15])
+def test_a_ramp_is_ground(slope: float) -> None:
+    flat = plane(-12, 30, 0.15)
+    flat[:, 2] += slope * np.maximum(flat[:, 0] - 4.0, 0.0)
+    assert np.quantile(np.abs(heights(flat)), 0.99) < 0.15
+
+
+def test_ground_under_a_roof_is_the_ground_next_to_it() -> None:
+    around = plane(-12, 12, 0.1)
+    around = around[(np.abs(around[:, 0] - 5) > 2) | (np.abs(around[:, 1] - 5) > 2)]
+    found = heights(np.concatenate([around, plane(3.0, 7.0, 0.1, 1.4)]))
+    assert np.abs(found[: len(around)]).max() < 0.1
+    assert np.abs(found[len(around) : len(around) + 1600] - 1.4).max() < 0.1
+
+
+def test_no_ground_is_known_without_points_below_the_sensor() -> None:
+    assert np.isinf(heights(plane(-3, 3, 0.1, 4.0))).all()
+    assert heights(np.zeros((0, 3))).shape == (0,)
+
+
+def test_points_that_are_not_finite_are_infinitely_high() -> None:
+    points = plane(-5, 5, 0.1)
+    points[7, 0], points[8, 2] = np.nan, -np.inf
+    assert np.flatnonzero(np.isinf(heights(points))).tolist() == [7, 8]
+
+
+def test_heights_do_not_depend_on_the_origin_of_the_world() -> None:
+    """Exact in float32, here and at whole cells far away."""
+    rng = np.random.default_rng(1)
+    xy = np.round(rng.uniform(-20, 20, (3000, 2)) * 64) / 64
+    ground = np.c_[xy, np.round(0.05 * xy[:, 0] * 64) / 64]
+    offset = np.array([5120 * EDGE, -1280 * EDGE, 50.0])
+    assert (offset == np.round(offset)).all()
+    moved = heights(ground + offset, tuple(offset + np.array([0.0, 0.0, 1.8])))
+    np.testing.assert_allclose(moved, heights(ground), atol=1e-3)
