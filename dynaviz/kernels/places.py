@@ -10,6 +10,8 @@ from numba import njit, prange
 from dynaviz.kernels.blocks import BIT_OF, SEQUENCE
 
 ONE, HALF = np.uint64(1), np.uint64(0xFFFFFFFF)
+WAYS = np.array([[1, 0], [0, 1], [1, 1], [1, -1], [-1, 0], [0, -1], [-1, -1], [-1, 1]])
+WAYS = WAYS / np.hypot(WAYS[:, :1], WAYS[:, 1:])  # eight horizontal unit vectors, opposite ones four apart
 
 
 @njit(cache=True, nogil=True)
@@ -106,24 +108,21 @@ def evidence(places, up, hits, clear, grazed, weights, found):
 
 
 @njit(cache=True, nogil=True)
-def certainties(places, objects, own, shared, link, full):
+def certainties(places, objects, count, own, shared, link, full):
     """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
 
     Args:
-        places, objects: as from ``visit``.
+        places, objects: as from ``visit``; count: number of objects.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
         link: weight of what a place inherits from these; full: what is full certainty. Places weigh 1, certain ones 2.
     """
-    size = 0
-    for of in objects:
-        size = max(size, of + 1)
-    total, weight = np.zeros(size), np.zeros(size)
+    total, weight = np.zeros(count), np.zeros(count)
     for k in range(len(places)):
         f = own[places[k]] + link * max(shared[places[k]], 0.0)
         f = min(max(f / full, -1.0), 1.0)
         total[objects[k]] += f * (1.0 + abs(f))
         weight[objects[k]] += 1.0 + abs(f)
-    return total / weight
+    return total / np.maximum(weight, 1.0)
 
 
 @njit(cache=True, nogil=True)
@@ -142,6 +141,104 @@ def share(places, objects, certain, scans, number, shared, source):
         shared[p] += (of - shared[p]) / number[p]
         if of > 0:
             source[p] = scans[k]
+
+
+@njit(cache=True, nogil=True)
+def reaches(points, objects, count):
+    """(O, 8) float32, metres, world frame: how far each object reaches in the ``WAYS``, along x + y and x - y as well.
+
+    Args:
+        points: (N, 3) float32, metres, world frame; objects: (N,) int32, that of each, -1 for none.
+        count: number of objects.
+    """
+    found = np.full((count, 8), np.float32(-np.inf))
+    for i in range(len(points)):
+        if objects[i] >= 0:
+            for k in range(8):
+                along = points[i, 0] * WAYS[k, 0] + points[i, 1] * WAYS[k, 1]
+                found[objects[i], k] = max(found[objects[i], k], along)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _way(before, after, guard):
+    """Along which of the ``WAYS`` an object is displaced, given how far it reaches: (8,) metres each; -1 if it is not.
+
+    By a translation of at least twice the guard, to half of it, and of at most half of its length.
+    """
+    x, y = (after[0] - before[0] - after[4] + before[4]) / 2, (after[1] - before[1] - after[5] + before[5]) / 2
+    way, far = 0, 0.0
+    for k in range(8):
+        along = x * WAYS[k, 0] + y * WAYS[k, 1]
+        if abs(after[k] - before[k] - along) > guard / 2:
+            return -1
+        if along > far:
+            way, far = k, along
+    return way if 2 * guard <= far <= (before[way] + before[(way + 4) % 8]) / 2 else -1
+
+
+@njit(cache=True, nogil=True)
+def _end(rows, way, limit, centres, scans, than, evidence):
+    """Whether most places of an object beyond a limit along one of the ``WAYS`` are of scans after one; are dynamic."""
+    count, free, dynamic = 0, 0, 0
+    for k in rows:
+        if centres[k, 0] * WAYS[way, 0] + centres[k, 1] * WAYS[way, 1] > limit:
+            count, free, dynamic = count + 1, free + (scans[k] > than), dynamic + (evidence[k] > 0)
+    return 2 * free > count, 2 * dynamic > count
+
+
+@njit(cache=True, nogil=True)
+def moved(starts, objects, columns, reach, guard, steps, firsts, centres, came, gone, evidence, last):
+    """(O,) bool: objects that moved along themselves, of whose middle nothing was ever seen clear.
+
+    Each object continues the last one with which it shares most columns, if these are more than half of one of them. It
+    is displaced from where an earlier one was, up to ``steps`` before it, if its outline is, if nothing was at its new
+    end before and nothing at the old one since, and if one of these is dynamic; all for most places. Then both are.
+
+    Args:
+        starts, objects, columns: as in ``follow``.
+        reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans.
+        firsts: (O + 1,) int64: the rows of each object; of its places: centres (V, 2) float32, metres; came, gone: (V,)
+            int64: position of the first scan that visited them, and less that of the last one; evidence (V,) float32:
+            above 0 if they are dynamic.
+        last: int64, by column: -1 before. Modified: its last object.
+    """
+    found, before = np.zeros(len(reach), np.bool_), np.full(len(reach), -1)
+    size, shared = np.zeros(len(reach), np.int64), np.zeros(len(reach), np.int64)
+    when = np.zeros(len(reach), np.int64)
+    for of in objects:
+        size[of] += 1
+    for t in range(len(starts) - 1):
+        start = starts[t]
+        while start < starts[t + 1]:
+            of, most = objects[start], -1
+            rows = range(start, start + size[of])
+            for k in rows:
+                other = last[columns[k]]
+                if other >= 0:
+                    shared[other] += 1
+                    most = other if most < 0 or shared[other] > shared[most] else most
+            if most >= 0 and 2 * shared[most] > min(size[most], size[of]):
+                before[of] = most
+            for k in rows:
+                if last[columns[k]] >= 0:
+                    shared[last[columns[k]]] = 0
+            when[of], other, mine = t, before[of], range(firsts[of], firsts[of + 1])
+            for _ in range(steps):
+                if other < 0:
+                    break
+                way, its = _way(reach[other], reach[of], guard), range(firsts[other], firsts[other + 1])
+                if way >= 0:
+                    back = (way + 4) % 8
+                    new, one = _end(mine, way, reach[other, way], centres, came, when[other], evidence)
+                    old, two = _end(its, back, reach[of, back], centres, gone, -t, evidence)
+                    found[of] |= new and old and (one or two)
+                    found[other] |= new and old and (one or two)
+                other = before[other]
+            start += size[of]
+        for k in range(starts[t], starts[t + 1]):
+            last[columns[k]] = objects[k]
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,6 +129,61 @@ def test_a_parked_car_that_drives_off_is_followed_back() -> None:
     assert followed > 0, "the voxels of some places were seen clear too rarely"
 
 
+@pytest.mark.parametrize("sigma", [0.0, 0.02])
+def test_an_object_that_moves_by_less_than_half_its_length_has_moved(sigma: float) -> None:
+    """Of a long vehicle, nothing but its ends is ever seen clear."""
+    places = [*[-0.4] * 12, *np.linspace(-0.4, 0.4, 5), *[0.4] * 12]
+    random = np.random.default_rng(0)
+    long, waiting = block(7.0, 0.0, wide=4.0), block(6.0, 6.0)
+    scans = [seen(k, GROUND, wall(), long + np.array([0, y, 0]), waiting) for k, y in enumerate(places)]
+    jitter = random.normal(0, sigma, (len(scans), 3)) * (1, 1, 0)
+    scans = [dataclasses.replace(s, points=s.points + j.astype(np.float32)) for s, j in zip(scans, jitter, strict=True)]
+    method, n = running(scans), len(GROUND) + len(wall())
+    for scan in scans[::4]:
+        removed, high = method.label(scan).dynamic, scan.points[n : n + len(long), 2] > 0.3
+        assert removed[n : n + len(long)][high].mean() > 0.99
+        assert not removed[:n].any()
+        assert not removed[n + len(long) :].any()
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({}, True),
+        ({"shift": -1.0}, True),
+        ({"shift": 0.5}, False),  # the guard hides it
+        ({"shift": 2.2}, False),  # more than half of its length: places decide
+        ({"wider": 0.2}, True),
+        ({"wider": 0.4}, False),  # someone stands next to it
+        ({"new": False}, False),  # something was there before
+        ({"old": False}, False),  # something is there since
+        ({"dynamic": (False, True)}, True),
+        ({"dynamic": (False, False)}, False),
+        ({"steps": 1}, False),
+    ],
+)
+def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
+    change: dict[str, Any], found: bool
+) -> None:
+    """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third."""
+    case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2} | change
+    ways = kernels.places.WAYS
+    outline = np.abs(ways) @ [2.0, 1.0]
+    reach = np.array([outline, 2 * outline, outline + ways @ [case["shift"], 0.0]], np.float32)
+    reach[2, 1] += case["wider"]
+    x = np.arange(-1.8, 2.0, 0.4)
+    xs = np.concatenate([x, x, x + case["shift"]])
+    beyond = (xs > 2.0) | (xs < -2.0), np.concatenate([np.abs(x - case["shift"]) > 2.0, np.zeros(20, np.bool_)])
+    came, gone = np.zeros(30, np.int64), np.full(30, -2)
+    came[beyond[0]], gone[beyond[1]] = 2 * case["new"], 0 if case["old"] else -2
+    evidence = np.where(beyond[0] & case["dynamic"][0] | beyond[1] & case["dynamic"][1], 0.1, -0.1).astype(np.float32)
+    at = np.arange(4), np.arange(3), np.zeros(3, np.int64)
+    places = np.array([0, 10, 20, 30]), np.stack([xs, 0 * xs], 1).astype(np.float32), came, gone, evidence
+    result = kernels.places.moved(*at, reach, 0.3, case["steps"], *places, np.full(1, -1))
+    assert result.tolist() == [found, False, found]
+
+
 def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
     """An error of a pose lifts the ground of a scan above that of the map, but not its feet above its ground."""
     places = np.linspace(-4, 4, 12)
@@ -188,9 +244,9 @@ def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
     """A certain place and one with hits alone in one object; one that inherits what it lacks in another."""
     own, shared = np.array([0.6, -0.1, -0.05, -0.2], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
     places, objects = np.arange(4, dtype=np.int32), np.array([0, 0, 1, 2], np.int32)
-    certain = kernels.places.certainties(places, objects, own, shared, 0.5, 1 / 3)
+    certain = kernels.places.certainties(places, objects, 4, own, shared, 0.5, 1 / 3)
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
-    np.testing.assert_allclose(certain, [mean, 0.0, -0.6], atol=1e-6)
+    np.testing.assert_allclose(certain, [mean, 0.0, -0.6, 0.0], atol=1e-6)
 
 
 def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:

@@ -3,8 +3,7 @@
     for each scan
         ground: the lowest layers of its points that a slope from the level under the sensor can reach, without pits,
                 within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
-        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, from where they leave rays to
-                voxels around, and into the sky, where no returns come up to the upper border
+        hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky
         clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
         object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
     prior:      p = ``prior`` min(scans / 64, 1); online, the scans are those so far
@@ -13,16 +12,18 @@
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
                 of voxels that contained points of objects, and that another scan hit or crossed
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
-    track:      an object is dynamic if m > 1/2, or if it continues the last dynamic ones, forward or back in time: it
-                covers more than half of the columns of 0.8 m of each, and they of it; or one of them covers more than
-                half of it, where nothing static came first. Those with m > 1/2 on the way have as many columns as it
+    moved:      an object has moved if its outline, within guard / 2, is its own of up to 64 scans before, displaced by
+                2 guard to half its length, nothing was at its new end before or at its old one since, one is dynamic
+    track:      an object is dynamic if m > 1/2, if it has moved, or if it continues the last dynamic ones, in time or
+                back: it covers over half of the columns of 0.8 m of each, and they of it; or one covers over half of
+                it, where nothing static came first. Those dynamic by themselves on the way have as many columns as it
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
     foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, without
-tracks.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, and
+nothing has moved or has a track.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ class SeeThrough:
         rows = len(self._grid) + 1  # points without a voxel (-1) read the last row
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
         weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
-        self._history = History(self._grid, float(p.inherit), weights, self._counts)
+        self._history = History(self._grid, float(p.guard), float(p.inherit), weights, self._counts)
         self._level = Level(LIFTED[self._grid.rolls] - p.resolution)
         self._observed = 0
         self._judged: Judged | None = None
@@ -199,8 +200,8 @@ class SeeThrough:
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
         objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
         order = np.argsort(cells)
-        kernels.objects.connect(objects, order, cells[order])  # which turns numbers of cells into numbers of objects
-        self._history.add(now, measured.voxels, objects)
+        count = kernels.objects.connect(objects, order, cells[order])  # turns numbers of cells into those of objects
+        self._history.add(now, measured.scan.points, measured.voxels, objects, count)
         self._show(measured, marks, near)
 
     def label(self, scan: Scan) -> Labels:
