@@ -21,8 +21,9 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor
+from dynaviz.spatial import scan_ground
 from dynaviz_methods import sky
-from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, ground, history, method
+from dynaviz_methods.seethrough import REMOVED, SeeThrough, SeeThroughParams, history, level, method
 from dynaviz_methods.seethrough.method import FOOT
 
 CHOSEN = (
@@ -32,11 +33,11 @@ CHOSEN = (
 PARTS = {  # constants to change, and reasons whose points are kept
     "full method": ({}, ()),
     "no feet": ({}, (FOOT,)),
-    "poses as they are": ({"ground.OFF": 1e9}, ()),
+    "poses as they are": ({"level.OFF": 1e9}, ()),
     "no tracks": ({"history.DYNAMIC": 1.0}, ()),
     "no limit of height": ({"method.HIGHEST": 1e9}, ()),
-    "ground twice as steep": ({"ground.SLOPE": 0.2}, ()),
-    "pits are ground": ({"ground.PIT": 1e9}, ()),
+    "ground twice as steep": ({"scan_ground.SLOPE": 0.2}, ()),
+    "pits are ground": ({"scan_ground.PIT": 1e9}, ()),
     "no rays into the sky": ({"sky.COARSE": 1e9}, ()),
 }
 PARAMETERS = {
@@ -50,7 +51,7 @@ PARAMETERS = {
     "ground_height": (0.1, 0.3),
     "gap": (0.2, 0.4),
 }
-MODULES = {of.__name__.rpartition(".")[2]: of for of in (ground, history, method, sky)}
+MODULES = {of.__name__.rpartition(".")[2]: of for of in (history, level, method, scan_ground, sky)}
 
 
 def scores(

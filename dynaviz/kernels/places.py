@@ -151,12 +151,14 @@ def reaches(points, objects, count):
         points: (N, 3) float32, metres, world frame; objects: (N,) int32, that of each, -1 for none.
         count: number of objects.
     """
-    found = np.full((count, 8), np.float32(-np.inf))
+    found, slant = np.full((count, 8), np.float32(-np.inf)), np.float32(WAYS[2, 0])
     for i in range(len(points)):
-        if objects[i] >= 0:
-            for k in range(8):
-                along = points[i, 0] * WAYS[k, 0] + points[i, 1] * WAYS[k, 1]
-                found[objects[i], k] = max(found[objects[i], k], along)
+        of = objects[i]
+        if of >= 0:
+            x, y = points[i, 0], points[i, 1]
+            along = x, y, slant * (x + y), slant * (x - y)
+            for k in range(4):
+                found[of, k], found[of, k + 4] = max(found[of, k], along[k]), max(found[of, k + 4], -along[k])
     return found
 
 
