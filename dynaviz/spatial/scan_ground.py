@@ -38,16 +38,17 @@ class ScanGround:
     z: float
 
     @classmethod
-    def of(cls, points: F32, position: F64) -> ScanGround:
+    def of(cls, points: F32, position: F64, reach: int = REACH) -> ScanGround:
         """The ground around the sensor, grown from the level below it: the lowest layers that slopes can reach.
 
         Args:
             points: (N, 3) float32, metres, world frame, z up: of one scan.
             position: (3,) float64, metres, world frame: the sensor's.
+            reach: cells to each side of it, a power of two.
         """
         points, position = kernels.as_readonly(points, np.float32), kernels.as_readonly(position, np.float64)
         k, z = kernels.scan_ground, float(position[2])
-        cells, wide, first = k.cells_of(points, position, REACH, EDGE)
+        cells, wide, first = k.cells_of(points, position, reach, EDGE)
         with np.errstate(invalid="ignore"):
             heights = points[:, 2] - np.float32(z)
         lowest, number = k.lowest_layers(heights, cells, wide, EDGE, LAYER, STEEP, PIT, math.ceil(NEAR / EDGE))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaviz.spatial.scan_ground import EDGE, ScanGround
+from dynaviz.spatial.scan_ground import EDGE, REACH, ScanGround
 
 
 def heights(points: np.ndarray, position: tuple[float, float, float] = (0.0, 0.0, 1.8)) -> np.ndarray:
@@ -41,6 +41,17 @@ def test_a_ramp_is_ground(slope: float) -> None:
     flat = plane(-12, 30, 0.15)
     flat[:, 2] += slope * np.maximum(flat[:, 0] - 4.0, 0.0)
     assert np.quantile(np.abs(heights(flat)), 0.99) < 0.15
+
+
+@pytest.mark.parametrize("reach", [REACH, 2 * REACH])
+def test_points_beyond_the_raster_are_measured_from_the_ground_at_its_border(reach: int) -> None:
+    rise = plane(-90, 90, 0.4)
+    rise[:, 2] = 0.05 * np.maximum(rise[:, 0] - 20.0, 0.0)
+    points = rise.astype(np.float32)
+    found = ScanGround.of(points, np.array([0.0, 0.0, 1.8]), reach).heights(points)
+    beyond = 0.05 * np.maximum(rise[:, 0] - (reach - 0.5) * EDGE, 0.0)
+    inside = (np.abs(rise[:, :2]) < 88).all(1)  # cells at the edge of the plane are not full
+    np.testing.assert_allclose(found[inside], beyond[inside], atol=0.1)
 
 
 def test_ground_under_a_roof_is_the_ground_next_to_it() -> None:
