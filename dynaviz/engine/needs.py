@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context, Method
-from dynaviz.contracts.scan import Scan, Sequence, select_frames
+from dynaviz.contracts.scan import Scan, Sequence
 from dynaviz.contracts.sensors import Sensor
-from dynaviz.sources.carrier import estimate_carrier
+from dynaviz.sources.carrier import with_carrier
 from dynaviz.sources.sensing import with_needed_facts
 
 
@@ -30,7 +29,4 @@ def suited(method: type[Method], params: Any, sequence: Sequence) -> Sequence:
         raw_map = scan.points if method.info.needs_map else None
         method(params).begin(Context(Extent.of(scan), sensor, raw_map=raw_map))
 
-    known = with_needed_facts(begin, sequence, method.info.uses)
-    if known.sensor.carrier or not (carrier := estimate_carrier(known)):
-        return known
-    return select_frames(known, sensor=replace(known.sensor, carrier=carrier))
+    return with_carrier(with_needed_facts(begin, sequence, method.info.uses))

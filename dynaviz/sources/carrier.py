@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dynaviz.arrays import F64, I64, Bool, Intp
 from dynaviz.contracts.at_sensor import CUBE, HOUSING, in_sensor_frame
-from dynaviz.contracts.scan import Scan, Sequence, base_of
+from dynaviz.contracts.scan import Scan, Sequence, base_of, select_frames
 from dynaviz.sources.sensing import ScanRays, height_of
 from dynaviz.spatial import geometry
 
@@ -55,6 +57,13 @@ def estimate_carrier(sequence: Sequence) -> tuple[tuple[int, int, int], ...]:
     if len(cubes) and (height := height_of(ScanRays.of(last))) is not None:
         cubes = cubes[CUBE * cubes[:, 2] > ABOVE_GROUND - height]
     return tuple((x, y, z) for x, y, z in cubes[_begins_near(cubes)].tolist())
+
+
+def with_carrier(sequence: Sequence) -> Sequence:
+    """The sequence, with an estimate of what carries the sensor if that is unknown; see ``estimate_carrier``."""
+    if sequence.sensor.carrier or not (carrier := estimate_carrier(sequence)):
+        return sequence
+    return select_frames(sequence, sensor=replace(sequence.sensor, carrier=carrier))
 
 
 def _begins_near(cubes: I64) -> Bool:

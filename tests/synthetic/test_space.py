@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.scan import Label, Scan
 from dynaviz.synthetic.implants.space import SpaceAboveGround
 from dynaviz.synthetic.implants.survey import Survey, part
 from dynaviz.testing import InMemory
@@ -64,6 +64,26 @@ def test_the_carrier_of_the_sensor_does_not_block_its_path(yard: InMemory) -> No
 def test_labelled_points_block_however_rarely_they_are_seen(yard: InMemory) -> None:
     labelled = [dataclasses.replace(scan, labels=np.zeros(len(scan), np.uint8)) for scan in yard.scans]
     assert clear(SpaceAboveGround.of(Survey.of(dataclasses.replace(yard, scans=labelled))), TRAIL) <= 0
+
+
+def test_points_without_a_label_are_a_trail_though_others_have_one(yard: InMemory) -> None:
+    labelled = []
+    for scan in yard.scans:
+        labels = np.zeros(len(scan), np.uint8)
+        labels[np.hypot(*(scan.points[:, :2] - TRAIL).T) < 0.4] = Label.UNLABELLED
+        labelled.append(dataclasses.replace(scan, labels=labels))
+    assert clear(SpaceAboveGround.of(Survey.of(dataclasses.replace(yard, scans=labelled))), TRAIL) > 1
+
+
+def test_the_ground_does_not_block_though_poses_drift_in_height(yard: InMemory) -> None:
+    drifted = []
+    for scan in yard.scans:
+        lift, T_world_sensor = np.float32([0, 0, 0.05 * scan.index]), np.eye(4)
+        T_world_sensor[:3, 3] = lift
+        drifted.append(dataclasses.replace(scan, points=scan.points + lift, T_world_sensor=T_world_sensor))
+    space = SpaceAboveGround.of(Survey.of(dataclasses.replace(yard, scans=drifted)))
+    assert clear(space, (0.0, -4.0)) > 1
+    assert clear(space, WALL) <= 0
 
 
 def test_parts_of_a_long_recording_follow_one_another() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I32, I64, U8, U16, Bool, Intp
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.synthetic.implants.implant_scene import CLASS_NAMES, CLASSES, ImplantScene
+from dynaviz.spatial.scan_ground import EDGE, NEAR, ScanGround
+from dynaviz.synthetic.implants.implant_scene import CLASS_NAMES, CLASSES, Implant, ImplantScene
 from dynaviz.synthetic.implants.lidar_model import LidarModel, ranges_of
 from dynaviz.synthetic.ray_caster import RayCaster
 from dynaviz.synthetic.simulate.shapes import Mesh
@@ -110,12 +111,31 @@ def _targets(scan: Scan, scene: ImplantScene) -> list[Target]:
     """The movers that are present at the time of a scan."""
     time, found = scene.time(scan), []
     during = (0.0, 0.0) if scan.times is None or not len(scan) else (scan.times.min(), scan.times.max())
+    ground = ScanGround.of(scan.points, scan.position)
     for mover in scene.movers:
-        if (mesh := mover.mesh(time)) is not None:
+        if (mesh := grounded(mover, time, ground, scan.position)) is not None:
             velocity = mover.velocity(time + float(during[0]), time + float(during[1]))
             mesh = Mesh(mesh.vertices - scan.position, mesh.triangles)
             found.append(Target(mesh, CLASSES[mover.kind], mover.instance, velocity))
     return found
+
+
+def grounded(mover: Implant, time: float, ground: ScanGround, position: F64) -> Mesh | None:
+    """A mover at a time in seconds, world frame, raised or lowered to the ground that a scan shows; None if absent.
+
+    By the median height of its path above this ground, near the sensor, at ``position`` (3,), metres. So it stands on
+    the road of each scan, though poses drift in height.
+    """
+    if (mesh := mover.mesh(time)) is None:
+        return None
+    cells = np.floor(mover.path[:, :2] / EDGE).astype(np.int64) - ground.first
+    near = np.hypot(*(mover.path[:, :2] - position[:2]).T) < NEAR
+    near &= ((cells >= 0) & (cells < len(ground.number))).all(1)
+    near[near] = ground.number[tuple(cells[near].T)] > 0
+    if not near.any():
+        return mesh
+    above = np.median(ground.heights(mover.path[near].astype(np.float32)))
+    return Mesh(mesh.vertices - (0.0, 0.0, float(above)), mesh.triangles)
 
 
 def cast(targets: list[Target], origins: F64, directions: F64, limits: F64, times: F64) -> RayHits:

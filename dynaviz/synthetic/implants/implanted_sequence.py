@@ -14,6 +14,7 @@ from dynaviz.contracts.sensors import Sensor
 from dynaviz.errors import UsageError
 from dynaviz.io.atomic import write_atomic
 from dynaviz.progress import Progress, silent
+from dynaviz.sources.carrier import with_carrier
 from dynaviz.sources.datasets import open_sequence
 from dynaviz.sources.datasets.convert import Conversion, convert
 from dynaviz.synthetic.implants.cast import implant
@@ -81,7 +82,7 @@ class ImplantedSequence:
         Raises:
             UsageError, DataError: as ``open``.
         """
-        base = select_frames(base, options.frames, options.stride)
+        base = with_carrier(select_frames(base, options.frames, options.stride))
         lidar = LidarModel.measure(base)
         agreed = None
         if options.panel:

@@ -11,13 +11,9 @@ from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.errors import UsageError
 from dynaviz.synthetic.implants.survey import CELL, LAYER, Survey
 
-GROUND = 3  # columns along the edge of a ground cell: 0.6 m
-BOTTOM = 0.03  # share of a cell's points that may lie below its ground: multipath returns
-STEP, SLOPE = 0.06, 0.12  # metres and metres per metre: largest rise between neighbouring ground cells
-APART = 3  # ground cells; gaps between rings that the ground bridges
-AROUND = 14  # ground cells around the sensor in which the ground is searched
-FIT = 3  # ground cells; standard deviation of the weights of a plane fit is a third of it
-ROUGH = (0.2, 0.1, 0.08)  # metres; ground cells higher above the plane of their neighbours are dropped, in rounds
+GROUND = 4  # columns along the edge of a ground cell, as in ``scan_ground``
+APART = 2  # ground cells; gaps between rings that the ground bridges
+FIT = 2  # ground cells; standard deviation of the weights of a plane fit is 0.6 of it
 OBSTACLE = 0.25  # metres above the ground
 TALL = {"low": 2.3, "high": 4.3}  # metres; space above this is not needed by cars and persons, and by trucks
 PASSED, SURE = 2, 5  # a ground cell shows only its ground this many times as often as an obstacle, and in as many parts
@@ -62,15 +58,14 @@ class SpaceAboveGround:
                 f"implants: the sequence covers {km[0]:.1f} by {km[1]:.1f} km, too much for a grid of {CELL} m. "
                 "Use fewer frames, for example 0:2000"
             )
-        ground = _ground(survey, cells - first, (int(size[0]), int(size[1])), first)
+        ground = _ground(survey, first, (int(size[0]), int(size[1])))
         origin, shape = first * GROUND, (int(size[0]) * GROUND, int(size[1]) * GROUND)
         space = cls(origin, shape, ground, np.full(shape, np.inf, np.float32), np.empty((0, 2)), np.empty(0, np.uint64))
         centres: F64 = ((survey.columns + 0.5) * CELL).astype(np.float64)
-        above = survey.height - space.height(centres)
-        passed = _passed(survey, (cells - first) @ (size[1], 1), above)
-        obstacle = (above > OBSTACLE) & ~passed
+        passed = _passed(survey, (cells - first) @ (size[1], 1))
+        obstacle = (survey.height > OBSTACLE) & ~passed
         x, y = (survey.columns[obstacle] - origin).T
-        np.minimum.at(space.lowest, (x, y), above[obstacle].astype(np.float32))
+        np.minimum.at(space.lowest, (x, y), survey.height[obstacle].astype(np.float32))
         return replace(space, passing=centres[passed], parts=survey.parts[passed])
 
     def height(self, xy: F64) -> F64:
@@ -115,7 +110,7 @@ class SpaceAboveGround:
         return clear
 
 
-def _passed(survey: Survey, cells: I64, above: F64) -> Bool:
+def _passed(survey: Survey, cells: I64) -> Bool:
     """(V,) bool: voxels that a mover left and that nothing labels: most of the time, their cell shows only its ground.
 
     A static obstacle hides the ground behind its face, and is seen as often as the ground at its foot.
@@ -123,8 +118,8 @@ def _passed(survey: Survey, cells: I64, above: F64) -> Bool:
     Args:
         survey: its voxels.
         cells: (V,) int64: number of the ground cell of each voxel.
-        above: (V,) metres above the ground.
     """
+    above = survey.height
     body, ground = (above > OBSTACLE) & (above < TALL["high"]), np.abs(above) <= 2 * LAYER
     when = np.zeros((2, int(cells.max()) + 1), np.uint64)
     for row, chosen in zip(when, (body, ground), strict=True):
@@ -135,80 +130,15 @@ def _passed(survey: Survey, cells: I64, above: F64) -> Bool:
     return body & mostly[cells]
 
 
-def _ground(survey: Survey, cells: I64, shape: tuple[int, int], first: I64) -> F64:
-    """(X, Y) heights of the ground: the lowest dense layer of each cell, if it is connected to the trajectory."""
-    bottom = _lowest_layers(survey, cells, shape)
-    near = ((survey.positions[:, :2] / (CELL * GROUND)).astype(np.int64) - first, survey.positions[:, 2])
-    connected = _connected(bottom, *near)
-    if not connected.any():
+def _ground(survey: Survey, first: I64, shape: tuple[int, int]) -> F64:
+    """(X, Y) metres: height of the ground that scans show, smoothed; NaN where none is near."""
+    cells = survey.cells - first
+    inside = ((cells >= 0) & (cells < shape)).all(1)
+    if not inside.any():
         raise UsageError("implants: no ground is visible under the sensor's path. Check that z points up in the poses")
-    bottom[~connected] = np.nan
-    for limit in ROUGH:
-        with np.errstate(invalid="ignore"):
-            above = bottom - _smooth(bottom)
-            bottom[(above > limit) | (above < -2 * limit)] = np.nan
-    return _smooth(bottom)
-
-
-def _lowest_layers(survey: Survey, cells: I64, shape: tuple[int, int]) -> F64:
-    """(X, Y) metres: mean height of the lowest two layers of each cell that are more than stray points; NaN if none."""
-    flat = cells[:, 0] * shape[1] + cells[:, 1]
-    layer = np.floor(survey.height / LAYER).astype(np.int64)
-    order = np.lexsort((layer, flat))
-    flat, layer, count = flat[order], layer[order], survey.count[order]
-    total = np.bincount(flat, count, shape[0] * shape[1])
-    starts = np.flatnonzero(np.diff(flat, prepend=-1))
-    running = np.cumsum(count)
-    below = running - np.repeat((running - count)[starts], np.diff(starts, append=len(flat)))  # with its own points
-    dense = (below >= 2) & (below > BOTTOM * total[flat])
-    ground_layer = np.full(shape[0] * shape[1], np.iinfo(np.int64).max)
-    np.minimum.at(ground_layer, flat[dense], layer[dense])
-    in_ground = (layer >= ground_layer[flat]) & (layer <= ground_layer[flat] + 1)
-    weight = np.bincount(flat[in_ground], count[in_ground], len(total))
-    heights = np.bincount(flat[in_ground], (count * survey.height[order])[in_ground], len(total))
-    with np.errstate(invalid="ignore"):
-        bottom: F64 = (heights / np.where(weight > 0, weight, np.nan)).reshape(shape)
-    return bottom
-
-
-def _connected(bottom: F64, under: I64, z: F64) -> Bool:
-    """(X, Y) bool: the cells that join each other by small steps, of which most lie near and below the sensor."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    known = np.isfinite(bottom)
-    number = np.full(bottom.shape, -1, np.int64)
-    number[known] = np.arange(int(known.sum()))
-    edges = [np.empty((2, 0), np.int64)]
-    for dx in range(APART + 1):
-        for dy in range(-APART, APART + 1):
-            if (dx, dy) <= (0, 0) or dx * dx + dy * dy > APART * APART:
-                continue
-            here, there = _shifted(bottom.shape, dx, dy)
-            with np.errstate(invalid="ignore"):
-                flat = np.abs(bottom[there] - bottom[here]) < STEP + SLOPE * CELL * GROUND * np.hypot(dx, dy)
-            edges.append(np.stack([number[here][flat], number[there][flat]]))
-    a, b = np.concatenate(edges, axis=1)
-    count = int(known.sum())
-    _, part = connected_components(coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(count, count)), directed=False)
-    votes = np.zeros(count, np.int64)
-    for (x, y), height in zip(under.tolist(), z.tolist(), strict=True):
-        box = np.s_[max(x - AROUND, 0) : x + AROUND + 1, max(y - AROUND, 0) : y + AROUND + 1]
-        near = number[box][known[box] & (bottom[box] < height - 0.2)]
-        np.add.at(votes, part[near], 1)
-    if not votes.any():
-        return np.zeros(bottom.shape, np.bool_)
-    best = int(votes.argmax())
-    joined = np.zeros(bottom.shape, np.bool_)
-    joined[known] = part == best
-    return joined
-
-
-def _shifted(shape: tuple[int, ...], dx: int, dy: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Slices of a grid, and of the same cells shifted by dx >= 0 and dy."""
-    X, Y = shape
-    ys = (slice(0, Y - dy), slice(dy, Y)) if dy >= 0 else (slice(-dy, Y), slice(0, Y + dy))
-    return (slice(0, X - dx), ys[0]), (slice(dx, X), ys[1])
+    ground = np.full(shape, np.nan)
+    ground[tuple(cells[inside].T)] = survey.ground[inside]
+    return _smooth(ground)
 
 
 def _smooth(bottom: F64) -> F64:

@@ -12,7 +12,8 @@ from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.contracts.at_sensor import AtSensor
 from dynaviz.contracts.scan import Label, Scan, Sequence
 from dynaviz.errors import UsageError
-from dynaviz.spatial.grid import pack, unpack
+from dynaviz.spatial.grid import pack, pack_indices, unpack
+from dynaviz.spatial.scan_ground import ScanGround
 
 CELL = 0.2  # metres; edge of a column
 LAYER = 0.1  # metres; height of a voxel
@@ -33,9 +34,11 @@ class Survey:
         start_ns: stamp at time 0, or None if the times come from the rate.
         rate: sweeps per second.
         columns: (V, 2) int64: x and y index of each occupied voxel, in cells of ``CELL``, without dynamic points.
-        height: (V,) float64, metres: mean height of its points.
+        height: (V,) float64, metres: mean height of its points above the ground of their scans, whatever their poses.
         count: (V,) int64, its points.
-        parts: (V,) uint64, a bit for each part of the recording in which it has points; all if the points have labels.
+        parts: (V,) uint64, a bit for each part of the recording in which it has points; all if one has a label.
+        cells: (G, 2) int64: x and y index of each cell of ``scan_ground.EDGE`` in which a scan shows the ground.
+        ground: (G,) float64, metres, world frame: its mean height there.
         dynamic: for each frame (D, 3) float32, metres: points known to be dynamic, one per cell.
         farthest: (F, 360) float32, metres in the plane: the farthest return in each degree of azimuth from -180, world
             frame; 0 without a return.
@@ -50,6 +53,8 @@ class Survey:
     height: F64
     count: I64
     parts: U64
+    cells: I64
+    ground: F64
     dynamic: tuple[F32, ...]
     farthest: F32
     instances: int
@@ -71,13 +76,23 @@ class Survey:
         Raises:
             UsageError: if the world's z axis does not point up.
         """
-        voxels, dynamic, farthest = _Voxels(), [], []
+        voxels, ground, dynamic, farthest = _Means(), _Means(), [], []
         positions, up, indices, stamps = [], [], [], []
         instances, near = 0, AtSensor(sequence.sensor)
         for position in range(len(sequence)):
             scan = sequence[position]
-            points, others = _split(scan, near.found(scan), None if moving is None else moving(position))
-            voxels.add(points, part(position, len(sequence)) if scan.labels is None else ALWAYS)
+            still, moves = _split(scan, near.found(scan), None if moving is None else moving(position))
+            surface, when = ScanGround.of(scan.points[still], scan.position), part(position, len(sequence))
+            heights = surface.heights(scan.points)
+            labelled = np.zeros(len(scan), np.bool_) if scan.labels is None else scan.labels != Label.UNLABELLED
+            still &= np.isfinite(heights)
+            for rows, times in ((still & labelled, ALWAYS), (still & ~labelled, when)):
+                above = heights[rows]
+                voxels.add(pack(np.column_stack([scan.points[rows, :2], above * (CELL / LAYER)]), CELL), above, times)
+            cells = np.argwhere(surface.number)
+            z = surface.z + surface.height[tuple(cells.T)] / 1000
+            ground.add(pack_indices(np.column_stack([cells + surface.first, np.zeros(len(cells), np.int64)])), z, when)
+            others = scan.points[moves]
             _, first = np.unique(pack(others, CELL), return_index=True)
             dynamic.append(others[first])
             farthest.append(_farthest(scan))
@@ -101,6 +116,7 @@ class Survey:
             times = np.array([(stamp - start) / 1e9 for stamp in known])
         keys, count, total, parts = voxels.merged()
         columns = unpack(keys).astype(np.int64)[:, :2]
+        shown, scans, summed, _ = ground.merged()
         return cls(
             positions=np.array(positions),
             times=times,
@@ -110,6 +126,8 @@ class Survey:
             height=total / count,
             count=count,
             parts=parts,
+            cells=unpack(shown).astype(np.int64)[:, :2],
+            ground=summed / scans,
             dynamic=tuple(dynamic),
             farthest=np.array(farthest),
             instances=instances,
@@ -137,19 +155,17 @@ def part(position: int, frames: int) -> np.uint64:
     return np.uint64(1) << np.uint64(position * PARTS // max(frames, PARTS))
 
 
-class _Voxels:
-    """Voxels with the number of their points, the sum of their heights, and when they have points."""
+class _Means:
+    """By key, the number and the sum of some heights, and when there were any."""
 
     def __init__(self) -> None:
         self._chunks: list[tuple[I64, I64, F64, U64]] = []
         self._pending = 0
 
-    def add(self, points: F32, when: np.uint64) -> None:
-        """Add (N, 3) float32 points, metres, of one part of the recording."""
-        keys, inverse, count = np.unique(
-            pack(points * np.array([1, 1, CELL / LAYER], np.float32), CELL), return_inverse=True, return_counts=True
-        )
-        total = np.bincount(inverse, points[:, 2].astype(np.float64), len(keys)).astype(np.float64)
+    def add(self, at: I64, heights: F32 | F64, when: np.uint64) -> None:
+        """Add (N,) heights, metres, at (N,) keys, of one part of the recording."""
+        keys, inverse, count = np.unique(at, return_inverse=True, return_counts=True)
+        total = np.bincount(inverse, heights.astype(np.float64), len(keys)).astype(np.float64)
         self._chunks.append((keys, count.astype(np.int64), total, np.full(len(keys), when)))
         self._pending += len(keys)
         if self._pending > PENDING:
@@ -179,12 +195,12 @@ def _farthest(scan: Scan) -> F32:
     return reach
 
 
-def _split(scan: Scan, carrier: Bool, agreed: Bool | None) -> tuple[F32, F32]:
-    """Points within ``REACH`` that are no part of the carrier: those that are not dynamic, and the dynamic ones."""
+def _split(scan: Scan, carrier: Bool, agreed: Bool | None) -> tuple[Bool, Bool]:
+    """(N,) bool: points within ``REACH`` that are no part of the carrier: those that stay, and dynamic ones."""
     offset = scan.points - scan.position.astype(np.float32)
     with np.errstate(invalid="ignore", over="ignore"):
         near = ((offset * offset).sum(1) < REACH**2) & ~carrier
     moving = np.zeros(len(scan), np.bool_) if agreed is None else agreed.copy()
     if scan.labels is not None:
         moving = (scan.labels == Label.DYNAMIC) | (moving & (scan.labels == Label.UNLABELLED))
-    return scan.points[near & ~moving], scan.points[near & moving]
+    return near & ~moving, near & moving
