@@ -86,9 +86,9 @@ class Survey:
             heights = surface.heights(scan.points)
             labelled = np.zeros(len(scan), np.bool_) if scan.labels is None else scan.labels != Label.UNLABELLED
             still &= np.isfinite(heights)
-            for rows, times in ((still & labelled, ALWAYS), (still & ~labelled, when)):
+            for rows, present in ((still & labelled, ALWAYS), (still & ~labelled, when)):
                 above = heights[rows]
-                voxels.add(pack(np.column_stack([scan.points[rows, :2], above * (CELL / LAYER)]), CELL), above, times)
+                voxels.add(pack(np.column_stack([scan.points[rows, :2], above * (CELL / LAYER)]), CELL), above, present)
             cells = np.argwhere(surface.number)
             z = surface.z + surface.height[tuple(cells.T)] / 1000
             ground.add(pack_indices(np.column_stack([cells + surface.first, np.zeros(len(cells), np.int64)])), z, when)
