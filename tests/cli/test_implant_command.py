@@ -14,7 +14,7 @@ from dynaviz.io.pcd import read_pcd
 from dynaviz.synthetic.simulate import simulate
 
 Command = Callable[..., tuple[int, str, str]]
-QUERY = "cars=0&trucks=0&cyclists=1&persons=1&parks=0&seed=3"
+QUERY = "cars=0&trucks=0&cyclists=1&persons=2&parks=0&seed=4"
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_implants_are_written_run_and_scored(run_command: Command, folder: Path,
         *("-o", tmp_path / "score", "--record", "none"),
     )
     assert code == 0, err
-    assert "street-implants-seed3" in out
+    assert "street-implants-seed4" in out
 
 
 def test_the_same_seed_and_the_scene_file_give_the_same_bytes(
@@ -71,7 +71,7 @@ def test_the_same_seed_and_the_scene_file_give_the_same_bytes(
 def test_info_on_a_path(run_command: Command, folder: Path) -> None:
     code, out, err = run_command("info", f"implant:benchmark:{folder}?{QUERY}")
     assert code == 0, err
-    assert "1 cyclist, 1 person" in out
+    assert "1 cyclist, 2 person" in out
 
 
 def test_frames_of_the_sequence(run_command: Command, folder: Path, tmp_path: Path) -> None:

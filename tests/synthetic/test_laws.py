@@ -110,7 +110,7 @@ def test_points_before_or_aside_of_movers_keep_their_bits_and_their_order(
         for _, mesh in movers(implanted, before):
             hit = first_hit(mesh, before, points)
             hidden |= hit < away
-            assert (np.abs(hit - away) > 1e-5).all()  # neither before nor behind
+            assert (np.abs(hit - away) > 1e-4).all()
         untouched = own(after)
         for name in ("points", "labels", "classes", "instances"):
             np.testing.assert_array_equal(getattr(after, name)[untouched], getattr(before, name)[~hidden])

@@ -82,7 +82,7 @@ class ImplantedSequence:
         Raises:
             UsageError, DataError: as ``open``.
         """
-        base = with_carrier(select_frames(base, options.frames, options.stride))
+        base = select_frames(base, options.frames, options.stride)
         lidar = LidarModel.measure(base)
         agreed = None
         if options.panel:
@@ -93,9 +93,8 @@ class ImplantedSequence:
             scene = ImplantScene.load(Path(options.scene))
             name = f"{base.name}-{Path(options.scene).stem}"
         else:
-            survey = Survey.of(
-                base, lambda done, total: progress("survey", done, total), agreed.dynamic if agreed else None
-            )
+            known = agreed.dynamic if agreed else None
+            survey = Survey.of(with_carrier(base), lambda done, total: progress("survey", done, total), known)
             scene = planned(base.name, options, lidar, survey)
             name = f"{base.name}-implants" + (f"-seed{options.seed}" if options.seed else "")
         return cls(base, scene, lidar, name, options.panel, agreed.static if agreed else None)

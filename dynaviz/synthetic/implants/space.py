@@ -9,9 +9,10 @@ import numpy as np
 
 from dynaviz.arrays import F32, F64, I64, U64, Bool
 from dynaviz.errors import UsageError
+from dynaviz.spatial.scan_ground import EDGE
 from dynaviz.synthetic.implants.survey import CELL, LAYER, Survey
 
-GROUND = 4  # columns along the edge of a ground cell, as in ``scan_ground``
+GROUND = round(EDGE / CELL)  # columns along the edge of a ground cell
 APART = 2  # ground cells; gaps between rings that the ground bridges
 FIT = 2  # ground cells; standard deviation of the weights of a plane fit is 0.6 of it
 OBSTACLE = 0.25  # metres above the ground
