@@ -49,7 +49,7 @@ PARAMETERS = {
     "prior": (0.05, 0.2),
     "inherit": (0.25, 1.0),
     "ground_height": (0.1, 0.3),
-    "gap": (0.2, 0.4),
+    "join_angle": (0.4, 1.1),
 }
 MODULES = {of.__name__.rpartition(".")[2]: of for of in (history, level, method, scan_ground, sky)}
 

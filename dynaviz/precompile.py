@@ -102,9 +102,10 @@ def _cast() -> None:
     )
     counts = [np.zeros((len(grid) + 1, VOXELS), np.uint16) for _ in range(3)]
     kernels.clearance.count(marks.blocks, marks.bits, near, *counts)
-    objects, cells = kernels.objects.cells_of(scan.points, chosen, 0.5, 1.0)
+    at = kernels.as_readonly(scan.position[:2], np.float64)
+    objects, cells, wider = kernels.objects.cells_of(scan.points, chosen, at, 0.2, 0.05)
     order = np.argsort(cells)
-    kernels.objects.connect(objects, order, cells[order])
+    kernels.objects.connect(objects, order, cells[order], wider)
 
 
 def _score() -> None:

@@ -8,6 +8,8 @@ from numba import njit
 from dynaviz.kernels.keys import REACH, X_SHIFT, Y_SHIFT
 
 FIRST_SLOTS = 1024  # of a hash table that grows
+WIDEST = 2  # cells of objects are up to 2^WIDEST voxels wide
+ABOVE = 1 << 14  # layers by which those twice as wide lie above all others: no two widths are adjacent
 # Half of the 26 neighbours of a cell, the others being covered from their side: one above it, and three in each of four
 # columns. Per column, the steps from the cell's key to the lowest and the highest of theirs.
 COLUMNS = np.array([0, 1 << Y_SHIFT, (1 << X_SHIFT) - (1 << Y_SHIFT), 1 << X_SHIFT, (1 << X_SHIFT) + (1 << Y_SHIFT)])
@@ -23,6 +25,14 @@ def _slot(slots, cells, key):
     while slots[s] >= 0 and cells[slots[s]] != key:
         s = (s + 1) & mask
     return s
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _key(x, y, z, size, voxel):
+    """The key of a cell 2^size voxels wide at x and y, metres, in a layer z."""
+    wide = voxel * (1 << size)
+    column = (np.int64(math.floor(x / wide)) + REACH) << X_SHIFT | (np.int64(math.floor(y / wide)) + REACH) << Y_SHIFT
+    return column | (z + size * ABOVE)
 
 
 @njit(cache=True, nogil=True)
@@ -42,47 +52,80 @@ def _root(parent, i):
     return i
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cells_of(points, chosen, size, tall):
-    """The cells that contain chosen points: (N,) int32, the cell of each point, -1 for others; and (C,) their keys.
+@njit(cache=True, nogil=True)
+def _join(parent, a, b):
+    a, b = _root(parent, a), _root(parent, b)
+    parent[max(a, b)] = min(a, b)
 
-    Cells are numbered in the order of first points. Their hash table grows with their number, far below that of points,
-    so that it stays in the processor's cache.
+
+@njit(cache=True, nogil=True, inline="always")
+def _number(slots, cells, count, key):
+    """The number of the cell with a key, its table of slots, and how many cells there are; a new cell is added."""
+    s = _slot(slots, cells, key)
+    if slots[s] < 0:
+        if 2 * count >= len(slots):
+            slots = _larger(slots, cells, count)
+            s = _slot(slots, cells, key)
+        slots[s], cells[count] = count, key
+        count += 1
+    return slots[s], slots, count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cells_of(points, chosen, sensor, voxel, angle):
+    """The cells that contain chosen points: 8 voxels high, and 1, 2 or 4 voxels wide, as wide as an angle allows.
+
+    The farther points are from the sensor, the farther apart are those of one surface, and the wider are the cells. A
+    point less than a wider cell from where these begin is in one of them, too, so that no object ends there. Cells are
+    numbered in the order of first points. Their hash table grows with their number, far below that of points, so that
+    it stays in the processor's cache.
+
+    Args:
+        points: (N, 3) float32, metres, world frame, within 32768 voxels from its origin; chosen: (N,) bool.
+        sensor: (2,) float64, metres, world frame: the sensor's x and y.
+        voxel: edge of a voxel, metres.
+        angle: of the widest cell, seen from the sensor, radians.
+
+    Returns:
+        mine: (N,) int32: the cell of each point, -1 for others.
+        keys: (C,) int64, of cells.
+        wider: (C,) int32: the wider cell that contains points of a cell, too; -1 for none.
     """
-    slots, cells, count = np.full(FIRST_SLOTS, np.int32(-1)), np.empty(len(points), np.int64), 0
-    mine = np.full(len(points), np.int32(-1))
+    slots, cells, count = np.full(FIRST_SLOTS, np.int32(-1)), np.empty(2 * len(points), np.int64), 0
+    mine, wider = np.full(len(points), np.int32(-1)), np.full(2 * len(points), np.int32(-1))
     for i in range(len(points)):
         if not chosen[i]:
             continue
-        x = np.int64(math.floor(points[i, 0] / size)) + REACH
-        y = np.int64(math.floor(points[i, 1] / size)) + REACH
-        z = np.int64(math.floor(points[i, 2] / tall)) + REACH
-        key = x << X_SHIFT | y << Y_SHIFT | z
-        s = _slot(slots, cells, key)
-        if slots[s] < 0:
-            if 2 * count >= len(slots):
-                slots = _larger(slots, cells, count)
-                s = _slot(slots, cells, key)
-            slots[s], cells[count] = count, key
-            count += 1
-        mine[i] = slots[s]
-    return mine, cells[:count].copy()
+        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
+        z = np.int64(math.floor(points[i, 2] / (8 * voxel))) + REACH
+        most = angle * math.hypot(x - sensor[0], y - sensor[1]) / voxel
+        size = 0
+        while size < WIDEST and 2 << size <= most:
+            size += 1
+        mine[i], slots, count = _number(slots, cells, count, _key(x, y, z, size, voxel))
+        if size < WIDEST and 2 << size <= most + (2 << size) * angle:
+            wider[mine[i]], slots, count = _number(slots, cells, count, _key(x, y, z, size + 1, voxel))
+    return mine, cells[:count].copy(), wider[:count].copy()
 
 
 @njit(cache=True, nogil=True)
-def connect(mine, order, keys):
-    """Join points to objects: connected components of cells that share a face, an edge or a corner.
+def connect(mine, order, keys, wider):
+    """Join points to objects: connected components of cells that share a face, an edge, a corner or a point.
 
     Args:
         mine: (N,) int32: the cell of each point, as from ``cells_of``. Modified: the number of its object, in the order
             of first points; -1 for points without a cell.
         order: (C,) int64: the cells in the order of their keys.
         keys: (C,) int64, ascending: these keys.
+        wider: (C,) int32, as from ``cells_of``.
 
     Returns:
         The number of objects.
     """
     count, parent = len(keys), np.arange(len(keys))
+    for c in range(count):
+        if wider[c] >= 0:
+            _join(parent, c, wider[c])
     for run in range(len(RUNS)):
         at = 0
         for c in range(count):
@@ -90,8 +133,7 @@ def connect(mine, order, keys):
                 at += 1
             other = at
             while other < count and keys[other] <= keys[c] + RUNS[run, 1]:
-                a, b = _root(parent, order[c]), _root(parent, order[other])
-                parent[max(a, b)] = min(a, b)
+                _join(parent, order[c], order[other])
                 other += 1
     names, objects = np.full(count, np.int32(-1)), 0
     for c in range(count):

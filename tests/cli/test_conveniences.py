@@ -73,7 +73,7 @@ def test_a_comparison_of_folders(run_command: Command, folder: Path, tmp_path: P
 def test_parameters_are_described(run_command: Command) -> None:
     rows = {row["name"]: row for row in json.loads(run_command("list", "seethrough", "--json", "-")[1])["parameters"]}
     assert "from 0 to less than 1" in rows["prior"]["range"]
-    assert rows["gap"]["meaning"].startswith("horizontal edge of the cells that join points to objects, metres;")
+    assert rows["join_angle"]["meaning"].startswith("points are joined to objects across about this angle plus")
     assert all(row["meaning"] for row in rows.values())
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.boundscheck
 @pytest.mark.plain
 def test_seethrough_keeps_most_of_a_room_and_labels_every_point() -> None:
     scans = room(frames=4, rays=200).scans
-    method = SeeThrough(SeeThroughParams(resolution=0.8, guard=1.6, gap=1.7, ground_height=0.8))
+    method = SeeThrough(SeeThroughParams(resolution=0.8, guard=1.6, ground_height=0.8))
     method.begin(Context(Extent.of(*scans)))
     for scan in scans:
         method.observe(scan)

@@ -279,7 +279,7 @@ def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
     labelled = running([seen(k, wall(), block(7.0, y)) for k, y in enumerate(places)])
     labelled.label(seen(0, wall(), block(7.0, places[0])))
     assert labelled._judged is not None
-    assert labelled._judged.decision.weights == pytest.approx((0.4, 0.12, 4.0, prior))
+    assert labelled._judged.decision.weights == pytest.approx((0.35, 0.12, 4.0, prior))
 
 
 def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> None:
@@ -444,32 +444,57 @@ def test_few_origins_cast_the_same_rays_as_many() -> None:
     np.testing.assert_array_equal(*marks)
 
 
+def joined(points: np.ndarray, chosen: np.ndarray, sensor: np.ndarray, voxel: float, angle: float) -> np.ndarray:
+    objects, keys, wider = kernels.objects.cells_of(points, chosen, sensor, voxel, angle)
+    order = np.argsort(keys)
+    count = kernels.objects.connect(objects, order, keys[order], wider)
+    assert (objects[~chosen] == -1).all()
+    assert set(objects[chosen]) == set(range(count))
+    return objects
+
+
 @pytest.mark.plain
-@given(st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 0.4), st.floats(0.0, 0.5))
 @settings(max_examples=25)
-def test_objects_are_connected_components(seed: int, size: float) -> None:
-    from scipy import ndimage
+def test_objects_are_connected_components(seed: int, voxel: float, angle: float) -> None:
+    from scipy.sparse.csgraph import connected_components
 
     random = np.random.default_rng(seed)
-    points = random.uniform(-2, 2, (random.integers(0, 200), 3)).astype(np.float32)
-    chosen = random.random(len(points)) < 0.8
-    mine, keys = kernels.objects.cells_of(points, chosen, size, 3 * size)
-    order = np.argsort(keys)
-    n = kernels.objects.connect(mine, order, keys[order])
-    cells = np.floor(points.astype(np.float64) / [size, size, 3 * size]).astype(int)
-    assert (mine[~chosen] == -1).all()
-    assert set(mine[chosen]) == set(range(n))
-    if not chosen.any():
-        return
-    low = cells[chosen].min(0)
-    picture = np.zeros(cells[chosen].max(0) - low + 1, bool)
-    picture[tuple((cells[chosen] - low).T)] = True
-    names, count = ndimage.label(picture, np.ones((3, 3, 3)))
-    assert count == n
-    pairs = set(zip(mine[chosen], names[tuple((cells[chosen] - low).T)], strict=True))
-    assert len(pairs) == n
-    firsts = [np.flatnonzero(mine == k)[0] for k in range(n)]
+    points = random.uniform(-6, 6, (random.integers(1, 200), 3)).astype(np.float32)
+    chosen, sensor = random.random(len(points)) < 0.8, random.uniform(-3, 3, 2)
+    objects = joined(points, chosen, sensor, voxel, angle)
+    rows = np.flatnonzero(chosen)
+    widest = angle * np.hypot(*(points[rows, :2].astype(np.float64) - sensor).T) / voxel
+    cells = []  # of each point: the size of one of its cells, and the cell's place
+    for row, most in zip(rows.tolist(), widest, strict=True):
+        size = sum(2**each <= most for each in (1, 2))
+        border = 2 ** (size + 1)
+        for of in (size, size + 1) if size < 2 and most >= border * (1 - angle) else (size,):
+            edges = voxel * np.array([2**of, 2**of, 8])
+            cells.append((row, of, *np.floor(points[row].astype(np.float64) / edges)))
+    found = np.array(cells).reshape(-1, 5)
+    adjacent = (abs(found[:, None, 2:] - found[:, 2:]) <= 1).all(2) & (found[:, None, 1] == found[:, 1])
+    _, names = connected_components(adjacent | (found[:, None, 0] == found[:, 0]))
+    pairs = set(zip(objects[found[:, 0].astype(int)].tolist(), names.tolist(), strict=True))
+    assert len(pairs) == len({mine for mine, _ in pairs}) == len({name for _, name in pairs})
+    firsts = [np.flatnonzero(objects == k)[0] for k in range(objects.max(initial=-1) + 1)]
     assert firsts == sorted(firsts)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(("distance", "apart", "count"), [(3, 0.25, 2), (3, 0.09, 1), (30, 0.35, 1), (30, 0.9, 2)])
+def test_objects_are_joined_across_an_angle(distance: float, apart: float, count: int) -> None:
+    points = np.array([[distance, 0, 1], [distance, apart, 1]], np.float32) + np.float32(0.01)
+    assert joined(points, np.full(2, True), np.zeros(2), 0.1, 0.025).max() + 1 == count
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("angle", [0.01, 0.025, 0.06])
+def test_objects_do_not_end_where_cells_become_wider(angle: float) -> None:
+    along = np.arange(0.5, 80, 0.09)
+    for direction in np.radians([0, 30, 45, 200]):
+        line = np.stack([along * np.cos(direction), along * np.sin(direction), np.ones_like(along)], 1)
+        assert not joined(line.astype(np.float32), np.full(len(line), True), np.zeros(2), 0.1, angle).any()
 
 
 def test_labels_are_decided_once_and_repeated() -> None:
@@ -524,8 +549,8 @@ def test_most_of_the_crossing_is_labelled_correctly() -> None:
     ("values", "word"),
     [
         ({"resolution": 0.0}, "resolution"),
-        ({"gap": -1.0}, "gap"),
-        ({"gap": 0.003}, "gap"),
+        ({"join_angle": -1.0}, "join_angle"),
+        ({"join_angle": 90.0}, "join_angle"),
         ({"guard": 0.9}, "guard"),
         ({"votes": 0}, "votes"),
         ({"prior": 1.0}, "prior"),

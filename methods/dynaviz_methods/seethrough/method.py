@@ -5,7 +5,7 @@
                 within 10 % of their mean incline; level the scan if over 10 cm off the ground of earlier ones
         hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky
         clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
-        object: join the points from ``ground_height`` to 4.5 m above the ground across gaps of about ``gap``
+        object: join points ``ground_height`` to 4.5 m above the ground across ``join_angle`` plus 2.7 ray spacings
     prior:      p = ``prior`` min(scans / 64, 1); online, the scans are those so far
     voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit h, its evidence
                 is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
@@ -28,6 +28,7 @@ nothing has moved or has a track.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -42,6 +43,7 @@ from dynaviz.contracts.extent import CELL
 from dynaviz.contracts.method import Cause, Context, Halo, Labels, MethodInfo, Reason
 from dynaviz.contracts.probe import Mask, PointClasses, State, Voxels
 from dynaviz.contracts.scan import Scan
+from dynaviz.contracts.sensors import Sensor
 from dynaviz.spatial.scan_ground import EXACT, ScanGround
 from dynaviz_methods.codes import any_of, pack_codes, unpack_codes
 from dynaviz_methods.lookups import known
@@ -49,7 +51,8 @@ from dynaviz_methods.seethrough.clear_grid import ClearGrid
 from dynaviz_methods.seethrough.history import Decision, History
 from dynaviz_methods.seethrough.level import Level
 
-TALL = 3  # height of the cells that join points, in gaps: rings are farther apart than the points of a ring
+SPACINGS = 2.7  # mean angles between rays, across which points are joined beyond ``join_angle``
+STEP = 0.2  # degrees: usual angle between two rays of a ring
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
 OBJECT = 30.0  # metres: the largest object, around a tile
@@ -71,25 +74,24 @@ class SeeThroughParams:
             alone are at most so much evidence against it.
         inherit: weight of what a place inherits from objects.
         ground_height: points up to this above the ground are low, metres.
-        gap: horizontal edge of the cells that join points to objects, metres; their height is three times this.
+        join_angle: points are joined to objects across about this angle plus 2.7 times that between rays, degrees.
     """
 
     resolution: float = 0.1
     guard: float = 0.3
     votes: int = 4
-    near: float = 0.4
+    near: float = 0.35
     hit: float = 0.12
     prior: float = 0.13
-    inherit: float = 0.4
+    inherit: float = 0.5
     ground_height: float = 0.15
-    gap: float = 0.3
+    join_angle: float = 0.7
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "gap"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)}: give metres above 0")
-        if self.gap < self.resolution / 32:  # the keys of its cells have five bits more than voxel keys
-            raise ValueError(f"gap = {self.gap}: give at least resolution / 32 = {self.resolution / 32:g} m")
+        if not 0 < self.resolution < np.inf:
+            raise ValueError(f"resolution = {self.resolution}: give metres above 0")
+        if not 0 <= self.join_angle < 90:
+            raise ValueError(f"join_angle = {self.join_angle}: give degrees from 0 to less than 90")
         if not 0 <= self.guard <= 7 * self.resolution * 1.001:
             raise ValueError(f"guard = {self.guard}: give metres from 0 to 7 voxels of {self.resolution} m")
         if not 1 <= self.votes <= 65535:
@@ -176,6 +178,7 @@ class SeeThrough:
         self._counts = tuple(self._grid.per_block(np.zeros((rows, VOXELS), np.uint16)) for _ in range(3))
         weights = float(p.near), float(p.hit), float(p.votes), float(p.prior)
         self._history = History(self._grid, float(p.guard), float(p.inherit), weights, self._counts)
+        self._angle = math.radians(p.join_angle + SPACINGS * _spacing(context.sensor))
         self._level = Level(LIFTED[self._grid.rolls] - p.resolution)
         self._observed = 0
         self._judged: Judged | None = None
@@ -198,9 +201,10 @@ class SeeThrough:
         near = self._grid.near(marks, round(p.guard / p.resolution))
         kernels.clearance.count(marks.blocks, marks.bits, near, *self._counts)
         chosen = (measured.voxels >= 0) & (measured.bands == ABOVE)
-        objects, cells = kernels.objects.cells_of(measured.scan.points, chosen, p.gap, TALL * p.gap)
+        at = kernels.as_readonly(scan.position[:2], np.float64)
+        objects, cells, wider = kernels.objects.cells_of(measured.scan.points, chosen, at, p.resolution, self._angle)
         order = np.argsort(cells)
-        count = kernels.objects.connect(objects, order, cells[order])  # turns numbers of cells into those of objects
+        count = kernels.objects.connect(objects, order, cells[order], wider)  # turns cells into objects
         self._history.add(now, measured.scan.points, measured.voxels, objects, count)
         self._show(measured, marks, near)
 
@@ -349,6 +353,14 @@ class SeeThrough:
             lift = _lift((keys + 0.5) * size, measured.scan.position, measured.tilt)
             keys = keys + np.outer(np.round(lift / size), (0, 0, 1)).astype(np.int32)
         return keys
+
+
+def _spacing(sensor: Sensor) -> float:
+    """Mean angle between adjacent rays of a sensor, degrees; of unknown ones, that within a ring."""
+    (low, high), (begin, end) = sensor.elevation or (0.0, 0.0), sensor.azimuth
+    if sensor.points_per_sweep:
+        return math.sqrt((high - low) * (end - begin) / sensor.points_per_sweep)
+    return math.sqrt((high - low) / ((sensor.rings or 1) - 1) * STEP) if (sensor.rings or 1) > 1 else STEP
 
 
 def _heights(scan: Scan) -> F32:
