@@ -17,7 +17,7 @@ from dynaviz.contracts.extent import Extent
 from dynaviz.contracts.method import Context
 from dynaviz.contracts.probe import MemoryProbe
 from dynaviz.contracts.scan import Label, Scan
-from dynaviz.contracts.sensors import load_sensor
+from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.testing import crossing
 from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
@@ -30,6 +30,7 @@ from dynaviz_methods.seethrough.method import (
     OUT_OF_REACH,
     SEEN_THROUGH,
     TOO_LITTLE,
+    _spacing,
 )
 
 pytestmark = pytest.mark.boundscheck
@@ -479,6 +480,21 @@ def test_objects_are_connected_components(seed: int, voxel: float, angle: float)
     assert len(pairs) == len({mine for mine, _ in pairs}) == len({name for _, name in pairs})
     firsts = [np.flatnonzero(objects == k)[0] for k in range(objects.max(initial=-1) + 1)]
     assert firsts == sorted(firsts)
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("sensor", "degrees"),
+    [
+        (load_sensor("hdl64e"), 0.271),  # 26.8 / 63 degrees between rings, 0.1728 within
+        (load_sensor("mid360"), 1.031),  # 20,000 points in 59 x 360 degrees
+        (Sensor(rings=16, elevation=(-15.0, 15.0)), 0.632),
+        (Sensor(rings=16), 0.2),
+        (Sensor(), 0.2),
+    ],
+)
+def test_mean_angle_between_rays(sensor: Sensor, degrees: float) -> None:
+    assert _spacing(sensor) == pytest.approx(degrees, abs=0.001)
 
 
 @pytest.mark.plain

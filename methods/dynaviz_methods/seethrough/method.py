@@ -52,7 +52,7 @@ from dynaviz_methods.seethrough.history import Decision, History
 from dynaviz_methods.seethrough.level import Level
 
 SPACINGS = 2.7  # mean angles between rays, across which points are joined beyond ``join_angle``
-STEP = 0.2  # degrees: usual angle between two rays of a ring
+STEP = 0.2  # degrees between two rays of a ring, unless the sensor's facts state it
 HIGHEST = 4.5  # metres above the ground, which no mover exceeds
 LIFTED = 4 * CELL, CELL  # metres: most by which scans are levelled, in recorded sequences and live
 OBJECT = 30.0  # metres: the largest object, around a tile
@@ -356,11 +356,14 @@ class SeeThrough:
 
 
 def _spacing(sensor: Sensor) -> float:
-    """Mean angle between adjacent rays of a sensor, degrees; of unknown ones, that within a ring."""
-    (low, high), (begin, end) = sensor.elevation or (0.0, 0.0), sensor.azimuth
-    if sensor.points_per_sweep:
-        return math.sqrt((high - low) * (end - begin) / sensor.points_per_sweep)
-    return math.sqrt((high - low) / ((sensor.rings or 1) - 1) * STEP) if (sensor.rings or 1) > 1 else STEP
+    """Mean angle between adjacent rays of a sensor, degrees; ``STEP`` if its vertical field of view is unknown."""
+    if not sensor.elevation:
+        return STEP
+    (low, high), (begin, end), step = sensor.elevation, sensor.azimuth, sensor.azimuth_step or STEP
+    each = (
+        (end - begin) / sensor.points_per_sweep if sensor.points_per_sweep else step / max((sensor.rings or 1) - 1, 1)
+    )
+    return math.sqrt((high - low) * each)
 
 
 def _heights(scan: Scan) -> F32:
