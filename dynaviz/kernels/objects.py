@@ -27,14 +27,6 @@ def _slot(slots, cells, key):
     return s
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _key(x, y, z, size, voxel):
-    """The key of a cell 2^size voxels wide at x and y, metres, in a layer z."""
-    wide = voxel * (1 << size)
-    column = (np.int64(math.floor(x / wide)) + REACH) << X_SHIFT | (np.int64(math.floor(y / wide)) + REACH) << Y_SHIFT
-    return column | (z + size * ABOVE)
-
-
 @njit(cache=True, nogil=True)
 def _larger(slots, cells, count):
     """A table of twice the size for the first ``count`` cells."""
@@ -56,19 +48,6 @@ def _root(parent, i):
 def _join(parent, a, b):
     a, b = _root(parent, a), _root(parent, b)
     parent[max(a, b)] = min(a, b)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _number(slots, cells, count, key):
-    """The number of the cell with a key, its table of slots, and how many cells there are; a new cell is added."""
-    s = _slot(slots, cells, key)
-    if slots[s] < 0:
-        if 2 * count >= len(slots):
-            slots = _larger(slots, cells, count)
-            s = _slot(slots, cells, key)
-        slots[s], cells[count] = count, key
-        count += 1
-    return slots[s], slots, count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -93,18 +72,35 @@ def cells_of(points, chosen, sensor, voxel, angle):
     """
     slots, cells, count = np.full(FIRST_SLOTS, np.int32(-1)), np.empty(2 * len(points), np.int64), 0
     mine, wider = np.full(len(points), np.int32(-1)), np.full(2 * len(points), np.int32(-1))
+    edges = voxel * 2.0 ** np.arange(1, WIDEST + 1)
+    far, soon = (edges / angle) ** 2, np.maximum(edges / angle - edges, 0.0) ** 2  # squared distances of wider cells
     for i in range(len(points)):
         if not chosen[i]:
             continue
-        x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
-        z = np.int64(math.floor(points[i, 2] / (8 * voxel))) + REACH
-        most = angle * math.hypot(x - sensor[0], y - sensor[1]) / voxel
+        x = np.int64(math.floor(points[i, 0] / voxel)) + REACH
+        y = np.int64(math.floor(points[i, 1] / voxel)) + REACH
+        z = (np.int64(math.floor(points[i, 2] / voxel)) + REACH) >> 3
+        away = (points[i, 0] - sensor[0]) ** 2 + (points[i, 1] - sensor[1]) ** 2
         size = 0
-        while size < WIDEST and 2 << size <= most:
+        while size < WIDEST and far[size] <= away:
             size += 1
-        mine[i], slots, count = _number(slots, cells, count, _key(x, y, z, size, voxel))
-        if size < WIDEST and 2 << size <= most + (2 << size) * angle:
-            wider[mine[i]], slots, count = _number(slots, cells, count, _key(x, y, z, size + 1, voxel))
+        of = np.int32(-1)
+        for step in range(2):  # the cell, and the wider one
+            if step and (size == WIDEST or soon[size] > away or wider[of] >= 0):
+                break
+            at = size + step
+            key = (x >> at) << X_SHIFT | (y >> at) << Y_SHIFT | z + at * ABOVE
+            s = _slot(slots, cells, key)
+            if slots[s] < 0:
+                if 2 * count >= len(slots):
+                    slots = _larger(slots, cells, count)
+                    s = _slot(slots, cells, key)
+                slots[s], cells[count] = count, key
+                count += 1
+            if step:
+                wider[of] = slots[s]
+            else:
+                of = mine[i] = slots[s]
     return mine, cells[:count].copy(), wider[:count].copy()
 
 
