@@ -19,7 +19,7 @@ def rooms(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [write_room(folder / name, frames=2, rays=800, seed=seed) for seed, name in enumerate(["one", "two"])]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Install the method ``toy`` for this process and all processes that it starts."""
     site = tmp_path_factory.mktemp("site")
