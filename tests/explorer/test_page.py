@@ -226,6 +226,22 @@ def test_keys(page: Page, cases: Any) -> None:
     page.wait("!document.getElementById('help').open")
 
 
+def test_of_several_layouts_the_last_one_counts(page: Page) -> None:
+    page.tab.click("#card-a-1")
+    page.wait("document.body.dataset.layout === 'case-1'")
+    late, held = "**/api/layout?*layout=map*", []
+    page.tab.route(late, lambda route: held.append(route))
+    with page.tab.expect_request(late):
+        page.tab.keyboard.press("m")
+    page.tab.keyboard.press("f")
+    page.wait("document.body.dataset.layout === 'frame-1'")
+    with page.tab.expect_response(late):
+        held[0].continue_()
+    page.draw()
+    assert page.tab.evaluate("document.body.dataset.layout") == "frame-1"
+    page.tab.unroute(late)
+
+
 def test_filters_sort_and_search(page: Page, cases: Any) -> None:
     kind = "ghost" if cases[0].kind == "false_negative" else "hole"
     page.tab.select_option("select[name=sort]", "size")

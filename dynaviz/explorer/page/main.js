@@ -156,10 +156,15 @@ function layoutQuery(letter, eye) {
   return { run: letter, owner: of, layout: kind, ...eye, ...(number && { case: number }) }
 }
 
+let layouts = 0
+/** Lay out the viewers; of several requests on their way, the last one counts. */
 async function layOut(eye) {
-  const { case: number, layout: kind } = current()
-  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => viewer.show(await ask('layout', layoutQuery(letter, eye))))).catch(error => say(error.message))
-  document.body.dataset.layout = `${kind}-${number}`
+  const mine = ++layouts, { case: number, layout: kind } = current()
+  await Promise.all(Object.entries(viewers).map(async ([letter, viewer]) => {
+    const answer = await ask('layout', layoutQuery(letter, eye))
+    if (mine === layouts) viewer.show(answer)
+  })).catch(error => say(error.message))
+  if (mine === layouts) document.body.dataset.layout = `${kind}-${number}`
 }
 
 /** The mark and the rays of the explained point. */
