@@ -247,10 +247,11 @@ def moved(starts, objects, columns, reach, guard, steps, firsts, centres, came, 
 def follow(starts, objects, columns, dynamic, last, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
-    It continues the last dynamic objects of its columns if it covers more than half of each, and they more than half of
-    it, together; or as a part of one, which covers more than half of it, in columns that dynamic objects visited before
-    any other. In both cases, those that are dynamic by themselves on the way to it must have as many columns as it, or
-    more, in all scans together: a fragment tells nothing about what it merges into.
+    It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
+    least half of it and more than half of those of its columns that any object visited before; or as a part of one,
+    which covers more than half of it, in columns that dynamic objects visited before any other. In both cases, those
+    that are dynamic by themselves on the way to it must have as many columns as it, or more, in all scans together: a
+    fragment tells nothing about what it merges into.
 
     Args:
         starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
@@ -272,15 +273,15 @@ def follow(starts, objects, columns, dynamic, last, back):
             for k in rows:
                 if last[columns[k]] >= 0:
                     shared[last[columns[k]]] += 1
-            covered, part, before = 0, 0, 0
+            covered, part, known, before = 0, 0, 0, 0
             for k in rows:
                 other = last[columns[k]]
                 covers = other >= 0 and 2 * shared[other] > size[other]
                 within = other >= 0 and 2 * shared[other] > size[of] and free[columns[k]]
-                covered, part = covered + covers, part + within
+                covered, part, known = covered + covers, part + within, known + visited[columns[k]]
                 if covers or within:
                     before = max(before, shown[other])
-            if 2 * max(covered, part) > size[of]:
+            if 2 * covered > known and 2 * covered >= size[of] or 2 * part > size[of]:
                 shown[of] += before
                 dynamic[of] |= shown[of] >= size[of]
             for k in rows:

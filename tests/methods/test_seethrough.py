@@ -353,6 +353,16 @@ def test_fragments_tell_only_about_objects_of_which_they_showed_as_much(times: i
 
 
 @pytest.mark.plain
+@pytest.mark.parametrize(("before", "dynamic"), [([], True), ([[2, 3]], False)])
+def test_an_object_that_comes_into_view_is_followed_where_nothing_was_before(
+    before: list[list[int]], dynamic: bool
+) -> None:
+    """Half of a car was hidden, or there is something static instead."""
+    scans = [[[0, 1], *before], [[0, 1]], [[0, 1, 2, 3]]]
+    assert followed(scans, [True, *[False] * len(before), True, False])[-1] == dynamic
+
+
+@pytest.mark.plain
 def test_parts_of_a_dynamic_object_are_followed_where_nothing_static_was_before() -> None:
     """A car stops next to a post; later something in front hides its middle, and it is seen in two parts."""
     scans = [[[0, 1]], [[0, 1, 2, 3, 4, 5]], [[0, 1], [3, 4]], [[3, 4]]]

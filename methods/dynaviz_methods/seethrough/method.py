@@ -14,9 +14,9 @@
     certainty:  k = votes f from -1 to 1; m = its mean over the places of an object in one scan, which weigh 1 + |k|
     moved:      an object has moved if its outline, within guard / 2, is its own of up to 64 scans before, displaced by
                 2 guard to half its length, nothing was at its new end before or at its old one since, one is dynamic
-    track:      an object is dynamic if m > 1/2, if it has moved, or if it continues the last dynamic ones, in time or
-                back: it covers over half of the columns of 0.8 m of each, and they of it; or one covers over half of
-                it, where nothing static came first. Those dynamic by themselves on the way have as many columns as it
+    track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
+                over half of the 0.8 m columns of each, they half of its and over half of those visited before; or one
+                covers over half of it, where nothing static was. Those with m > 1/2 on the way have as many columns
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
     foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
