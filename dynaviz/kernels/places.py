@@ -281,7 +281,7 @@ def follow(starts, objects, columns, dynamic, last, back):
                 covered, part, known = covered + covers, part + within, known + visited[columns[k]]
                 if covers or within:
                     before = max(before, shown[other])
-            if 2 * covered > known and 2 * covered >= size[of] or 2 * part > size[of]:
+            if (2 * covered > known and 2 * covered >= size[of]) or 2 * part > size[of]:
                 shown[of] += before
                 dynamic[of] |= shown[of] >= size[of]
             for k in rows:
