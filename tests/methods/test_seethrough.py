@@ -500,6 +500,7 @@ def test_objects_are_connected_components(seed: int, voxel: float, angle: float)
         (load_sensor("mid360"), 1.031),  # 20,000 points in 59 x 360 degrees
         (Sensor(rings=16, elevation=(-15.0, 15.0)), 0.632),
         (Sensor(rings=16), 0.2),
+        (Sensor(elevation=(-15.0, 15.0)), 0.2),
         (Sensor(), 0.2),
     ],
 )

@@ -16,7 +16,7 @@
                 2 guard to half its length, nothing was at its new end before or at its old one since, one is dynamic
     track:      an object is dynamic if m > 1/2, moved, or continues the last dynamic ones, in time or back: it covers
                 over half of the 0.8 m columns of each, they half of its and over half of those visited before; or one
-                covers over half of it, where nothing static was. Those with m > 1/2 on the way have as many columns
+                covers over half of it, where nothing static was; those dynamic alone on the way have as many columns
     share:      T = mean of m, or of 1 if dynamic, over the objects that were in a place; at first 0, computed twice
     point:      dynamic if f = u + inherit max(T, 0) > 0 in its place
     foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
@@ -356,14 +356,14 @@ class SeeThrough:
 
 
 def _spacing(sensor: Sensor) -> float:
-    """Mean angle between adjacent rays of a sensor, degrees; ``STEP`` if its vertical field of view is unknown."""
-    if not sensor.elevation:
+    """Mean angle between adjacent rays of a sensor, degrees; ``STEP`` if its view or their number is unknown."""
+    begin, end = sensor.azimuth
+    ring = (end - begin) / (sensor.azimuth_step or STEP)
+    rays = sensor.points_per_sweep or ((sensor.rings or 1) - 1) * ring
+    if not sensor.elevation or not rays:
         return STEP
-    (low, high), (begin, end), step = sensor.elevation, sensor.azimuth, sensor.azimuth_step or STEP
-    each = (
-        (end - begin) / sensor.points_per_sweep if sensor.points_per_sweep else step / max((sensor.rings or 1) - 1, 1)
-    )
-    return math.sqrt((high - low) * each)
+    low, high = sensor.elevation
+    return math.sqrt((high - low) * (end - begin) / rays)
 
 
 def _heights(scan: Scan) -> F32:
