@@ -26,16 +26,21 @@ def of_voxels(voxels):
 
 
 @njit(cache=True, nogil=True)
-def visit(voxels, objects, now, up, stamps):
-    """The places that a scan visits, and the object of each, that of the first point if there are two: (V,) int32 each.
+def visit(voxels, objects, count, now, up, stamps):
+    """The places that a scan visits, by object; where two objects meet, the place is that of the first point.
 
     Args:
         voxels: (N,) int64; objects: (N,) int32: the voxel and the object of each point, -1 for none.
+        count: number of objects.
         now: number of this scan.
         up: (B, 8) uint64: bits of the voxels that ever contained a point of an object. Modified.
         stamps: (B, 4) int32: the last scan that visited each place. Modified.
+
+    Returns:
+        places: (V,) int32; begins: (O + 1,) int64: where those of each object begin.
     """
     places, owners, n = np.empty(len(voxels), np.int32), np.empty(len(voxels), np.int32), 0
+    begins = np.zeros(count + 2, np.int64)
     for i in range(len(voxels)):
         v = voxels[i]
         if v < 0 or objects[i] < 0:
@@ -46,8 +51,14 @@ def visit(voxels, objects, now, up, stamps):
         if stamps[block, quarter] != now:
             stamps[block, quarter] = now
             places[n], owners[n] = block << 2 | quarter, objects[i]
+            begins[objects[i] + 2] += 1
             n += 1
-    return places[:n].copy(), owners[:n].copy()
+    begins, grouped = np.cumsum(begins), np.empty(n, np.int32)
+    for k in range(n):
+        at = owners[k] + 1
+        grouped[begins[at]] = places[k]
+        begins[at] += 1
+    return grouped, begins[: count + 1].copy()
 
 
 @njit(cache=True, nogil=True)
@@ -107,40 +118,50 @@ def evidence(places, up, hits, clear, grazed, weights, found):
         found[places[k]] = summed / max(total, weights[2])
 
 
-@njit(cache=True, nogil=True)
-def certainties(places, objects, count, own, shared, link, full):
+@njit(cache=True, nogil=True, parallel=True)
+def certainties(places, begins, own, shared, link, full):
     """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
 
     Args:
-        places, objects: as from ``visit``; count: number of objects.
+        places, begins: as from ``visit``, of one or several scans.
         own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
         link: weight of what a place inherits from these; full: what is full certainty. Places weigh 1, certain ones 2.
     """
-    total, weight = np.zeros(count), np.zeros(count)
-    for k in range(len(places)):
-        f = own[places[k]] + link * max(shared[places[k]], 0.0)
-        f = min(max(f / full, -1.0), 1.0)
-        total[objects[k]] += f * (1.0 + abs(f))
-        weight[objects[k]] += 1.0 + abs(f)
-    return total / np.maximum(weight, 1.0)
+    found = np.empty(len(begins) - 1)
+    for of in prange(len(found)):
+        total, weight = 0.0, 0.0
+        for k in range(begins[of], begins[of + 1]):
+            f = own[places[k]] + link * max(shared[places[k]], 0.0)
+            f = min(max(f / full, -1.0), 1.0)
+            total += f * (1.0 + abs(f))
+            weight += 1.0 + abs(f)
+        found[of] = total / max(weight, 1.0)
+    return found
 
 
 @njit(cache=True, nogil=True)
-def share(places, objects, certain, scans, number, shared, source):
-    """Add visits to the mean certainty of the objects that were in each place.
+def share(firsts, numbers, places, begins, certain, size):
+    """What places inherit from the objects that were there.
 
     Args:
-        places, objects: as from ``visit``.
-        certain: (O,) float64, of objects; scans: (V,) int32, that of each visit.
-        number: (4 B,) int32: visits so far; shared: (4 B,) float32: the mean; source: (4 B,) int32: the last scan with
-            a certainty above 0. Modified.
+        firsts: (F + 1,) int64: the first object of each scan; numbers: (F,) int32, of these scans.
+        places, begins: as in ``certainties``; certain: (O,) float64, of objects.
+        size: number of places, 4 B.
+
+    Returns:
+        shared: (4 B,) float32: mean certainty, 0 where none was.
+        source: (4 B,) int32: number of the last scan with a certainty above 0; -1 for none.
     """
-    for k in range(len(places)):
-        p, of = places[k], certain[objects[k]]
-        number[p] += 1
-        shared[p] += (of - shared[p]) / number[p]
-        if of > 0:
-            source[p] = scans[k]
+    visits, shared, source = np.zeros(size, np.int32), np.zeros(size, np.float32), np.full(size, np.int32(-1))
+    for t in range(len(numbers)):
+        for of in range(firsts[t], firsts[t + 1]):
+            for k in range(begins[of], begins[of + 1]):
+                p = places[k]
+                visits[p] += 1
+                shared[p] += (certain[of] - shared[p]) / visits[p]
+                if certain[of] > 0:
+                    source[p] = numbers[t]
+    return shared, source
 
 
 @njit(cache=True, nogil=True)
@@ -169,6 +190,8 @@ def _way(before, after, guard):
     By a translation of at least twice the guard, to half of it, and of at most half of its length.
     """
     x, y = (after[0] - before[0] - after[4] + before[4]) / 2, (after[1] - before[1] - after[5] + before[5]) / 2
+    if x * x + y * y < 4 * guard * guard:  # most objects stand: to see this first saves a third of the time
+        return -1
     way, far = 0, 0.0
     for k in range(8):
         along = x * WAYS[k, 0] + y * WAYS[k, 1]
@@ -180,17 +203,41 @@ def _way(before, after, guard):
 
 
 @njit(cache=True, nogil=True)
-def _end(rows, way, limit, centres, scans, than, evidence):
+def _end(places, way, limit, blocks, edge, scans, than, evidence):
     """Whether most places of an object beyond a limit along one of the ``WAYS`` are of scans after one; are dynamic."""
     count, free, dynamic = 0, 0, 0
-    for k in rows:
-        if centres[k, 0] * WAYS[way, 0] + centres[k, 1] * WAYS[way, 1] > limit:
-            count, free, dynamic = count + 1, free + (scans[k] > than), dynamic + (evidence[k] > 0)
+    for p in places:
+        x = np.float32((2 * blocks[p >> 2, 0] + (p >> 1 & 1) + 0.5) * edge)
+        y = np.float32((2 * blocks[p >> 2, 1] + (p & 1) + 0.5) * edge)
+        if x * WAYS[way, 0] + y * WAYS[way, 1] > limit:
+            count, free, dynamic = count + 1, free + (scans[p] > than), dynamic + (evidence[p] > 0)
     return 2 * free > count, 2 * dynamic > count
 
 
 @njit(cache=True, nogil=True)
-def moved(starts, objects, columns, reach, guard, steps, firsts, centres, came, gone, evidence, last):
+def _before(firsts, at, columns, width):
+    """(O,) int64: the object that each one continues, as in ``moved``; -1 for none."""
+    found, shared, last = np.full(len(at) - 1, -1), np.zeros(len(at) - 1, np.int64), np.full(width, -1)
+    for t in range(len(firsts) - 1):
+        for of in range(firsts[t], firsts[t + 1]):
+            most, its = -1, columns[at[of] : at[of + 1]]
+            for c in its:
+                other = last[c]
+                if other >= 0:
+                    shared[other] += 1
+                    most = other if most < 0 or shared[other] > shared[most] else most
+            if most >= 0 and 2 * shared[most] > min(at[most + 1] - at[most], len(its)):
+                found[of] = most
+            for c in its:
+                if last[c] >= 0:
+                    shared[last[c]] = 0
+        for of in range(firsts[t], firsts[t + 1]):
+            last[columns[at[of] : at[of + 1]]] = of
+    return found
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def moved(firsts, at, columns, width, reach, guard, steps, places, begins, blocks, edge, evidence):
     """(O,) bool: objects that moved along themselves, of whose middle nothing was ever seen clear.
 
     Each object continues the last one with which it shares most columns, if these are more than half of one of them. It
@@ -198,53 +245,36 @@ def moved(starts, objects, columns, reach, guard, steps, firsts, centres, came, 
     end before and nothing at the old one since, and if one of these is dynamic; all for most places. Then both are.
 
     Args:
-        starts, objects, columns: as in ``follow``.
+        firsts, at, columns, width: as in ``follow``.
         reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans.
-        firsts: (O + 1,) int64: the rows of each object; of its places: centres (V, 2) float32, metres; came, gone: (V,)
-            int64: position of the first scan that visited them, and less that of the last one; evidence (V,) float32:
-            above 0 if they are dynamic.
-        last: int64, by column: -1 before. Modified: its last object.
+        places, begins: as in ``certainties``; blocks: (B, 3) int64, indices of the blocks; edge: of a place, metres.
+        evidence: (4 B,) float32: above 0 where a place is dynamic.
     """
-    found, before = np.zeros(len(reach), np.bool_), np.full(len(reach), -1)
-    size, shared = np.zeros(len(reach), np.int64), np.zeros(len(reach), np.int64)
-    when = np.zeros(len(reach), np.int64)
-    for of in objects:
-        size[of] += 1
-    for t in range(len(starts) - 1):
-        start = starts[t]
-        while start < starts[t + 1]:
-            of, most = objects[start], -1
-            rows = range(start, start + size[of])
-            for k in rows:
-                other = last[columns[k]]
-                if other >= 0:
-                    shared[other] += 1
-                    most = other if most < 0 or shared[other] > shared[most] else most
-            if most >= 0 and 2 * shared[most] > min(size[most], size[of]):
-                before[of] = most
-            for k in rows:
-                if last[columns[k]] >= 0:
-                    shared[last[columns[k]]] = 0
-            when[of], other, mine = t, before[of], range(firsts[of], firsts[of + 1])
-            for _ in range(steps):
-                if other < 0:
-                    break
-                way, its = _way(reach[other], reach[of], guard), range(firsts[other], firsts[other + 1])
-                if way >= 0:
-                    back = (way + 4) % 8
-                    new, one = _end(mine, way, reach[other, way], centres, came, when[other], evidence)
-                    old, two = _end(its, back, reach[of, back], centres, gone, -t, evidence)
-                    found[of] |= new and old and (one or two)
-                    found[other] |= new and old and (one or two)
-                other = before[other]
-            start += size[of]
-        for k in range(starts[t], starts[t + 1]):
-            last[columns[k]] = objects[k]
+    came, gone = np.full(len(evidence), np.int32(-1)), np.empty(len(evidence), np.int32)
+    when = np.empty(len(reach), np.int64)
+    for t in range(len(firsts) - 1):
+        when[firsts[t] : firsts[t + 1]] = t
+        for p in places[begins[firsts[t]] : begins[firsts[t + 1]]]:
+            came[p], gone[p] = t if came[p] < 0 else came[p], -t
+    found, before = np.zeros(len(reach), np.bool_), _before(firsts, at, columns, width)
+    for of in prange(len(reach)):
+        other, mine = before[of], places[begins[of] : begins[of + 1]]
+        for _ in range(steps):
+            if other < 0:
+                break
+            way = _way(reach[other], reach[of], guard)
+            if way >= 0:
+                back, theirs = (way + 4) % 8, places[begins[other] : begins[other + 1]]
+                new, one = _end(mine, way, reach[other, way], blocks, edge, came, when[other], evidence)
+                old, two = _end(theirs, back, reach[of, back], blocks, edge, gone, -when[of], evidence)
+                if new and old and (one or two):
+                    found[of] = found[other] = True
+            other = before[other]
     return found
 
 
 @njit(cache=True, nogil=True)
-def follow(starts, objects, columns, dynamic, last, back):
+def follow(firsts, at, columns, width, dynamic, back):
     """Follow dynamic objects through the scans: an object that continues a dynamic one is dynamic, too.
 
     It continues the last dynamic objects of its columns if it covers more than half of each, and they, together, at
@@ -254,45 +284,41 @@ def follow(starts, objects, columns, dynamic, last, back):
     fragment tells nothing about what it merges into.
 
     Args:
-        starts: (F + 1,) int64: the rows of each scan; objects, columns: (K,): its objects, ascending, in their columns.
-        dynamic: bool, by object. Modified.
-        last: int64, by column: -1 before. Modified: its last dynamic object.
+        firsts: (F + 1,) int64: the first object of each scan.
+        at: (O + 1,) int64: where the columns of each object begin; columns: (K,) int64, below ``width``.
+        dynamic: (O,) bool. Modified.
         back: backwards in time.
     """
-    scans, size, shared = len(starts) - 1, np.zeros(len(dynamic), np.int64), np.zeros(len(dynamic), np.int64)
-    for of in objects:
-        size[of] += 1
-    visited, free = np.zeros(len(last), np.bool_), np.zeros(len(last), np.bool_)
-    shown = np.where(dynamic, size, 0)  # by object: columns of those in its track that are dynamic by themselves
+    scans, shared, last = len(firsts) - 1, np.zeros(len(dynamic), np.int64), np.full(width, -1)
+    visited, free = np.zeros(width, np.bool_), np.zeros(width, np.bool_)
+    shown = np.where(dynamic, np.diff(at), 0)  # by object: columns of those in its track that are dynamic by themselves
     for step in range(scans):
         t = scans - 1 - step if back else step
-        start = starts[t]
-        while start < starts[t + 1]:
-            of = objects[start]
-            rows = range(start, start + size[of])
-            for k in rows:
-                if last[columns[k]] >= 0:
-                    shared[last[columns[k]]] += 1
+        for of in range(firsts[t], firsts[t + 1]):
+            its, size = columns[at[of] : at[of + 1]], at[of + 1] - at[of]
+            for c in its:
+                if last[c] >= 0:
+                    shared[last[c]] += 1
             covered, part, known, before = 0, 0, 0, 0
-            for k in rows:
-                other = last[columns[k]]
-                covers = other >= 0 and 2 * shared[other] > size[other]
-                within = other >= 0 and 2 * shared[other] > size[of] and free[columns[k]]
-                covered, part, known = covered + covers, part + within, known + visited[columns[k]]
+            for c in its:
+                other = last[c]
+                covers = other >= 0 and 2 * shared[other] > at[other + 1] - at[other]
+                within = other >= 0 and 2 * shared[other] > size and free[c]
+                covered, part, known = covered + covers, part + within, known + visited[c]
                 if covers or within:
                     before = max(before, shown[other])
-            if (2 * covered > known and 2 * covered >= size[of]) or 2 * part > size[of]:
+            if (2 * covered > known and 2 * covered >= size) or 2 * part > size:
                 shown[of] += before
-                dynamic[of] |= shown[of] >= size[of]
-            for k in rows:
-                if last[columns[k]] >= 0:
-                    shared[last[columns[k]]] = 0
-            start += size[of]
-        for k in range(starts[t], starts[t + 1]):
-            free[columns[k]] |= dynamic[objects[k]] and not visited[columns[k]]
-            visited[columns[k]] = True
-            if dynamic[objects[k]]:
-                last[columns[k]] = objects[k]
+                dynamic[of] |= shown[of] >= size
+            for c in its:
+                if last[c] >= 0:
+                    shared[last[c]] = 0
+        for of in range(firsts[t], firsts[t + 1]):
+            for c in columns[at[of] : at[of + 1]]:
+                free[c] |= dynamic[of] and not visited[c]
+                visited[c] = True
+                if dynamic[of]:
+                    last[c] = of
 
 
 @njit(cache=True, nogil=True, parallel=True)

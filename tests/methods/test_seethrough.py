@@ -19,7 +19,7 @@ from dynaviz.contracts.probe import MemoryProbe
 from dynaviz.contracts.scan import Label, Scan
 from dynaviz.contracts.sensors import Sensor, load_sensor
 from dynaviz.testing import crossing
-from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams
+from dynaviz_methods.seethrough import REASONS, REMOVED, SeeThrough, SeeThroughParams, history
 from dynaviz_methods.seethrough.clear_grid import SENSORS, ClearGrid, _distinct
 from dynaviz_methods.seethrough.method import (
     BY_PLACE,
@@ -37,10 +37,15 @@ pytestmark = pytest.mark.boundscheck
 
 
 def running(scans: list[Scan], params: SeeThroughParams | None = None, **context: object) -> SeeThrough:
-    method = SeeThrough(params or SeeThroughParams())
-    method.begin(Context(Extent.of(*scans), **context))  # type: ignore[arg-type]
+    method = begun(scans, params, **context)
     for scan in scans:
         method.observe(scan)
+    return method
+
+
+def begun(scans: list[Scan], params: SeeThroughParams | None = None, **context: object) -> SeeThrough:
+    method = SeeThrough(params or SeeThroughParams())
+    method.begin(Context(Extent.of(*scans), **context))  # type: ignore[arg-type]
     return method
 
 
@@ -167,22 +172,30 @@ def test_an_object_that_moves_by_less_than_half_its_length_has_moved(sigma: floa
 def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     change: dict[str, Any], found: bool
 ) -> None:
-    """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third."""
+    """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third; and something else."""
     case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2} | change
     ways = kernels.places.WAYS
-    outline = np.abs(ways) @ [2.0, 1.0]
-    reach = np.array([outline, 2 * outline, outline + ways @ [case["shift"], 0.0]], np.float32)
-    reach[2, 1] += case["wider"]
-    x = np.arange(-1.8, 2.0, 0.4)
-    xs = np.concatenate([x, x, x + case["shift"]])
-    beyond = (xs > 2.0) | (xs < -2.0), np.concatenate([np.abs(x - case["shift"]) > 2.0, np.zeros(20, np.bool_)])
-    came, gone = np.zeros(30, np.int64), np.full(30, -2)
-    came[beyond[0]], gone[beyond[1]] = 2 * case["new"], 0 if case["old"] else -2
-    evidence = np.where(beyond[0] & case["dynamic"][0] | beyond[1] & case["dynamic"][1], 0.1, -0.1).astype(np.float32)
-    at = np.arange(4), np.arange(3), np.zeros(3, np.int64)
-    places = np.array([0, 10, 20, 30]), np.stack([xs, 0 * xs], 1).astype(np.float32), came, gone, evidence
-    result = kernels.places.moved(*at, reach, 0.3, case["steps"], *places, np.full(1, -1))
-    assert result.tolist() == [found, False, found]
+    outline, edge = np.abs(ways) @ [2.0, 1.0], 0.1
+    reach = np.array([outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32)
+    reach[3, 1] += case["wider"]
+    x = np.arange(-1.75, 2.0, 0.5)
+    after = x + case["shift"]
+    ends = after[np.abs(after) > 2.0], x[np.abs(x - case["shift"]) > 2.0]
+    nothing = np.empty(0)
+    xs = [x, nothing if case["new"] else ends[0], x, after, nothing if case["old"] else ends[1]]
+    blocks = np.stack([np.arange(-25, 25), np.zeros(50, np.int64), np.zeros(50, np.int64)], 1)
+
+    def places(xs: np.ndarray) -> np.ndarray:
+        return (np.floor(xs / edge).astype(np.int32) + 50) << 1
+
+    evidence = np.full(4 * len(blocks), -0.1, np.float32)
+    for end, dynamic in zip(ends, case["dynamic"], strict=True):
+        evidence[places(end)] = 0.1 if dynamic else -0.1
+    begins = np.cumsum([0, *map(len, xs)])
+    tracks = np.array([0, 2, 3, 5]), np.arange(6), np.array([0, 1, 0, 0, 1]), 2
+    of_places = places(np.concatenate(xs)), begins, blocks, edge, evidence
+    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], *of_places)
+    assert result.tolist() == [found, False, False, found, False]
 
 
 def test_feet_stand_out_of_the_ground_of_their_own_scan() -> None:
@@ -244,8 +257,8 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
 def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
     """A certain place and one with hits alone in one object; one that inherits what it lacks in another."""
     own, shared = np.array([0.6, -0.1, -0.05, -0.2], np.float32), np.array([0.0, -1.0, 0.1, 0.0], np.float32)
-    places, objects = np.arange(4, dtype=np.int32), np.array([0, 0, 1, 2], np.int32)
-    certain = kernels.places.certainties(places, objects, 4, own, shared, 0.5, 1 / 3)
+    places, begins = np.arange(4, dtype=np.int32), np.array([0, 2, 3, 4, 4])
+    certain = kernels.places.certainties(places, begins, own, shared, 0.5, 1 / 3)
     mean = (1.0 * 2.0 - 0.3 * 1.3) / (2.0 + 1.3)
     np.testing.assert_allclose(certain, [mean, 0.0, -0.6, 0.0], atol=1e-6)
 
@@ -253,12 +266,11 @@ def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
 def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
     visits = [(2, 0, 1.0), (5, 0, -0.5), (2, 1, -1.0), (5, 1, 0.25), (2, 2, 1.0)]  # place, scan, certainty
     places, scans = (np.array([each[of] for each in visits], np.int32) for of in (0, 1))
-    number, shared, source = np.zeros(8, np.int32), np.zeros(8, np.float32), np.full(8, -1, np.int32)
-    certain = np.array([each[2] for each in visits])
-    kernels.places.share(places, np.arange(5), certain, scans, number, shared, source)
-    np.testing.assert_allclose(shared[[2, 5]], [1 / 3, -0.125], atol=1e-6)
+    certain, numbers = np.array([each[2] for each in visits]), np.arange(3, dtype=np.int32)
+    firsts = np.searchsorted(scans, np.arange(4))
+    shared, source = kernels.places.share(firsts, numbers, places, np.arange(6), certain, 8)
+    np.testing.assert_allclose(shared, [0, 0, 1 / 3, 0, 0, -0.125, 0, 0], atol=1e-6)
     assert source.tolist() == [-1, -1, 2, -1, -1, 1, -1, -1]
-    assert number.sum() == 5
 
 
 @pytest.mark.plain
@@ -281,6 +293,34 @@ def test_the_prior_rises_with_the_scans(number: int, prior: float) -> None:
     labelled.label(seen(0, wall(), block(7.0, places[0])))
     assert labelled._judged is not None
     assert labelled._judged.decision.weights == pytest.approx((0.35, 0.12, 4.0, prior))
+
+
+def test_online_labels_are_those_of_a_recording_that_ends_with_the_scan() -> None:
+    """A car drives off, another one parks: tracks and moves are known as soon as they are seen."""
+    scans = [
+        seen(k, GROUND, wall(), block(7.0, y), block(9.0, max(y, 0.5))) for k, y in enumerate(np.linspace(-4, 4, 12))
+    ]
+    online = begun(scans)
+    for k in range(len(scans)):
+        online.observe(scans[k])
+        recorded = running(scans[: k + 1])
+        recorded.label(scans[0])
+        np.testing.assert_array_equal(online.label(scans[k]).reasons, recorded.label(scans[k]).reasons)
+
+
+def test_online_the_objects_of_the_last_scans_decide_and_no_others_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scans are forgotten earlier than that, as in live use."""
+    monkeypatch.setattr(history, "SCANS", 5)
+    scans = [seen(k, GROUND, wall(), block(7.0, y)) for k, y in enumerate(np.linspace(-4, 4, 12))]
+    forgetting, keeping = begun(scans), begun(scans)
+    for k in range(len(scans)):
+        forgetting.observe(scans[k])
+        keeping.observe(scans[k])
+        answers = [each.label(scans[k]).reasons for each in (forgetting, keeping)]
+        np.testing.assert_array_equal(*answers)
+        forgetting.forget(k - 1)
+    assert sorted(forgetting._history._visits) == [7, 8, 9, 10, 11]
+    assert len(keeping._history._visits) == len(scans)
 
 
 def test_a_hit_guards_the_voxels_around_it_in_its_scan_and_in_the_next_one() -> None:
@@ -314,12 +354,10 @@ def test_objects_continue_those_with_which_they_share_most(
 ) -> None:
     """A dynamic object is in the columns 0 to 2 in the first scan; a static one far away in all."""
     scans = [[0, 1, 2], second, third]
-    columns = np.concatenate([[*scan, 9] for scan in (scans[::-1] if back else scans)])
-    sizes = [len(scan) for scan in (scans[::-1] if back else scans)]
-    objects = np.concatenate([[*[2 * k] * size, 2 * k + 1] for k, size in enumerate(sizes)])
-    starts, found = np.cumsum([0, *(size + 1 for size in sizes)]), np.zeros(6, np.bool_)
+    objects = [each for scan in (scans[::-1] if back else scans) for each in (scan, [9])]
+    at, found = np.cumsum([0, *map(len, objects)]), np.zeros(6, np.bool_)
     found[4 if back else 0] = True
-    kernels.places.follow(starts, objects, columns, found, np.full(10, -1), back)
+    kernels.places.follow(np.array([0, 2, 4, 6]), at, np.concatenate(objects), 10, found, back)
     assert found[[4, 2, 0] if back else [0, 2, 4]].tolist() == [True, *dynamic]
     assert not found[1::2].any()
 
@@ -327,10 +365,9 @@ def test_objects_continue_those_with_which_they_share_most(
 def followed(scans: list[list[list[int]]], dynamic: list[bool]) -> list[bool]:
     """Which objects are dynamic, those of all scans in turn: lists of their columns."""
     objects = [each for scan in scans for each in scan]
-    rows = np.repeat(np.arange(len(objects)), [len(each) for each in objects])
-    starts = np.cumsum([0, *(sum(map(len, scan)) for scan in scans)])
+    firsts, at = (np.cumsum([0, *map(len, each)]) for each in (scans, objects))
     columns, found = np.concatenate(objects), np.array(dynamic)
-    kernels.places.follow(starts, rows, columns, found, np.full(columns.max() + 1, -1), False)
+    kernels.places.follow(firsts, at, columns, columns.max() + 1, found, False)
     return found.tolist()
 
 

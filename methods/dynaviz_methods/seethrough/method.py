@@ -6,7 +6,7 @@
         hit:    mark the voxels of its points; cast rays to one in each cube of 2 x 2 x 2, and into the sky
         clear:  of the voxels that its rays cross, those without a hit of it or of the scan before within ``guard``
         object: join points ``ground_height`` to 4.5 m above the ground across ``join_angle`` plus 2.7 ray spacings
-    prior:      p = ``prior`` min(scans / 64, 1); online, the scans are those so far
+    prior:      p = ``prior`` min(scans / 64, 1)
     voxel:      c scans saw it clear, q crossed it near such a hit, h hit it. With a = near q + hit h, its evidence
                 is e = min(c / votes, 1) (c - a) / (c + a) if c > a, or p (c - a) / (c + a + 1)
     place:      u = min(sum of h / votes, 1) times the mean of e - p over its 4 x 4 x 8 voxels, weighted with h; only
@@ -22,8 +22,8 @@
     foot:       a low point next to dynamic ones is dynamic if it is 5 cm above the ground, or if e > p in its voxel
 
 A ray crosses the voxels from the sensor's up to, but not including, the voxel of its point. Points that are not finite
-and points more than 32768 voxels from the world's origin are kept unjudged. Online T is the mean so far, and
-nothing has moved or has a track.
+and points more than 32768 voxels from the world's origin are kept unjudged. Online, all this is computed for each scan
+from the scans so far, with the objects of the last 64 of them.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ class SeeThrough:
         self._observed = 0
         self._judged: Judged | None = None
         self._measured: Measured | None = None  # the scan that was observed last, which online is labelled next
-        self._decided: tuple[int, Decision] = -1, self._history.so_far()
+        self._decided: tuple[int, bool, Decision] = -1, False, self._history.decide()
         self._number: dict[int, int] = {}  # by scan index: its position among the observed scans
         self._tilts: dict[int, F64] = {}  # by position
         self._bands: dict[int, U8] = {}  # by scan index, until it is labelled; packed
@@ -219,12 +219,7 @@ class SeeThrough:
             if measured is None or measured.number != number:
                 bands = self._bands_of(_heights(scan)) if packed is None else unpack_codes(packed, len(scan))
                 measured = self._measure(scan, bands)
-            at, decision = self._decided
-            if at != self._observed:
-                online = number + 1 == self._observed
-                decision = self._history.so_far() if online else self._history.decide()
-                if not online:
-                    self._decided = self._observed, decision
+            decision = self._decision(online=number + 1 == self._observed)
             self._reasons[scan.index] = pack_codes(self._outcomes(measured, decision))
         reasons = unpack_codes(self._reasons[scan.index], len(scan))
         return Labels(any_of(reasons, REMOVED), reasons)
@@ -240,11 +235,19 @@ class SeeThrough:
     def relabel(self, scans: Sequence[Scan]) -> list[Labels]:
         """Label scans again by all that is known, as if none had been labelled; the stored labels stay."""
         stored, decided = self._reasons, self._decided
-        self._reasons, self._decided = {}, (self._observed, self._history.decide())
+        self._reasons, self._decided = {}, (self._observed, True, self._history.decide())
         try:
             return [self.label(scan) for scan in scans]
         finally:
             self._reasons, self._decided = stored, decided
+
+    def _decision(self, online: bool) -> Decision:
+        """What decides the labels by the scans so far; unless asked for online use, by all visits of these."""
+        at, whole, decision = self._decided
+        if at != self._observed or not (whole or online):
+            decision = self._history.decide(online)
+            self._decided = self._observed, not online, decision
+        return decision
 
     def _bands_of(self, heights: F32) -> U8:
         exact, low, highest = (np.float32(limit) for limit in (EXACT, self.params.ground_height, HIGHEST))
@@ -341,7 +344,7 @@ class SeeThrough:
                 count = self._scans(voxels)[2].astype(np.float32) if name == "clear" else None
                 emit(name, Voxels(self._shown(voxels, measured), self._grid.resolution, count))
         if wants("objects"):
-            emit("objects", PointClasses(CLASS[self._outcomes(measured, self._history.so_far())]))
+            emit("objects", PointClasses(CLASS[self._outcomes(measured, self._decision(online=True))]))
         if wants("low"):
             emit("low", Mask(measured.bands < ABOVE))
 
