@@ -1,7 +1,7 @@
 """Places: quarters of the blocks of a grid, 4 x 4 x 8 voxels; their evidence, and what they inherit from objects.
 
-Place p is in block p >> 2. A scan visits the places that contain points of its objects. Seen from above, objects are in
-columns of blocks.
+Place p is in block p >> 2. A scan visits the places that contain points of its objects. Those that were visited have
+rows. Seen from above, objects are in columns of blocks.
 """
 
 import numpy as np
@@ -93,9 +93,20 @@ def of_points(voxels, hits, clear, grazed, weights):
     return found
 
 
+@njit(cache=True, nogil=True)
+def distinct(places, rows):
+    """The distinct ones of some places (V,) int32, (R,); ``rows`` (4 B,) int32, zero before, is 1 there after."""
+    found, n = np.empty(len(places), np.int32), 0
+    for p in places:
+        if rows[p] == 0:
+            found[n], rows[p] = p, 1
+            n += 1
+    return found[:n].copy()
+
+
 @njit(cache=True, nogil=True, parallel=True)
-def evidence(places, up, hits, clear, grazed, weights, found):
-    """Fill ``found``, (4 B,) float32, with the evidence of some places, (K,) int32, without duplicates.
+def evidence(places, up, hits, clear, grazed, weights):
+    """(R + 1,) float32: the evidence of the place in each row, (R + 1,) int32; 0 in row 0, which is for none.
 
     The evidence of a place is the mean over its voxels with points of objects, less the prior, weighted with the scans
     that hit them; nearer 0 if these were fewer than ``votes``.
@@ -103,7 +114,8 @@ def evidence(places, up, hits, clear, grazed, weights, found):
     Args:
         up, hits, clear, grazed, weights: as in ``visit`` and ``clearness``.
     """
-    for k in prange(len(places)):
+    found = np.zeros(len(places), np.float32)
+    for k in prange(1, len(places)):
         block, x0, y0 = places[k] >> 2, (places[k] >> 1 & 1) * 4, (places[k] & 1) * 4
         total, summed = 0.0, 0.0
         for w in range(x0, x0 + 4):
@@ -115,23 +127,24 @@ def evidence(places, up, hits, clear, grazed, weights, found):
                 if h > 1 or c > 0 or q > 0:
                     summed += h * (clearness(h, c, q, weights) - weights[3])
                     total += h
-        found[places[k]] = summed / max(total, weights[2])
+        found[k] = summed / max(total, weights[2])
+    return found
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def certainties(places, begins, own, shared, link, full):
+def certainties(rows, begins, own, shared, link, full):
     """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
 
     Args:
-        places, begins: as from ``visit``, of one or several scans.
-        own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
+        rows: (V,) int32: the row of the place of each visit, by object; begins: (O + 1,) int64: the first ones.
+        own, shared: (R + 1,) float32: evidence of places, and the mean certainty of the objects that were there.
         link: weight of what a place inherits from these; full: what is full certainty. Places weigh 1, certain ones 2.
     """
     found = np.empty(len(begins) - 1)
     for of in prange(len(found)):
         total, weight = 0.0, 0.0
         for k in range(begins[of], begins[of + 1]):
-            f = own[places[k]] + link * max(shared[places[k]], 0.0)
+            f = own[rows[k]] + link * max(shared[rows[k]], 0.0)
             f = min(max(f / full, -1.0), 1.0)
             total += f * (1.0 + abs(f))
             weight += 1.0 + abs(f)
@@ -140,27 +153,27 @@ def certainties(places, begins, own, shared, link, full):
 
 
 @njit(cache=True, nogil=True)
-def share(firsts, numbers, places, begins, certain, size):
+def share(firsts, numbers, rows, begins, certain, size):
     """What places inherit from the objects that were there.
 
     Args:
         firsts: (F + 1,) int64: the first object of each scan; numbers: (F,) int32, of these scans.
-        places, begins: as in ``certainties``; certain: (O,) float64, of objects.
-        size: number of places, 4 B.
+        rows, begins: as in ``certainties``; certain: (O,) float64, of objects.
+        size: number of rows, R + 1.
 
     Returns:
-        shared: (4 B,) float32: mean certainty, 0 where none was.
-        source: (4 B,) int32: number of the last scan with a certainty above 0; -1 for none.
+        shared: (R + 1,) float32: mean certainty, 0 where none was.
+        source: (R + 1,) int32: number of the last scan with a certainty above 0; -1 for none.
     """
     visits, shared, source = np.zeros(size, np.int32), np.zeros(size, np.float32), np.full(size, np.int32(-1))
     for t in range(len(numbers)):
         for of in range(firsts[t], firsts[t + 1]):
             for k in range(begins[of], begins[of + 1]):
-                p = places[k]
-                visits[p] += 1
-                shared[p] += (certain[of] - shared[p]) / visits[p]
+                r = rows[k]
+                visits[r] += 1
+                shared[r] += (certain[of] - shared[r]) / visits[r]
                 if certain[of] > 0:
-                    source[p] = numbers[t]
+                    source[r] = numbers[t]
     return shared, source
 
 
@@ -203,14 +216,13 @@ def _way(before, after, guard):
 
 
 @njit(cache=True, nogil=True)
-def _end(places, way, limit, blocks, edge, scans, than, evidence):
+def _end(rows, way, limit, centres, scans, than, own, shared, link):
     """Whether most places of an object beyond a limit along one of the ``WAYS`` are of scans after one; are dynamic."""
     count, free, dynamic = 0, 0, 0
-    for p in places:
-        x = np.float32((2 * blocks[p >> 2, 0] + (p >> 1 & 1) + 0.5) * edge)
-        y = np.float32((2 * blocks[p >> 2, 1] + (p & 1) + 0.5) * edge)
-        if x * WAYS[way, 0] + y * WAYS[way, 1] > limit:
-            count, free, dynamic = count + 1, free + (scans[p] > than), dynamic + (evidence[p] > 0)
+    for r in rows:
+        if centres[r, 0] * WAYS[way, 0] + centres[r, 1] * WAYS[way, 1] > limit:
+            count, free = count + 1, free + (scans[r] > than)
+            dynamic += own[r] + link * max(shared[r], 0.0) > 0
     return 2 * free > count, 2 * dynamic > count
 
 
@@ -237,7 +249,7 @@ def _before(firsts, at, columns, width):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def moved(firsts, at, columns, width, reach, guard, steps, places, begins, blocks, edge, evidence):
+def moved(firsts, at, columns, width, reach, guard, steps, centres, rows, begins, own, shared, link):
     """(O,) bool: objects that moved along themselves, of whose middle nothing was ever seen clear.
 
     Each object continues the last one with which it shares most columns, if these are more than half of one of them. It
@@ -247,26 +259,26 @@ def moved(firsts, at, columns, width, reach, guard, steps, places, begins, block
     Args:
         firsts, at, columns, width: as in ``follow``.
         reach: (O, 8) float32, metres, as from ``reaches``; guard: metres; steps: number of scans.
-        places, begins: as in ``certainties``; blocks: (B, 3) int64, indices of the blocks; edge: of a place, metres.
-        evidence: (4 B,) float32: above 0 where a place is dynamic.
+        centres: (R + 1, 2) float32, metres: those of places; rows, begins, own, shared, link: as in ``certainties``.
     """
-    came, gone = np.full(len(evidence), np.int32(-1)), np.empty(len(evidence), np.int32)
+    came, gone = np.full(len(own), -1), np.empty(len(own), np.int64)
     when = np.empty(len(reach), np.int64)
     for t in range(len(firsts) - 1):
         when[firsts[t] : firsts[t + 1]] = t
-        for p in places[begins[firsts[t]] : begins[firsts[t + 1]]]:
-            came[p], gone[p] = t if came[p] < 0 else came[p], -t
+        for r in rows[begins[firsts[t]] : begins[firsts[t + 1]]]:
+            came[r], gone[r] = t if came[r] < 0 else came[r], -t
+    of_places = own, shared, link
     found, before = np.zeros(len(reach), np.bool_), _before(firsts, at, columns, width)
     for of in prange(len(reach)):
-        other, mine = before[of], places[begins[of] : begins[of + 1]]
+        other, mine = before[of], rows[begins[of] : begins[of + 1]]
         for _ in range(steps):
             if other < 0:
                 break
             way = _way(reach[other], reach[of], guard)
             if way >= 0:
-                back, theirs = (way + 4) % 8, places[begins[other] : begins[other + 1]]
-                new, one = _end(mine, way, reach[other, way], blocks, edge, came, when[other], evidence)
-                old, two = _end(theirs, back, reach[of, back], blocks, edge, gone, -when[of], evidence)
+                back, theirs = (way + 4) % 8, rows[begins[other] : begins[other + 1]]
+                new, one = _end(mine, way, reach[other, way], centres, came, when[other], *of_places)
+                old, two = _end(theirs, back, reach[of, back], centres, gone, -when[of], *of_places)
                 if new and old and (one or two):
                     found[of] = found[other] = True
             other = before[other]
@@ -322,14 +334,13 @@ def follow(firsts, at, columns, width, dynamic, back):
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def outcomes(voxels, bands, own, shared, link, hits, clear, grazed, weights, codes):
+def outcomes(voxels, bands, rows, own, shared, link, hits, clear, grazed, weights, codes):
     """(N,) uint8: the reason code of each point, without feet.
 
     Args:
         voxels: (N,) int64, -1 for none.
         bands: (N,) uint8, as from ``scan_ground.bands``.
-        own, shared: (4 B,) float32: evidence of places, and the mean certainty of the objects that were there.
-        link: weight of what they inherit.
+        rows: (4 B,) int32: the row of each place, 0 for none; own, shared, link: as in ``certainties``.
         hits, clear, grazed, weights: as in ``of_voxel``.
         codes: of points out of reach, near the ground, high, kept though seen clear, kept and never seen clear;
             removed by the evidence of their place alone, or with what it inherits.
@@ -338,15 +349,15 @@ def outcomes(voxels, bands, own, shared, link, hits, clear, grazed, weights, cod
     found = np.empty(len(voxels), np.uint8)
     for i in prange(len(voxels)):
         v = voxels[i]
-        p = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
+        r = rows[v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1]
         if v < 0:
             found[i] = out
         elif bands[i] < 2:
             found[i] = near_ground
         elif bands[i] > 2:
             found[i] = above
-        elif own[p] + link * max(shared[p], 0.0) > 0:
-            found[i] = seen if own[p] > 0 else followed
+        elif own[r] + link * max(shared[r], 0.0) > 0:
+            found[i] = seen if own[r] > 0 else followed
         else:  # most voxels were never clear: to read one count is faster than all
             some = clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0
             found[i] = little if some else never

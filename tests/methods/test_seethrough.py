@@ -175,7 +175,7 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     """A vehicle of 4 m in the first scan, unknown in the second one, and displaced in the third; and something else."""
     case = {"shift": 1.0, "wider": 0.0, "new": True, "old": True, "dynamic": (True, True), "steps": 2} | change
     ways = kernels.places.WAYS
-    outline, edge = np.abs(ways) @ [2.0, 1.0], 0.1
+    outline = np.abs(ways) @ [2.0, 1.0]
     reach = np.array([outline, outline, 2 * outline, outline + ways @ [case["shift"], 0.0], outline], np.float32)
     reach[3, 1] += case["wider"]
     x = np.arange(-1.75, 2.0, 0.5)
@@ -183,18 +183,17 @@ def test_an_object_has_moved_if_its_outline_has_and_one_of_its_ends_is_dynamic(
     ends = after[np.abs(after) > 2.0], x[np.abs(x - case["shift"]) > 2.0]
     nothing = np.empty(0)
     xs = [x, nothing if case["new"] else ends[0], x, after, nothing if case["old"] else ends[1]]
-    blocks = np.stack([np.arange(-25, 25), np.zeros(50, np.int64), np.zeros(50, np.int64)], 1)
+    centres = np.stack([np.arange(-4.75, 5.0, 0.5), np.zeros(20)], 1).astype(np.float32)
 
-    def places(xs: np.ndarray) -> np.ndarray:
-        return (np.floor(xs / edge).astype(np.int32) + 50) << 1
+    def rows(xs: np.ndarray) -> np.ndarray:
+        return np.abs(xs[:, None] - centres[:, 0]).argmin(1).astype(np.int32)
 
-    evidence = np.full(4 * len(blocks), -0.1, np.float32)
+    evidence = np.full(len(centres), -0.1, np.float32)
     for end, dynamic in zip(ends, case["dynamic"], strict=True):
-        evidence[places(end)] = 0.1 if dynamic else -0.1
-    begins = np.cumsum([0, *map(len, xs)])
+        evidence[rows(end)] = 0.1 if dynamic else -0.1
     tracks = np.array([0, 2, 3, 5]), np.arange(6), np.array([0, 1, 0, 0, 1]), 2
-    of_places = places(np.concatenate(xs)), begins, blocks, edge, evidence
-    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], *of_places)
+    of_places = rows(np.concatenate(xs)), np.cumsum([0, *map(len, xs)]), evidence, np.zeros_like(evidence), 0.5
+    result = kernels.places.moved(*tracks, reach, 0.3, case["steps"], centres, *of_places)
     assert result.tolist() == [found, False, False, found, False]
 
 
@@ -237,8 +236,8 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
     random = np.random.default_rng(seed)
     hits, clear, grazed = (random.integers(0, most, (3, 512)).astype(np.uint16) for most in (6, 5, 4))
     up = random.integers(0, 2**63, (3, 8)).astype(np.uint64)
-    weights, found = (0.3, 0.12, 3.0, 0.2), np.zeros(12, np.float32)
-    kernels.places.evidence(np.arange(12, dtype=np.int32), up, hits, clear, grazed, weights, found)
+    found = kernels.places.evidence(np.arange(-1, 12, dtype=np.int32), up, hits, clear, grazed, (0.3, 0.12, 3.0, 0.2))
+    assert found[0] == 0
     for place in range(12):
         total = summed = 0.0
         for voxel in range(512):
@@ -251,7 +250,7 @@ def test_the_evidence_of_places_is_the_mean_over_their_voxels(seed: int) -> None
             empty = 0.2 * (c - against) / (c + against + 1) if empty is None else empty
             summed, total = summed + h * (empty - 0.2) * others, total + h * others
         expected = summed / total * min(total / 3, 1) if total else 0.0
-        assert found[place] == pytest.approx(expected, abs=1e-5)
+        assert found[place + 1] == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_certainty_of_an_object_is_the_mean_of_its_places() -> None:
@@ -281,7 +280,7 @@ def test_a_place_shares_the_certainty_of_all_objects_that_were_there() -> None:
 def test_a_place_is_dynamic_by_itself_or_with_what_it_inherits(own: float, shared: float, reason: int) -> None:
     clear = (np.full((1, 512), n, np.uint16) for n in (1, 3, 0))
     of_points = np.array([0]), np.array([2], np.uint8)
-    of_places = np.full(4, own, np.float32), np.full(4, shared, np.float32), 0.5
+    of_places = np.ones(4, np.int32), np.float32([0, own]), np.float32([0, shared]), 0.5
     codes = kernels.places.outcomes(*of_points, *of_places, *clear, (0.5, 0.12, 3.0, 0.1), BY_PLACE)
     assert codes.tolist() == [reason]
 

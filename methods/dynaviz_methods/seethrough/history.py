@@ -42,16 +42,19 @@ class Visits:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What decides the labels of points, by place; all (4 B,), the last block being that of points without one.
+    """What decides the labels of points, by place.
 
     Attributes:
-        own: float32: evidence of places, less the prior.
-        shared: float32: mean certainty of the objects that were there, from -1, static, to 1, dynamic.
-        source: int32: position of the last scan in which it was above 0; -1 for none.
+        rows: (4 B,) int32: where the following arrays tell of each place; 0 for those that no object visited. The last
+            block is that of points without one. Online, the next decision changes them.
+        own: (R + 1,) float32: evidence of places, less the prior.
+        shared: (R + 1,) float32: mean certainty of the objects that were there, from -1, static, to 1, dynamic.
+        source: (R + 1,) int32: position of the last scan in which it was above 0; -1 for none.
         inherit: weight of what places inherit from objects; with it, the evidence of dynamic ones exceeds 0.
         weights: as from ``History.weights``.
     """
 
+    rows: I32
     own: F32
     shared: F32
     source: I32
@@ -84,6 +87,7 @@ class History:
         self._dropped: set[int] = set()  # scans whose visits go when they are no longer among the last ones
         self._stamps = grid.per_block(np.full((rows, 4), -1, np.int32), -1)
         self._up = grid.per_block(np.zeros((rows, 8), np.uint64))
+        self._rows, self._places = np.zeros(4 * rows, np.int32), np.empty(0, np.int32)  # of the last online decision
         self._since = np.zeros(rows, np.int64)  # by block: the scan with which it came
         self._grid, self._now = grid, -1  # the last scan
         grid.watch(self._block_came)
@@ -121,22 +125,24 @@ class History:
         """
         visits = [each for each in self._visits.values() if not online or each.number > self._now - SCANS]
         firsts = np.cumsum([0, *(len(each.reach) for each in visits)])
-        places, begins = self._remaining(visits)
-        own, visited = np.zeros(self._stamps.size, np.float32), np.zeros(self._stamps.size, np.bool_)
-        visited[places] = True
-        existing = np.flatnonzero(visited).astype(np.int32)
-        kernels.places.evidence(existing, self._up, *self._counts, self.weights(), own)
-        numbers = np.array([each.number for each in visits], np.int32)
-        shared = np.zeros_like(own)
+        visited, begins = self._remaining(visits)
+        rows = self._rows if online else np.zeros_like(self._rows)
+        rows[self._places] = 0
+        places = np.append(np.int32(0), np.sort(kernels.places.distinct(visited, rows)))  # by row
+        rows[places[1:]] = np.arange(1, len(places))
+        of_visits = rows[visited]
+        self._places = places if online else self._places
+        own = kernels.places.evidence(places, self._up, *self._counts, self.weights())
+        numbers, shared = np.array([each.number for each in visits], np.int32), np.zeros_like(own)
         for last in (False, True):
-            certain = kernels.places.certainties(places, begins, own, shared, self._inherit, 1 / self._weights[2])
+            of_places = of_visits, begins, own, shared, self._inherit
+            certain = kernels.places.certainties(*of_places, 1 / self._weights[2])
             dynamic = certain > DYNAMIC
             if last:
-                evidence = (own + self._inherit * np.maximum(shared, 0.0)).astype(np.float32)
-                dynamic = self._followed(visits, firsts, places, begins, evidence, dynamic)
+                dynamic = self._followed(visits, firsts, places, of_places, dynamic)
             certain[dynamic] = 1.0
-            shared, source = kernels.places.share(firsts, numbers, places, begins, certain, len(own))
-        return Decision(own, shared, source, self._inherit, self.weights())
+            shared, source = kernels.places.share(firsts, numbers, of_visits, begins, certain, len(own))
+        return Decision(rows, own, shared, source, self._inherit, self.weights())
 
     def _remaining(self, visits: Sequence[Visits]) -> tuple[I32, I64]:
         """Visited places whose blocks did not go since, (V,) int32, and where those of each object begin, (O + 1,)."""
@@ -148,14 +154,19 @@ class History:
         return places[here].astype(np.int32), np.append(0, np.cumsum(here))[begins]
 
     def _followed(
-        self, visits: Sequence[Visits], firsts: I64, places: I32, begins: I64, evidence: F32, dynamic: Bool
+        self,
+        visits: Sequence[Visits],
+        firsts: I64,
+        places: I32,
+        of_places: tuple[I32, I64, F32, F32, float],
+        dynamic: Bool,
     ) -> Bool:
         """(O,) bool: objects that are dynamic, that moved along themselves, and that continue such ones.
 
         Args:
             visits: of the scans; firsts: (F + 1,) int64: the first object of each.
-            places, begins: as from ``_remaining``.
-            evidence: (4 B,) float32: above 0 if the place is dynamic; dynamic: (O,) bool.
+            places: (R + 1,) int32, by row; of_places: the first arguments of ``kernels.places.certainties``.
+            dynamic: (O,) bool.
         """
         if not visits:
             return dynamic
@@ -164,9 +175,10 @@ class History:
         columns, at = _joined([(of[each.columns], each.at) for of, each in zip(of_scans, visits, strict=True)])
         tracks = firsts, at, columns, len(cells)
         reach = np.concatenate([each.reach for each in visits])
-        edge = PLACE * self._grid.resolution
-        of_places = places, begins, self._grid.blocks, edge, evidence
-        dynamic |= kernels.places.moved(*tracks, reach, self._guard, SCANS, *of_places)
+        quarters = np.stack([places >> 1 & 1, places & 1], 1)
+        centres = (2 * self._grid.blocks[places >> 2, :2] + quarters + 0.5) * (PLACE * self._grid.resolution)
+        moves = reach, self._guard, SCANS, centres.astype(np.float32)
+        dynamic |= kernels.places.moved(*tracks, *moves, *of_places)
         forward, backward = dynamic.copy(), dynamic.copy()
         kernels.places.follow(*tracks, forward, False)
         kernels.places.follow(*tracks, backward, True)

@@ -274,7 +274,7 @@ class SeeThrough:
 
     def _outcomes(self, measured: Measured, decision: Decision) -> U8:
         """Reason code of each point of an observed scan, (N,) uint8."""
-        of_places = decision.own, decision.shared, decision.inherit
+        of_places = decision.rows, decision.own, decision.shared, decision.inherit
         of_voxels = *self._counts, decision.weights
         reasons: U8 = kernels.places.outcomes(measured.voxels, measured.bands, *of_places, *of_voxels, BY_PLACE)
         under = self._under(measured, reasons)
@@ -307,8 +307,9 @@ class SeeThrough:
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
             decision, places = judged.decision, kernels.places.of_voxels(judged.measured.voxels[asked.rows])
-            own, shared = known(decision.own[places], places), known(decision.shared[places], places)
-            source = known(np.where(decision.source[places] < 0, np.nan, decision.source[places]), places)
+            rows = decision.rows[places]
+            own, shared = known(decision.own[rows], places), known(decision.shared[rows], places)
+            source = known(np.where(decision.source[rows] < 0, np.nan, decision.source[rows]), places)
             of_places = ("place", own), ("objects", shared), ("dynamic in", source)
             quantities += [Quantity(name, of) for name, of in of_places]
             rules = self._rules(judged, asked, own + decision.inherit * np.maximum(shared, 0.0))
