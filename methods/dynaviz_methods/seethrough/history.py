@@ -26,7 +26,7 @@ class Visits:
     Attributes:
         number: position of the scan.
         places: (V,) int32; begins: (O + 1,) int64: where those of each object begin.
-        columns: (K,) int64; at: (O + 1,) int64: where those of each object begin.
+        columns: (K,) int32; at: (O + 1,) int64: where those of each object begin.
         cells: (C,) int64, ascending: key of each column of this scan.
         reach: (O, 8) float32, metres: how far each object reaches in eight directions.
     """
@@ -34,7 +34,7 @@ class Visits:
     number: int
     places: I32
     begins: I64
-    columns: I64
+    columns: I32
     at: I64
     cells: I64
     reach: F32
@@ -110,7 +110,8 @@ class History:
         at = np.searchsorted(pairs, np.arange(count + 1) + REACH << X_SHIFT)
         cells, columns = np.unique(pairs & (1 << X_SHIFT) - 1, return_inverse=True)
         reach = kernels.places.reaches(points, objects, count)
-        self._visits[number], self._now = Visits(number, places, begins, columns, at, cells, reach), number
+        self._visits[number] = Visits(number, places, begins, columns.astype(np.int32), at, cells, reach)
+        self._now = number
 
     def weights(self) -> tuple[float, ...]:
         """As given, with the prior for the scans so far."""
