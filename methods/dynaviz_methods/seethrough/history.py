@@ -169,7 +169,7 @@ class History:
             places: (R + 1,) int32, by row; of_places: the first arguments of ``kernels.places.certainties``.
             dynamic: (O,) bool.
         """
-        if not visits:
+        if not len(dynamic):
             return dynamic
         cells, numbers = np.unique(np.concatenate([each.cells for each in visits]), return_inverse=True)
         of_scans = np.split(numbers, np.cumsum([len(each.cells) for each in visits[:-1]]))
