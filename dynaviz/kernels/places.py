@@ -15,17 +15,6 @@ WAYS = WAYS / np.hypot(WAYS[:, :1], WAYS[:, 1:])  # eight horizontal unit vector
 
 
 @njit(cache=True, nogil=True)
-def of_voxels(voxels):
-    """(N,) int64: the place of each voxel; -1 for -1."""
-    found = np.full(len(voxels), -1)
-    for i in range(len(voxels)):
-        v = voxels[i]
-        if v >= 0:
-            found[i] = v >> 9 << 2 | (v >> 8 & 1) << 1 | v >> 5 & 1
-    return found
-
-
-@njit(cache=True, nogil=True)
 def visit(voxels, objects, count, now, up, stamps):
     """The places that a scan visits, by object; where two objects meet, the place is that of the first point.
 

@@ -306,10 +306,10 @@ class SeeThrough:
         judged = self._judged
         rules: tuple[Rule, ...] = ()
         if judged is not None and judged.measured.scan.index == asked.scan.index:
-            decision, places = judged.decision, kernels.places.of_voxels(judged.measured.voxels[asked.rows])
-            rows = decision.rows[places]
-            own, shared = known(decision.own[rows], places), known(decision.shared[rows], places)
-            source = known(np.where(decision.source[rows] < 0, np.nan, decision.source[rows]), places)
+            decision, of = judged.decision, judged.measured.voxels[asked.rows]
+            rows = decision.rows[of >> 9 << 2 | of >> 7 & 2 | of >> 5 & 1]
+            own, shared = known(decision.own[rows], of), known(decision.shared[rows], of)
+            source = known(np.where(decision.source[rows] < 0, np.nan, decision.source[rows]), of)
             of_places = ("place", own), ("objects", shared), ("dynamic in", source)
             quantities += [Quantity(name, of) for name, of in of_places]
             rules = self._rules(judged, asked, own + decision.inherit * np.maximum(shared, 0.0))
