@@ -120,6 +120,12 @@ def evidence(places, up, hits, clear, grazed, weights):
     return found
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _total(r, own, shared, link):
+    """The evidence of the place in a row, with what it inherits; above 0 if it is dynamic. See ``certainties``."""
+    return own[r] + link * max(shared[r], 0.0)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def certainties(rows, begins, own, shared, link, full):
     """How certain it is that each object is dynamic, (O,) float64 from -1 to 1: the mean of its places.
@@ -133,8 +139,7 @@ def certainties(rows, begins, own, shared, link, full):
     for of in prange(len(found)):
         total, weight = 0.0, 0.0
         for k in range(begins[of], begins[of + 1]):
-            f = own[rows[k]] + link * max(shared[rows[k]], 0.0)
-            f = min(max(f / full, -1.0), 1.0)
+            f = min(max(_total(rows[k], own, shared, link) / full, -1.0), 1.0)
             total += f * (1.0 + abs(f))
             weight += 1.0 + abs(f)
         found[of] = total / max(weight, 1.0)
@@ -211,7 +216,7 @@ def _end(rows, way, limit, centres, scans, than, own, shared, link):
     for r in rows:
         if centres[r, 0] * WAYS[way, 0] + centres[r, 1] * WAYS[way, 1] > limit:
             count, free = count + 1, free + (scans[r] > than)
-            dynamic += own[r] + link * max(shared[r], 0.0) > 0
+            dynamic += _total(r, own, shared, link) > 0
     return 2 * free > count, 2 * dynamic > count
 
 
@@ -286,7 +291,7 @@ def follow(firsts, at, columns, width, dynamic, back):
 
     Args:
         firsts: (F + 1,) int64: the first object of each scan.
-        at: (O + 1,) int64: where the columns of each object begin; columns: (K,) int64, below ``width``.
+        at: (O + 1,) int64: where the columns of each object begin; columns: (K,) int32, below ``width``.
         dynamic: (O,) bool. Modified.
         back: backwards in time.
     """
@@ -345,7 +350,7 @@ def outcomes(voxels, bands, rows, own, shared, link, hits, clear, grazed, weight
             found[i] = near_ground
         elif bands[i] > 2:
             found[i] = above
-        elif own[r] + link * max(shared[r], 0.0) > 0:
+        elif _total(r, own, shared, link) > 0:
             found[i] = seen if own[r] > 0 else followed
         else:  # most voxels were never clear: to read one count is faster than all
             some = clear[v >> 9, v & 511] and of_voxel(v, hits, clear, grazed, weights) > 0

@@ -132,7 +132,8 @@ class History:
         places = np.append(np.int32(0), np.sort(kernels.places.distinct(visited, rows)))  # by row
         rows[places[1:]] = np.arange(1, len(places))
         of_visits = rows[visited]
-        self._places = places if online else self._places
+        if online:
+            self._places = places
         own = kernels.places.evidence(places, self._up, *self._counts, self.weights())
         numbers, shared = np.array([each.number for each in visits], np.int32), np.zeros_like(own)
         for last in (False, True):
@@ -149,10 +150,10 @@ class History:
         """Visited places whose blocks did not go since, (V,) int32, and where those of each object begin, (O + 1,)."""
         places, begins = _joined([(each.places, each.begins) for each in visits])
         if not self._grid.rolls:
-            return places.astype(np.int32), begins
+            return places, begins
         scans = np.repeat([each.number for each in visits], [len(each.places) for each in visits])
         here = self._since[places >> 2] <= scans
-        return places[here].astype(np.int32), np.append(0, np.cumsum(here))[begins]
+        return places[here], np.append(0, np.cumsum(here))[begins]
 
     def _followed(
         self,
@@ -172,7 +173,7 @@ class History:
         if not len(dynamic):
             return dynamic
         cells, numbers = np.unique(np.concatenate([each.cells for each in visits]), return_inverse=True)
-        of_scans = np.split(numbers, np.cumsum([len(each.cells) for each in visits[:-1]]))
+        of_scans = np.split(numbers.astype(np.int32), np.cumsum([len(each.cells) for each in visits[:-1]]))
         columns, at = _joined([(of[each.columns], each.at) for of, each in zip(of_scans, visits, strict=True)])
         tracks = firsts, at, columns, len(cells)
         reach = np.concatenate([each.reach for each in visits])
@@ -193,9 +194,9 @@ class History:
             self._visits.pop(each, None)
 
 
-def _joined(parts: Sequence[tuple[I32 | I64, I64]]) -> tuple[I64, I64]:
+def _joined(parts: Sequence[tuple[I32, I64]]) -> tuple[I32, I64]:
     """Values (N,) of objects, and where those of each one begin, (O + 1,), of several scans in turn."""
-    values = np.concatenate([np.empty(0, np.int64), *(each for each, _ in parts)])
+    values = np.concatenate([np.empty(0, np.int32), *(each for each, _ in parts)])
     firsts = np.cumsum([0, *(len(each) for each, _ in parts)])
     begins = [begins[:-1] + first for (_, begins), first in zip(parts, firsts, strict=False)]
     return values, np.concatenate([*begins, firsts[-1:]])
